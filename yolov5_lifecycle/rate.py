@@ -1,0 +1,57 @@
+"""How often something happens, and how often it may."""
+
+from __future__ import annotations
+
+import statistics
+from collections import deque
+from dataclasses import dataclass
+
+
+class RateLimit:
+    """Admits at most `max_rate_hz` events a second on average; 0 admits all."""
+
+    def __init__(self) -> None:
+        self._due_s = 0.0
+
+    def admits(self, now_s: float, max_rate_hz: float) -> bool:
+        """Whether the event at `now_s` (monotonic seconds) is within the limit.
+
+        The schedule is kept, not the gap: 20 Hz out of a 30 Hz stream gives 20, not 15.
+        """
+        if max_rate_hz <= 0:
+            return True
+        if now_s < self._due_s:
+            return False
+        self._due_s = max(self._due_s + 1 / max_rate_hz, now_s)
+        return True
+
+
+@dataclass(frozen=True)
+class LatencySummary:
+    """Of the last seconds: events per second, and latencies in ms (NaN when nothing happened)."""
+
+    rate_hz: float
+    median_ms: float
+    p95_ms: float
+
+
+class LatencyWindow:
+    """Latencies of the events of the last `window_s` seconds; not thread-safe but safe to read from elsewhere."""
+
+    def __init__(self, window_s: float = 5.0) -> None:
+        self._window_s = window_s
+        self._events: deque[tuple[float, float]] = deque(maxlen=4096)
+
+    def add(self, now_s: float, latency_ms: float) -> None:
+        self._events.append((now_s, latency_ms))
+
+    def summary(self, now_s: float) -> LatencySummary:
+        """What happened between `now_s - window_s` and `now_s`."""
+        recent = sorted(ms for at_s, ms in tuple(self._events) if now_s - at_s <= self._window_s)
+        if not recent:
+            return LatencySummary(0.0, float("nan"), float("nan"))
+        return LatencySummary(
+            rate_hz=len(recent) / self._window_s,
+            median_ms=statistics.median(recent),
+            p95_ms=recent[min(len(recent) - 1, int(0.95 * len(recent)))],
+        )

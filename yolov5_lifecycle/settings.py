@@ -1,0 +1,258 @@
+"""What a user may set, and the rules: the only place where a setting, its default and its bounds stand."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from annotated_types import Ge, Le, MultipleOf
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from yolov5_lifecycle.architecture import SIZES
+from yolov5_lifecycle.suggestion import did_you_mean
+
+
+class Change(Enum):
+    """When a change of a setting takes effect while the node is active."""
+
+    LIVE = "live: obeyed from the next frame"
+    RELOAD = "reload: the model is prepared again and swapped between two frames"
+    RESUBSCRIBE = "resubscribe: the image subscription is made anew"
+    READ_ONLY = "read only: decided when the process starts"
+
+
+ModelSize = Literal["n", "s", "m", "l", "x", "n6", "s6", "m6", "l6", "x6"]
+
+
+class Settings(BaseModel):
+    """A valid configuration. Immutable: a change is a new value made by `merged`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    model_size: Annotated[ModelSize, Change.RELOAD] = Field(
+        "n", description="Official size of the model; names the file in weights_dir when weights is empty."
+    )
+    weights: Annotated[str, Change.RELOAD] = Field(
+        "",
+        max_length=4096,
+        description="Weights file (.pt or .safetensors): a path, ~ or package://PACKAGE/PATH. "
+        "Empty: weights_dir/yolov5<model_size>.safetensors, else .pt.",
+    )
+    weights_dir: Annotated[str, Change.RELOAD] = Field(
+        "~/.ros/yolov5", min_length=1, max_length=4096, description="Folder searched when weights is empty."
+    )
+    weights_sha256: Annotated[str, Change.RELOAD] = Field(
+        "", description="Expected SHA-256 of the weights file, 64 hexadecimal digits. Empty: not checked."
+    )
+    device: Annotated[str, Change.RELOAD] = Field(
+        "auto", description="Where the network runs: auto, cpu, cuda, cuda:N, N (the same as cuda:N) or mps."
+    )
+    runtime: Annotated[Literal["auto", "torch"], Change.RELOAD] = Field(
+        "auto", description="What executes the network."
+    )
+    precision: Annotated[Literal["auto", "fp32", "fp16"], Change.RELOAD] = Field(
+        "auto", description="Number format of the network. auto: fp16 on CUDA, fp32 elsewhere."
+    )
+    image_size: Annotated[int, Change.RELOAD] = Field(
+        640,
+        ge=64,
+        le=4096,
+        multiple_of=32,
+        description="Longer side of the network's picture in pixels, a multiple of the model's largest stride.",
+    )
+    confidence_threshold: Annotated[float, Change.LIVE] = Field(
+        0.25, ge=0, le=1, description="Detections with a lower score are dropped."
+    )
+    iou_threshold: Annotated[float, Change.LIVE] = Field(
+        0.45, ge=0, le=1, description="Of two boxes that overlap more than this, the lower score is dropped."
+    )
+    max_detections: Annotated[int, Change.LIVE] = Field(
+        1000, ge=1, le=30_000, description="At most this many detections per frame, best first."
+    )
+    classes: Annotated[tuple[str, ...], Change.LIVE] = Field(
+        (), max_length=10_000, description="Names or indices of the classes to report. Empty: all."
+    )
+    agnostic_nms: Annotated[bool, Change.LIVE] = Field(
+        False, description="Let boxes of different classes suppress each other."
+    )
+    max_rate: Annotated[float, Change.LIVE] = Field(
+        0.0, ge=0, le=1000, description="At most this many frames per second are detected. 0: no limit."
+    )
+    lazy: Annotated[bool, Change.LIVE] = Field(
+        True, description="Do not subscribe to images while nobody listens to detections or annotated images."
+    )
+    image_transport: Annotated[Literal["raw", "compressed"], Change.RESUBSCRIBE] = Field(
+        "raw", description="raw: ~/image_raw (Image). compressed: ~/image_raw/compressed (CompressedImage)."
+    )
+    image_reliability: Annotated[Literal["auto", "best_effort", "reliable"], Change.RESUBSCRIBE] = Field(
+        "auto", description="Reliability asked of the camera. auto: what its publisher offers."
+    )
+    autostart: Annotated[bool, Change.READ_ONLY] = Field(
+        False, description="Configure and activate without being asked, once, when the process starts."
+    )
+
+    @field_validator("weights_sha256")
+    @classmethod
+    def _is_sha256(cls, value: str) -> str:
+        if value and (len(value) != 64 or set(value.lower()) - set("0123456789abcdef")):
+            raise PydanticCustomError("sha256", "must be 64 hexadecimal digits or empty")
+        return value.lower()
+
+    @field_validator("device")
+    @classmethod
+    def _is_device(cls, value: str) -> str:
+        kind, _, index = value.partition(":")
+        is_index = index.isascii() and index.isdigit() and len(index) <= 3
+        if value in ("auto", "cpu", "cuda", "mps") or (kind == "cuda" and is_index):
+            return value
+        if value.isascii() and value.isdigit() and len(value) <= 3:
+            return f"cuda:{value}"
+        hint = " Did you mean 'cuda'?" if value.lower() == "gpu" else did_you_mean(value, ("auto", "cpu", "cuda", "mps"))
+        raise PydanticCustomError("device", "must be auto, cpu, cuda, cuda:N, N or mps.{hint}", {"hint": hint})
+
+    @model_validator(mode="after")
+    def _agrees(self) -> Settings:
+        if self.precision == "fp16" and self.device == "cpu":
+            raise PydanticCustomError(
+                "precision", "precision: 'fp16' needs a GPU, but device is 'cpu'. Use precision 'auto' or 'fp32'."
+            )
+        stride = max(SIZES[self.model_size].strides)
+        if not self.weights and self.image_size % stride:
+            raise PydanticCustomError(
+                "image_size",
+                "image_size: {found} is not a multiple of {stride}, the largest stride of model_size '{size}'. "
+                "Use {below} or {above}.",
+                {
+                    "found": self.image_size,
+                    "stride": stride,
+                    "size": self.model_size,
+                    "below": self.image_size // stride * stride,
+                    "above": (self.image_size // stride + 1) * stride,
+                },
+            )
+        return self
+
+    def merged(self, changes: Mapping[str, object]) -> Settings:
+        """These settings with `changes` applied and everything checked again; raises SettingsError."""
+        return validated(self.model_dump() | dict(changes))
+
+    def differing(self, other: Settings, change: Change) -> list[str]:
+        """Names of the settings of kind `change` whose values differ."""
+        return [
+            setting.name
+            for setting in SETTINGS
+            if setting.change is change and getattr(self, setting.name) != getattr(other, setting.name)
+        ]
+
+    def digest(self) -> str:
+        """Twelve hexadecimal digits that name this configuration."""
+        return hashlib.sha256(json.dumps(self.model_dump(), sort_keys=True).encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One row of the settings table, derived from a field of `Settings`."""
+
+    name: str
+    type: type
+    """bool, int, float, str, or tuple for a list of strings."""
+    default: object
+    description: str
+    change: Change
+    minimum: float | None
+    maximum: float | None
+    step: float | None
+    choices: tuple[str, ...]
+
+    @property
+    def allowed(self) -> str:
+        """The rule as a reader wants it, for messages and documents."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        if self.minimum is not None and self.maximum is not None:
+            multiple = f", a multiple of {self.step:g}" if self.step else ""
+            return f"{_TYPE_WORDS[self.type]} from {self.minimum:g} to {self.maximum:g}{multiple}"
+        return _TYPE_WORDS[self.type]
+
+
+_TYPE_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", tuple: "a list of texts"}
+
+
+def _setting(name: str, field: FieldInfo) -> Setting:
+    limits = {type(rule): rule for rule in field.metadata}
+    annotation = field.annotation
+    choices = get_args(annotation) if get_origin(annotation) is Literal else ()
+    assert field.description is not None
+    return Setting(
+        name=name,
+        type=str if choices else (get_origin(annotation) or annotation),  # type: ignore[arg-type]
+        default=field.default,
+        description=field.description,
+        change=next(mark for mark in field.metadata if isinstance(mark, Change)),
+        minimum=limits[Ge].ge if Ge in limits else None,
+        maximum=limits[Le].le if Le in limits else None,
+        step=limits[MultipleOf].multiple_of if MultipleOf in limits else None,
+        choices=choices,
+    )
+
+
+SETTINGS: tuple[Setting, ...] = tuple(_setting(name, field) for name, field in Settings.model_fields.items())
+_BY_NAME = {setting.name: setting for setting in SETTINGS}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One reason why values are no valid settings; `setting` is empty for a rule between several."""
+
+    setting: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.setting}: {self.message}" if self.setting else self.message
+
+
+class SettingsError(ValueError):
+    """Values that break rules; `problems` has all of them."""
+
+    def __init__(self, problems: list[Problem]) -> None:
+        super().__init__("\n".join(str(problem) for problem in problems))
+        self.problems = problems
+
+
+def validated(values: Mapping[str, object]) -> Settings:
+    """Settings from plain values by name, defaults for the rest; raises SettingsError with every problem."""
+    prepared = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    try:
+        return Settings.model_validate(prepared)
+    except ValidationError as error:
+        raise SettingsError([_problem(details) for details in error.errors()]) from None
+
+
+def _problem(details: ErrorDetails) -> Problem:
+    if not details["loc"]:
+        return Problem("", details["msg"])
+    name = str(details["loc"][0])
+    if details["type"] == "extra_forbidden":
+        return unknown_setting(name)
+    setting = _BY_NAME[name]
+    value: Any = details["input"]
+    hint = did_you_mean(value, setting.choices) if isinstance(value, str) and setting.choices else ""
+    if details["type"] in ("sha256", "device"):
+        return Problem(name, f"{_shown(value)} {details['msg']}")
+    return Problem(name, f"{_shown(value)} is not {setting.allowed}.{hint} The default is {_shown(setting.default)}.")
+
+
+def unknown_setting(name: str) -> Problem:
+    """The problem of a name that is no setting."""
+    return Problem(name, f"there is no such parameter.{did_you_mean(name, _BY_NAME)}")
+
+
+def _shown(value: object) -> str:
+    text = repr(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= 100 else text[:97] + "..."

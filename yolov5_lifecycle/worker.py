@@ -1,0 +1,162 @@
+"""One permanent inference thread behind a slot that holds the newest frame."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from yolov5_lifecycle.frame_balance import FrameBalance, FrameCounter, Outcome
+from yolov5_lifecycle.images import ImageError
+
+Frame = TypeVar("Frame")
+Deliver = Callable[[], None]
+Process = Callable[[Frame], Deliver]
+"""Works on a frame and returns what publishes the result. Raises ImageError when the frame is unreadable."""
+
+
+class Worker(Generic[Frame]):
+    """Runs `process` on the newest frame, one at a time, always in the same thread.
+
+    Torch keeps a thread pool and warm caches per calling thread, so the thread outlives every start and stop. Only a
+    thread that hangs is given up: its frame counts as failed, its late result is dropped, and a new thread takes over.
+
+    `on_failure(outcome, error)` and `on_success()` are called in the worker's thread after a frame has been counted.
+    """
+
+    def __init__(
+        self,
+        *,
+        on_failure: Callable[[Outcome, Exception], None],
+        on_success: Callable[[], None],
+    ) -> None:
+        self._on_failure = on_failure
+        self._on_success = on_success
+        self._changed = threading.Condition()
+        self._counter = FrameCounter()
+        self._process: Process[Frame] | None = None
+        self._slot: Frame | None = None
+        self._busy = False
+        self._delivering = False
+        self._jobs_done = 0
+        self._closed = False
+        self._thread = self._new_thread()
+        self._thread.start()
+
+    def start(self, process: Process[Frame]) -> None:
+        """Begin to work with `process`, or change to it from the next frame on."""
+        with self._changed:
+            self._process = process
+
+    def offer(self, frame: Frame, *, skip: bool = False) -> None:
+        """Hand over a frame; it replaces one that still waits. `skip` only counts it."""
+        with self._changed:
+            self._counter.receive()
+            if self._process is None:
+                self._counter.finish(Outcome.INACTIVE)
+            elif skip:
+                self._counter.finish(Outcome.SKIPPED)
+            else:
+                if self._slot is not None:
+                    self._counter.finish(Outcome.STALE)
+                self._slot = frame
+                self._changed.notify_all()
+
+    def stop(self, timeout_s: float) -> bool:
+        """Stop after the frame in work, flush the waiting one; True when the thread came to rest in time.
+
+        False: the thread hung. It was given up and a new one stands ready for the next start.
+        """
+        with self._changed:
+            self._process = None
+            if self._slot is not None:
+                self._slot = None
+                self._counter.finish(Outcome.FLUSHED)
+            rested = self._changed.wait_for(lambda: not self._busy, timeout_s)
+            if not rested:
+                # What is being published right now cannot be called back; publishing never takes long.
+                self._changed.wait_for(lambda: not self._delivering)
+                rested = not self._busy
+            if not rested:
+                self._counter.finish(Outcome.FAILED)
+                self._busy = False
+                self._thread = self._new_thread()
+                self._thread.start()
+            return rested
+
+    def rest(self, timeout_s: float) -> bool:
+        """Wait until the frame now in work, if any, is finished; True when that happened in time."""
+        with self._changed:
+            jobs_done = self._jobs_done
+            return self._changed.wait_for(lambda: not self._busy or self._jobs_done > jobs_done, timeout_s)
+
+    def close(self, timeout_s: float) -> bool:
+        """Stop and end the thread; True when it ended in time."""
+        rested = self.stop(timeout_s)
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+        return rested
+
+    def balance(self) -> FrameBalance:
+        """A consistent snapshot of all counts."""
+        with self._changed:
+            return self._counter.balance()
+
+    def _new_thread(self) -> threading.Thread:
+        return threading.Thread(target=self._run, name="inference", daemon=True)
+
+    def _run(self) -> None:
+        while (job := self._next_job()) is not None:
+            self._work(*job)
+
+    def _is_given_up(self) -> bool:
+        return threading.current_thread() is not self._thread
+
+    def _next_job(self) -> tuple[Process[Frame], Frame] | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._slot is not None or self._closed or self._is_given_up())
+            if self._closed or self._is_given_up() or self._slot is None or self._process is None:
+                return None
+            frame, self._slot = self._slot, None
+            self._busy = True
+            return self._process, frame
+
+    def _work(self, process: Process[Frame], frame: Frame) -> None:
+        error: Exception | None = None
+        outcome = Outcome.DETECTED
+        try:
+            deliver = process(frame)
+            if not self._may_deliver():
+                return
+            deliver()
+        except ImageError as unreadable:
+            outcome, error = Outcome.REJECTED, unreadable
+        except Exception as failure:
+            outcome, error = Outcome.FAILED, failure
+        if self._finish(outcome):
+            self._report(outcome, error)
+
+    def _may_deliver(self) -> bool:
+        with self._changed:
+            if self._is_given_up():
+                return False
+            self._delivering = True
+            return True
+
+    def _finish(self, outcome: Outcome) -> bool:
+        with self._changed:
+            if self._is_given_up():
+                return False
+            self._counter.finish(outcome)
+            self._jobs_done += 1
+            self._busy = self._delivering = False
+            self._changed.notify_all()
+            return True
+
+    def _report(self, outcome: Outcome, error: Exception | None) -> None:
+        if error is None:
+            self._on_success()
+        else:
+            self._on_failure(outcome, error)
