@@ -1,0 +1,49 @@
+"""Frames that gave no detections, and what to do about them."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+
+from rclpy.node import Node
+
+from yolov5_lifecycle.frame_balance import Outcome
+
+MAX_CONSECUTIVE_FAILURES = 10
+_RECENT_S = 2.0
+
+
+class FrameFailures:
+    """Says failures in the log once in a while, and calls `on_too_many(reason)` after so many in a row.
+
+    Keeps texts only: an exception would keep the model alive through its traceback.
+    """
+
+    def __init__(self, node: Node, *, on_too_many: Callable[[str], None]) -> None:
+        self._node = node
+        self._on_too_many = on_too_many
+        self._consecutive = 0
+        self._rejection = ""
+        self._rejected_s = float("-inf")
+
+    def succeeded(self) -> None:
+        self._consecutive = 0
+
+    def failed(self, outcome: Outcome, error: Exception) -> None:
+        """Called in the worker's thread."""
+        if outcome is Outcome.REJECTED:
+            self._node.get_logger().warning(f"image rejected: {error}", throttle_duration_sec=5.0)
+            self._rejection, self._rejected_s = str(error), time.monotonic()
+            return
+        self._consecutive += 1
+        reason = f"{type(error).__name__}: {error}"
+        self._node.get_logger().error(f"inference failed: {reason}", throttle_duration_sec=5.0)
+        self._node.get_logger().debug("".join(traceback.format_exception(error)))
+        executor = self._node.executor
+        if self._consecutive == MAX_CONSECUTIVE_FAILURES and executor is not None:
+            executor.create_task(self._on_too_many, reason)
+
+    def recent_rejection(self) -> str:
+        """Why the last image was rejected, if that was just now."""
+        return self._rejection if time.monotonic() - self._rejected_s < _RECENT_S else ""

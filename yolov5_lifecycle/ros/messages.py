@@ -1,0 +1,80 @@
+"""Between ROS messages and the project's own values."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
+from vision_msgs.msg import (
+    BoundingBox2D,
+    Detection2D,
+    Detection2DArray,
+    LabelInfo,
+    ObjectHypothesis,
+    ObjectHypothesisWithPose,
+    VisionClass,
+)
+
+from yolov5_lifecycle.detections import Detections
+from yolov5_lifecycle.images import Order, Picture, decode_compressed, decode_raw
+
+
+def picture(message: Image | CompressedImage) -> Picture:
+    """The picture in `message`, without a copy where the encoding allows; raises ImageError."""
+    if isinstance(message, CompressedImage):
+        return decode_compressed(message.data)
+    return decode_raw(
+        message.data,
+        encoding=message.encoding,
+        height=message.height,
+        width=message.width,
+        step=message.step,
+        is_bigendian=bool(message.is_bigendian),
+    )
+
+
+def image_message(pixels: NDArray[np.uint8], order: Order, header: Header) -> Image:
+    """An Image of (H, W, 3) pixels, encoded rgb8 or bgr8."""
+    height, width, channels = pixels.shape
+    message = Image(
+        header=header, height=height, width=width, encoding=f"{order}8", is_bigendian=0, step=width * channels
+    )
+    # The setter iterates over every byte of anything but an array (ros2/rclpy#836): 127 ms for 640x480.
+    buffer = array("B")
+    buffer.frombytes(memoryview(np.ascontiguousarray(pixels)).cast("B"))
+    message.data = buffer
+    return message
+
+
+def detection_array(detections: Detections, class_names: Sequence[str], header: Header) -> Detection2DArray:
+    """Detections in source pixels with the header of the image they are from."""
+    rows = zip(
+        detections.boxes_xyxy.tolist(), detections.scores.tolist(), detections.class_ids.tolist(), strict=True
+    )
+    return Detection2DArray(
+        header=header,
+        detections=[_detection(box, score, class_names[class_id], header) for box, score, class_id in rows],
+    )
+
+
+def _detection(box_xyxy: list[float], score: float, class_name: str, header: Header) -> Detection2D:
+    x1, y1, x2, y2 = box_xyxy
+    bbox = BoundingBox2D(size_x=x2 - x1, size_y=y2 - y1)
+    bbox.center.position.x = (x1 + x2) / 2
+    bbox.center.position.y = (y1 + y2) / 2
+    hypothesis = ObjectHypothesisWithPose(hypothesis=ObjectHypothesis(class_id=class_name, score=score))
+    return Detection2D(header=header, results=[hypothesis], bbox=bbox)
+
+
+def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:
+    """The names behind the class indices of the loaded model and the threshold in force."""
+    return LabelInfo(
+        header=Header(stamp=stamp),
+        class_map=[VisionClass(class_id=index, class_name=name) for index, name in enumerate(class_names)],
+        threshold=confidence_threshold,
+    )

@@ -1,0 +1,244 @@
+"""The lifecycle node: joins parameters, model, worker and topics."""
+
+from __future__ import annotations
+
+import functools
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from yolov5_lifecycle.class_filter import ClassFilterError
+from yolov5_lifecycle.ros.detection import REST_TIMEOUT_S, Detection
+from yolov5_lifecycle.ros.diagnostics import Diagnostics
+from yolov5_lifecycle.ros.frame_failures import MAX_CONSECUTIVE_FAILURES, FrameFailures
+from yolov5_lifecycle.ros.image_input import ReceivedFrame
+from yolov5_lifecycle.ros.loading import ModelLoader, Preparation
+from yolov5_lifecycle.ros.outputs import Outputs
+from yolov5_lifecycle.ros.preparation import Prepare, prepare_model
+from yolov5_lifecycle.ros.reconfiguration import Reconfiguration
+from yolov5_lifecycle.ros.services import harden
+from yolov5_lifecycle.ros.status import Status
+from yolov5_lifecycle.settings import Settings, SettingsError
+from yolov5_lifecycle.worker import Worker
+
+SUCCESS, FAILURE, ERROR = (
+    TransitionCallbackReturn.SUCCESS,
+    TransitionCallbackReturn.FAILURE,
+    TransitionCallbackReturn.ERROR,
+)
+Transition = Callable[["DetectorNode", LifecycleState], TransitionCallbackReturn]
+
+
+def logged(transition: Transition) -> Transition:
+    """Log what rclpy would swallow: an exception in a transition becomes ERROR without a word (ros2/rclpy#1673)."""
+
+    @functools.wraps(transition)
+    def guarded(node: DetectorNode, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(node, state)
+        except Exception as error:
+            node.report(f"unexpected {type(error).__name__} in {transition.__name__}: {error}")
+            node.get_logger().error(traceback.format_exc())
+            return ERROR
+
+    return guarded
+
+
+class DetectorNode(LifecycleNode):
+    """YOLOv5 as a managed node.
+
+    Owns the parameters, the inference worker, the model loader and the diagnostics from birth to `close`; the
+    publishers from configure to cleanup; the `Detection` (model and image subscription) while active.
+
+    `prepare` makes a model from settings; tests pass one of their own. `parameter_file_error` says why a parameter
+    file could not be read at all; configure refuses until the process is started with a good one.
+    """
+
+    def __init__(
+        self, *, prepare: Prepare = prepare_model, parameter_file_error: str = "", **node_options: Any
+    ) -> None:
+        # Callbacks that await (activate, a reload) must not hold the others up. The executor has one thread, so
+        # nothing runs at the same time even in a reentrant group.
+        self._group = ReentrantCallbackGroup()
+        super().__init__("yolov5", **node_options)
+        self._parameter_file_error = parameter_file_error
+        self._problem = ""
+        self._settings: Settings | None = None
+        self._outputs: Outputs | None = None
+        self._detection: Detection | None = None
+        self._preparation: Preparation | None = None
+        self._is_loading = False
+        self._failures = FrameFailures(self, on_too_many=self._give_up)
+        self._worker: Worker[ReceivedFrame] = Worker(
+            on_failure=self._failures.failed, on_success=self._failures.succeeded
+        )
+        self._loader = ModelLoader(self, prepare)
+        self._reconfiguration = Reconfiguration(
+            self, loader=self._loader, running=lambda: self._detection, on_commit=self._keep_settings
+        )
+        self._diagnostics = Diagnostics(self, self._status)
+        harden(self, {"change_state": self._change_state} | self._reconfiguration.handlers())
+
+    @property
+    def default_callback_group(self) -> CallbackGroup:
+        return self._group
+
+    @property
+    def state_label(self) -> str:
+        """Name of the lifecycle state, such as `inactive`."""
+        # rclpy offers the state through a service alone.
+        return str(self._state_machine.current_state[1])
+
+    @property
+    def is_loading(self) -> bool:
+        """Whether a model is being prepared in a thread, which nothing can interrupt."""
+        return self._loader.is_busy
+
+    def report(self, problem: str) -> None:
+        """Tell the log now, and diagnostics until the next success."""
+        self._problem = problem
+        self.get_logger().error(problem)
+
+    async def autostart(self) -> None:
+        """Configure and activate, if the parameter `autostart` asks for it."""
+        if self.get_parameter("autostart").value and self.trigger_configure() is SUCCESS and await self._load():
+            self.trigger_activate()
+
+    def close(self) -> bool:
+        """Shut down from any state and release everything; False when a hung inference was left behind."""
+        if self.state_label in ("unconfigured", "inactive", "active"):
+            self.trigger_shutdown()
+        self._loader.close()
+        rested = self._worker.close(REST_TIMEOUT_S)
+        self.destroy_node()
+        return rested
+
+    @logged
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        problems = [self._parameter_file_error] if self._parameter_file_error else []
+        try:
+            settings = self._reconfiguration.parameters.settings()
+        except SettingsError as error:
+            problems += map(str, error.problems)
+        if problems:
+            self.report("\n  ".join([f"configure refused, {len(problems)} problem(s) in the parameters:", *problems]))
+            return FAILURE
+        self._settings = settings
+        self._outputs = Outputs(self, on_listeners_changed=self._follow_listeners)
+        self._problem = ""
+        return super().on_configure(state)
+
+    @logged
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        assert self._settings is not None and self._outputs is not None
+        preparation, self._preparation = self._preparation or self._loader.begin(self._settings), None
+        try:
+            model = preparation.result()
+        except (ValueError, OSError, RuntimeError) as error:
+            self.report(f"activate refused: {error}")
+            return FAILURE
+        try:
+            self._detection = Detection(
+                self, settings=self._settings, model=model, outputs=self._outputs, worker=self._worker
+            )
+        except ClassFilterError as error:
+            model.close()
+            self.report(f"activate refused: classes: {error}")
+            return FAILURE
+        self._failures.succeeded()
+        self._problem = ""
+        self.get_logger().info("active with " + ", ".join(f"{name} {value}" for name, value in model.facts.items()))
+        result = super().on_activate(state)
+        self._detection.publish_label_info()
+        self._detection.follow_listeners()
+        return result
+
+    @logged
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._drop_detection()
+        return super().on_deactivate(state)
+
+    @logged
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._release()
+
+    @logged
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._release()
+
+    @logged
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._release()
+
+    def _release(self) -> TransitionCallbackReturn:
+        """Give back everything that configure and activate made, whatever there is of it."""
+        self._drop_detection()
+        if self._outputs is not None:
+            self._outputs.close()
+            self._outputs = None
+        self._settings = None
+        return SUCCESS
+
+    def _drop_detection(self) -> None:
+        detection, self._detection = self._detection, None
+        if detection is not None and not detection.close():
+            self.report(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was given up")
+
+    async def _change_state(self, request: Any, response: Any) -> Any:
+        wanted, possible = request.transition, self._state_machine.available_transitions
+        labels = [row[1] for row in possible if (row[1] == wanted.label if wanted.label else row[0] == wanted.id)]
+        if not labels:
+            self.get_logger().warning(
+                f"transition '{wanted.label or wanted.id}' refused in state {self.state_label}. "
+                f"Possible now: {', '.join(f'{row[1]} ({row[0]})' for row in possible) or 'none'}.",
+                throttle_duration_sec=1.0,
+            )
+            return response
+        if labels[0] == "activate" and not await self._load():
+            return response
+        response.success = getattr(self, f"trigger_{labels[0]}")() is SUCCESS
+        return response
+
+    async def _load(self) -> bool:
+        """Load the model for activate while others are answered; False when another transition came first."""
+        if self._is_loading:
+            self.get_logger().warning("activate refused: the model is being loaded already")
+            return False
+        self._is_loading = True
+        try:
+            self._preparation = await self._loader.load(lambda: self._settings)
+        finally:
+            self._is_loading = False
+        if self._preparation is None:
+            self.get_logger().warning("activate given up: another transition came while the model was loading")
+        return self._preparation is not None
+
+    def _keep_settings(self, settings: Settings) -> None:
+        if self._settings is not None:
+            self._settings = settings
+
+    def _follow_listeners(self) -> None:
+        if self._detection is not None:
+            self._detection.follow_listeners()
+
+    def _give_up(self, reason: str) -> None:
+        if self.state_label == "active":
+            self.trigger_deactivate()
+            self.report(f"deactivated after {MAX_CONSECUTIVE_FAILURES} failed frames in a row, the last: {reason}")
+
+    def _status(self) -> Status:
+        detection = self._detection
+        return Status(
+            state=self.state_label,
+            problem=self._problem,
+            balance=self._worker.balance(),
+            settings=self._settings,
+            model=detection.model if detection else None,
+            input=detection.look() if detection else None,
+            latency=detection.latencies.summary(time.monotonic()) if detection else None,
+            recently_rejected=self._failures.recent_rejection(),
+        )

@@ -1,0 +1,200 @@
+"""The node's ROS parameters, derived from Settings: declared, coerced and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from yolov5_lifecycle.settings import (
+    SETTINGS,
+    Change,
+    Problem,
+    Setting,
+    Settings,
+    SettingsError,
+    unknown_setting,
+    validated,
+)
+from yolov5_lifecycle.suggestion import nearest
+
+Review = Callable[[Settings], list[Problem]]
+Commit = Callable[[Settings], None]
+
+_TYPES = {
+    bool: Parameter.Type.BOOL,
+    int: Parameter.Type.INTEGER,
+    float: Parameter.Type.DOUBLE,
+    str: Parameter.Type.STRING,
+    tuple: Parameter.Type.STRING_ARRAY,
+}
+_BY_NAME = {setting.name: setting for setting in SETTINGS}
+# Declared by rclpy itself, when it pleases.
+_FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+
+
+class SettingsParameters:
+    """Owns the declaration of every setting and the callbacks that judge and commit a change.
+
+    A bad override (YAML file or command line) never raises: the parameter is declared with its default and the problem
+    is kept until the parameter is set again, so that configure can name all of them.
+
+    `review(candidate)` adds the rules that need the loaded model; `commit(settings)` is told after every change that
+    leaves a valid whole.
+    """
+
+    def __init__(self, node: Node, *, review: Review, commit: Commit) -> None:
+        self._node = node
+        self._review = review
+        self._commit = commit
+        self._bad_overrides: dict[str, Problem] = {}
+        # rclpy has no public way to list overrides that nobody declared.
+        overrides: dict[str, Parameter] = dict(getattr(node, "_parameter_overrides", {}))
+        for setting in SETTINGS:
+            self._declare(setting, overrides.pop(setting.name, None))
+        for name in overrides:
+            if not name.startswith(_FOREIGN_PREFIXES):
+                self._bad_overrides[name] = unknown_setting(name)
+        node.add_pre_set_parameters_callback(lambda parameters: [coerced(parameter) for parameter in parameters])
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._committed)
+
+    def settings(self) -> Settings:
+        """The current values as valid settings; raises SettingsError with every problem."""
+        problems = [*self._bad_overrides.values(), *_problems(self._values())]
+        if problems:
+            raise SettingsError(problems)
+        return validated(self._values())
+
+    def candidate(self, parameters: Iterable[Parameter]) -> Settings:
+        """What the settings would be with `parameters` set; raises SettingsError. Changes nothing."""
+        return validated(self._values() | plain_values(map(coerced, parameters)))
+
+    def forget(self, name: str) -> bool:
+        """Drop the complaint about an override with an unknown name; False when there was none."""
+        return name not in _BY_NAME and self._bad_overrides.pop(name, None) is not None
+
+    def _values(self) -> dict[str, object]:
+        return plain_values(self._node.get_parameter(setting.name) for setting in SETTINGS)
+
+    def _declare(self, setting: Setting, override: Parameter | None) -> None:
+        parameter = Parameter(setting.name, _TYPES[setting.type], _ros_value(setting.default))
+        if override is not None:
+            wanted = coerced(override, may_be_unset=True)
+            problems = _problems(plain_values([wanted]))
+            if any(problem.setting == setting.name for problem in problems):
+                self._bad_overrides[setting.name] = problems[0]
+            else:
+                parameter = wanted
+        # An empty list must be declared by type and then set: its own type would be BYTE_ARRAY (ros2/rclpy#912).
+        default = parameter.type_ if parameter.value == [] else parameter.value
+        self._node.declare_parameter(setting.name, default, descriptor(setting), ignore_override=True)
+        if parameter.value == []:
+            self._node.set_parameters([parameter])
+
+    def _judge(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        """Refuse a change that adds a problem; one that leaves an older, unrelated problem standing is welcome."""
+        changes = plain_values(parameters)
+        if not changes or not self._is_declared():
+            return SetParametersResult(successful=True)
+        values = self._values()
+        known = _problems(values)
+        problems = [problem for problem in _problems(values | changes) if problem not in known]
+        if not problems and not known:
+            problems = self._review(validated(values | changes))
+        return SetParametersResult(successful=not problems, reason=" ".join(map(str, problems)))
+
+    def _committed(self, parameters: Sequence[Parameter]) -> None:
+        if not self._is_declared():
+            return
+        for parameter in parameters:
+            self._bad_overrides.pop(parameter.name, None)
+            for unknown in [name for name in self._bad_overrides if nearest(name, _BY_NAME) == parameter.name]:
+                del self._bad_overrides[unknown]
+        try:
+            settings = self.settings()
+        except SettingsError:
+            return  # configure will name what is still wrong
+        self._commit(settings)
+
+    def _is_declared(self) -> bool:
+        return self._node.has_parameter(SETTINGS[-1].name)
+
+
+def descriptor(setting: Setting) -> ParameterDescriptor:
+    """What `ros2 param describe` shows of a setting, with the range that rclpy enforces."""
+    described = ParameterDescriptor(
+        description=setting.description,
+        additional_constraints=f"{setting.allowed}; {setting.change.value}",
+        read_only=setting.change is Change.READ_ONLY,
+    )
+    if setting.minimum is None or setting.maximum is None:
+        return described
+    if setting.type is int:
+        described.integer_range = [
+            IntegerRange(
+                from_value=int(setting.minimum), to_value=int(setting.maximum), step=int(setting.step or 1)
+            )
+        ]
+    else:
+        described.floating_point_range = [
+            FloatingPointRange(from_value=float(setting.minimum), to_value=float(setting.maximum))
+        ]
+    return described
+
+
+def coerced(parameter: Parameter, *, may_be_unset: bool = False) -> Parameter:
+    """`parameter` in the type of its setting where the user's meaning is plain; otherwise as it is.
+
+    A whole number for a number, a number or a list of numbers for texts (`device: 0`, `classes: [0, 2]`), an empty
+    list of any type, and the YAML 1.1 booleans that `n` and `y` are read as where a text is expected.
+    """
+    setting = _BY_NAME.get(parameter.name)
+    if setting is None:
+        return parameter
+    value, type_ = parameter.value, _TYPES[setting.type]
+    if setting.type is float and parameter.type_ is Parameter.Type.INTEGER:
+        return Parameter(parameter.name, type_, float(value))
+    if setting.type is str and parameter.type_ is Parameter.Type.INTEGER:
+        return Parameter(parameter.name, type_, str(value))
+    if setting.type is str and parameter.type_ is Parameter.Type.BOOL and "n" in setting.choices and not value:
+        return Parameter(parameter.name, type_, "n")
+    if setting.type is tuple and parameter.type_ is Parameter.Type.INTEGER_ARRAY:
+        return Parameter(parameter.name, type_, [str(entry) for entry in value])
+    if setting.type is tuple and _is_empty(parameter, may_be_unset):
+        return Parameter(parameter.name, type_, [])
+    return parameter
+
+
+def _is_empty(parameter: Parameter, may_be_unset: bool) -> bool:
+    if parameter.type_ is Parameter.Type.NOT_SET:
+        return may_be_unset  # YAML `[]`; from a service it means "delete"
+    return parameter.type_.name.endswith("ARRAY") and len(parameter.value) == 0
+
+
+def plain_values(parameters: Iterable[Parameter]) -> dict[str, object]:
+    """Values by name, of those parameters that are settings."""
+    return {
+        parameter.name: tuple(parameter.value) if _is_list(parameter.value) else parameter.value
+        for parameter in parameters
+        if parameter.name in _BY_NAME
+    }
+
+
+def _is_list(value: object) -> bool:
+    return hasattr(value, "__iter__") and not isinstance(value, (str, bytes))
+
+
+def _ros_value(default: object) -> object:
+    return list(default) if isinstance(default, tuple) else default
+
+
+def _problems(values: dict[str, object]) -> list[Problem]:
+    try:
+        validated(values)
+    except SettingsError as error:
+        return error.problems
+    return []
+

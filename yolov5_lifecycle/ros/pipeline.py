@@ -1,0 +1,55 @@
+"""The way of one frame: message in, messages out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from yolov5_lifecycle.annotate import annotate
+from yolov5_lifecycle.boxes import Selection
+from yolov5_lifecycle.class_filter import class_ids
+from yolov5_lifecycle.detections import Detections
+from yolov5_lifecycle.detector import Detector
+from yolov5_lifecycle.images import Picture
+from yolov5_lifecycle.rate import LatencyWindow
+from yolov5_lifecycle.ros import messages
+from yolov5_lifecycle.ros.image_input import ReceivedFrame
+from yolov5_lifecycle.ros.outputs import Outputs
+from yolov5_lifecycle.settings import Settings
+
+
+def selection(settings: Settings, class_names: tuple[str, ...]) -> Selection:
+    """What to keep of the raw predictions; raises ClassFilterError."""
+    return Selection(
+        confidence_threshold=settings.confidence_threshold,
+        iou_threshold=settings.iou_threshold,
+        max_detections=settings.max_detections,
+        classes=class_ids(settings.classes, class_names),
+        agnostic_nms=settings.agnostic_nms,
+    )
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """One configuration at work. Immutable, so a frame sees exactly one; a change makes a new pipeline."""
+
+    detector: Detector
+    selection: Selection
+    outputs: Outputs
+    latencies: LatencyWindow
+
+    def __call__(self, frame: ReceivedFrame) -> Callable[[], None]:
+        """Detect; what comes back publishes the result. Raises ImageError for an unreadable image."""
+        picture = messages.picture(frame.message)
+        detections = self.detector.detect(picture, self.selection)
+        return lambda: self._deliver(frame, picture, detections)
+
+    def _deliver(self, frame: ReceivedFrame, picture: Picture, detections: Detections) -> None:
+        header, class_names = frame.message.header, self.detector.class_names
+        self.outputs.detections.publish(messages.detection_array(detections, class_names, header))
+        now_s = time.monotonic()
+        self.latencies.add(now_s, (now_s - frame.received_s) * 1e3)
+        if self.outputs.image_listeners:
+            drawn = annotate(picture, detections, class_names)
+            self.outputs.image.publish(messages.image_message(drawn, picture.order, header))

@@ -1,0 +1,92 @@
+"""From settings to a model that is ready to detect."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+from yolov5_lifecycle.detector import Detector, load_detector
+from yolov5_lifecycle.memory import give_back_memory
+from yolov5_lifecycle.settings import Change, Settings
+from yolov5_lifecycle.weights import find_weights, load_weights
+
+_PACKAGE_SCHEME = "package://"
+
+
+@dataclass(frozen=True)
+class PreparedModel:
+    """A warm detector, the settings it was made for and the file it came from."""
+
+    settings: Settings
+    detector: Detector
+    weights_path: Path
+    weights_sha256: str
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What was resolved, for the log and diagnostics."""
+        runtime = self.detector.runtime
+        return {
+            "weights": str(self.weights_path),
+            "sha256": self.weights_sha256,
+            "classes": str(len(self.detector.class_names)),
+            "runtime": runtime.name,
+            "device": runtime.device,
+            "precision": runtime.precision,
+        }
+
+    def serves(self, settings: Settings) -> bool:
+        """Whether `settings` ask for this very model."""
+        return not self.settings.differing(settings, Change.RELOAD)
+
+    def close(self) -> None:
+        """Free the model and give its memory back to the system."""
+        self.detector.close()
+        gc.collect()
+        give_back_memory()
+
+
+Prepare = Callable[[Settings], PreparedModel]
+
+
+def prepare_model(settings: Settings) -> PreparedModel:
+    """Find, read, build and warm up the model that `settings` name.
+
+    Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
+    """
+    path = find_weights(
+        weights=resolve_package(settings.weights),
+        weights_dir=Path(resolve_package(settings.weights_dir)).expanduser(),
+        model_size=settings.model_size,
+    )
+    weights = load_weights(path, sha256=settings.weights_sha256)
+    detector = load_detector(
+        weights.model,
+        runtime=settings.runtime,
+        device=settings.device,
+        precision=settings.precision,
+        image_size=settings.image_size,
+    )
+    detector.warm_up()
+    return PreparedModel(settings, detector, weights.path, weights.sha256)
+
+
+def resolve_package(path: str) -> str:
+    """`package://PACKAGE/PATH` as a path in the package's share folder; anything else as it is.
+
+    Raises ValueError when there is no such package.
+    """
+    if not path.startswith(_PACKAGE_SCHEME):
+        return path
+    package, _, rest = path.removeprefix(_PACKAGE_SCHEME).partition("/")
+    try:
+        return str(Path(get_package_share_directory(package)) / rest)
+    except (PackageNotFoundError, ValueError):
+        raise ValueError(
+            f"{path}: no package '{package}' is installed in this environment. "
+            "Source the workspace that has it, or give the path of the file."
+        ) from None

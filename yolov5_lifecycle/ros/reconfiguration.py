@@ -1,0 +1,107 @@
+"""One change of parameters: judged whole, prepared beside the running model, then committed or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
+from yolov5_lifecycle.ros.detection import Detection
+from yolov5_lifecycle.ros.loading import ModelLoader
+from yolov5_lifecycle.ros.parameters import SettingsParameters
+from yolov5_lifecycle.ros.preparation import PreparedModel
+from yolov5_lifecycle.ros.services import Handler
+from yolov5_lifecycle.settings import Change, Problem, Settings, SettingsError
+
+
+class Reconfiguration:
+    """Answers the services that set parameters.
+
+    `running()` is what detects now, None unless active; `on_commit(settings)` is told of every valid change.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        loader: ModelLoader,
+        running: Callable[[], Detection | None],
+        on_commit: Callable[[Settings], None],
+    ) -> None:
+        self._node = node
+        self._loader = loader
+        self._running = running
+        self._on_commit = on_commit
+        self._replacement: PreparedModel | None = None
+        self.parameters = SettingsParameters(node, review=self._review, commit=self._commit)
+
+    def handlers(self) -> dict[str, Handler]:
+        """Service callbacks by the last part of the service's name."""
+        return {"set_parameters": self._set_one_by_one, "set_parameters_atomically": self._set_together}
+
+    async def _set_one_by_one(self, request: Any, response: Any) -> Any:
+        for message in request.parameters:
+            response.results.append(await self._set([Parameter.from_parameter_msg(message)]))
+        return response
+
+    async def _set_together(self, request: Any, response: Any) -> Any:
+        response.result = await self._set([Parameter.from_parameter_msg(message) for message in request.parameters])
+        return response
+
+    async def _set(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Set all or none of `parameters`."""
+        unset = [parameter for parameter in parameters if parameter.type_ is Parameter.Type.NOT_SET]
+        if unset and all(self.parameters.forget(parameter.name) for parameter in unset):
+            return SetParametersResult(successful=True)
+        try:
+            candidate = self.parameters.candidate(parameters)
+        except SettingsError:
+            return self._node.set_parameters_atomically(parameters)  # which refuses it with the reasons
+        detection = self._running()
+        if detection is None or detection.model.serves(candidate):
+            return self._node.set_parameters_atomically(parameters)
+        return await self._reload(detection, parameters)
+
+    async def _reload(self, detection: Detection, parameters: list[Parameter]) -> SetParametersResult:
+        def wanted() -> Settings | None:
+            return self.parameters.candidate(parameters) if self._running() is detection else None
+
+        preparation = await self._loader.load(wanted)
+        if preparation is None:
+            return _refused("the node left the active state while the new model was loading; nothing was changed.")
+        if (error := preparation.exception()) is not None:
+            return _refused(f"{error} The running model stays.")
+        old, self._replacement = detection.model, preparation.result()
+        result = self._node.set_parameters_atomically(parameters)
+        unused = old if detection.model is self._replacement else self._replacement
+        self._replacement = None
+        await self._loader.retire(unused, after=detection.rest)
+        return result
+
+    def _review(self, candidate: Settings) -> list[Problem]:
+        """What the running model, or the one about to replace it, says against `candidate`."""
+        detection = self._running()
+        if detection is None:
+            return []
+        model = self._replacement or detection.model
+        if not model.serves(candidate):
+            names = model.settings.differing(candidate, Change.RELOAD)
+            return [Problem(name, "needs another model, which only the parameter services load.") for name in names]
+        try:
+            class_ids(candidate.classes, model.detector.class_names)
+        except ClassFilterError as error:
+            return [Problem("classes", str(error))]
+        return []
+
+    def _commit(self, settings: Settings) -> None:
+        self._on_commit(settings)
+        if (detection := self._running()) is not None:
+            detection.apply(settings, self._replacement or detection.model)
+
+
+def _refused(reason: str) -> SetParametersResult:
+    return SetParametersResult(successful=False, reason=reason)

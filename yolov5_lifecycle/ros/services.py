@@ -1,0 +1,53 @@
+"""Services that answer whatever they are asked."""
+
+from __future__ import annotations
+
+import inspect
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.service import Service
+
+Handler = Callable[[Any, Any], Any]
+"""(request, response) -> response, or an awaitable of one."""
+
+
+def harden(node: Node, handlers: dict[str, Handler]) -> None:
+    """Make every service of `node` answer even when its callback raises; `handlers` replace callbacks by name.
+
+    A plain rclpy node dies of the first exception in a service callback: of a transition that is not possible now
+    (ros2/rclpy#1209) or of a parameter value of a type that does not exist (ros2/rclcpp#3257).
+    """
+    for service in node.services:
+        name = service.srv_name.rpartition("/")[2]
+        service.callback = _answering(node, service, handlers.get(name, service.callback))
+
+
+def _answering(node: Node, service: Service, handler: Handler) -> Handler:
+    async def answer(request: Any, response: Any) -> Any:
+        try:
+            answered = handler(request, response)
+            return await answered if inspect.isawaitable(answered) else answered
+        except Exception as error:
+            node.get_logger().error(
+                f"{service.srv_name}: request refused: {type(error).__name__}: {str(error)[:300]}",
+                throttle_duration_sec=1.0,
+            )
+            node.get_logger().debug(traceback.format_exc())
+            return _refusal(service, request, f"{type(error).__name__}: {str(error)[:300]}")
+
+    return answer
+
+
+def _refusal(service: Service, request: Any, reason: str) -> Any:
+    """A fresh response that says no; a half-filled one may not even serialise."""
+    response = service.srv_type.Response()
+    result = SetParametersResult(successful=False, reason=reason)
+    if hasattr(response, "results"):
+        response.results = [result] * len(request.parameters)
+    elif hasattr(response, "result") and isinstance(response.result, SetParametersResult):
+        response.result = result
+    return response

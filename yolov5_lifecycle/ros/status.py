@@ -1,0 +1,73 @@
+"""What the node knows of itself, and what it makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rclpy.qos import ReliabilityPolicy
+
+from yolov5_lifecycle.frame_balance import FrameBalance, Outcome
+from yolov5_lifecycle.rate import LatencySummary
+from yolov5_lifecycle.ros.image_input import InputStatus
+from yolov5_lifecycle.ros.preparation import PreparedModel
+from yolov5_lifecycle.settings import Settings
+
+SILENCE_S = 2.0
+"""An active camera that sends nothing for longer than this is worth a word."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """One look at the node. `settings` exist from configure on; the rest below only while active."""
+
+    state: str
+    problem: str
+    balance: FrameBalance
+    settings: Settings | None
+    model: PreparedModel | None
+    input: InputStatus | None
+    latency: LatencySummary | None
+    recently_rejected: str
+
+    @property
+    def hint(self) -> str:
+        """Why nothing comes out of an active node, or nothing when all is well."""
+        if self.state != "active" or self.settings is None:
+            return ""
+        if self.input is None:
+            return "lazy: nobody listens to ~/detections or ~/image, so no images are taken"
+        if self.input.publishers == 0:
+            return f"nobody publishes images on {self.input.topic}: start the camera or remap the topic"
+        if self.input.reliability is ReliabilityPolicy.RELIABLE and self.input.best_effort_publishers:
+            return (
+                f"a best-effort publisher on {self.input.topic} does not match this reliable subscription: "
+                "set image_reliability to auto or best_effort"
+            )
+        if self.input.silent_s > SILENCE_S:
+            return f"no image on {self.input.topic} for {self.input.silent_s:.0f} s, though somebody publishes there"
+        if self.recently_rejected:
+            return f"images are rejected: {self.recently_rejected}"
+        return ""
+
+    @property
+    def message(self) -> str:
+        """One line for a person."""
+        return self.problem or self.hint or ("detecting" if self.state == "active" else self.state)
+
+    def values(self) -> dict[str, str]:
+        """Everything as texts, for diagnostics."""
+        values = {"state": self.state, "last problem": self.problem}
+        values |= {f"frames {outcome.value}": str(self.balance[outcome]) for outcome in Outcome}
+        values |= {"frames received": str(self.balance.received), "frames pending": str(self.balance.pending)}
+        if self.settings is not None:
+            values["configuration"] = self.settings.digest()
+        if self.model is not None:
+            values |= self.model.facts
+        if self.input is not None:
+            values |= {"image topic": self.input.topic, "image reliability": self.input.reliability.name.lower()}
+            values |= {"image publishers": str(self.input.publishers), "frames lost": str(self.input.lost)}
+        if self.latency is not None:
+            values["rate Hz"] = f"{self.latency.rate_hz:.1f}"
+            values["latency median ms"] = f"{self.latency.median_ms:.1f}"
+            values["latency p95 ms"] = f"{self.latency.p95_ms:.1f}"
+        return values
