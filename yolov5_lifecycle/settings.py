@@ -118,24 +118,8 @@ class Settings(BaseModel):
 
     @model_validator(mode="after")
     def _agrees(self) -> Settings:
-        if self.precision == "fp16" and self.device == "cpu":
-            raise PydanticCustomError(
-                "precision", "precision: 'fp16' needs a GPU, but device is 'cpu'. Use precision 'auto' or 'fp32'."
-            )
-        stride = max(SIZES[self.model_size].strides)
-        if not self.weights and self.image_size % stride:
-            raise PydanticCustomError(
-                "image_size",
-                "image_size: {found} is not a multiple of {stride}, the largest stride of model_size '{size}'. "
-                "Use {below} or {above}.",
-                {
-                    "found": self.image_size,
-                    "stride": stride,
-                    "size": self.model_size,
-                    "below": self.image_size // stride * stride,
-                    "above": (self.image_size // stride + 1) * stride,
-                },
-            )
+        if problems := _contradictions(self):
+            raise PydanticCustomError("contradiction", "settings contradict each other", {"problems": problems})
         return self
 
     def merged(self, changes: Mapping[str, object]) -> Settings:
@@ -208,13 +192,13 @@ _BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 @dataclass(frozen=True)
 class Problem:
-    """One reason why values are no valid settings; `setting` is empty for a rule between several."""
+    """One reason why values are no valid settings."""
 
     setting: str
     message: str
 
     def __str__(self) -> str:
-        return f"{self.setting}: {self.message}" if self.setting else self.message
+        return f"{self.setting}: {self.message}"
 
 
 class SettingsError(ValueError):
@@ -231,12 +215,37 @@ def validated(values: Mapping[str, object]) -> Settings:
     try:
         return Settings.model_validate(prepared)
     except ValidationError as error:
-        raise SettingsError([_problem(details) for details in error.errors()]) from None
+        problems = [problem for details in error.errors() for problem in _problems(details)]
+    raise SettingsError(problems)
 
 
-def _problem(details: ErrorDetails) -> Problem:
-    if not details["loc"]:
-        return Problem("", details["msg"])
+def _contradictions(settings: Settings) -> list[Problem]:
+    """Rules between several settings."""
+    problems = []
+    if settings.precision == "fp16" and settings.device == "cpu":
+        problems.append(
+            Problem("precision", "'fp16' needs a GPU, but device is 'cpu'. Use precision 'auto' or 'fp32'.")
+        )
+    stride = max(SIZES[settings.model_size].strides)
+    if not settings.weights and settings.image_size % stride:
+        below = settings.image_size // stride * stride
+        problems.append(
+            Problem(
+                "image_size",
+                f"{settings.image_size} is not a multiple of {stride}, the largest stride of model_size "
+                f"'{settings.model_size}'. Use {below} or {below + stride}.",
+            )
+        )
+    return problems
+
+
+def _problems(details: ErrorDetails) -> list[Problem]:
+    if details["type"] == "contradiction":
+        return list(details["ctx"]["problems"])
+    return [_field_problem(details)]
+
+
+def _field_problem(details: ErrorDetails) -> Problem:
     name = str(details["loc"][0])
     if details["type"] == "extra_forbidden":
         return unknown_setting(name)

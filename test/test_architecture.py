@@ -1,0 +1,78 @@
+"""Imports point one way, and only ros/ knows ROS."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "yolov5_lifecycle"
+ROS_MODULES = {
+    "rclpy",
+    "ament_index_python",
+    "builtin_interfaces",
+    "diagnostic_msgs",
+    "lifecycle_msgs",
+    "rcl_interfaces",
+    "sensor_msgs",
+    "std_msgs",
+    "vision_msgs",
+}
+# A module may import modules of a lower rank; those of one rank only what is named in PEERS.
+RANKS = [
+    {"architecture", "detections", "images", "letterbox", "suggestion", "frame_balance", "rate", "memory", "scene"},
+    {"model", "network", "boxes", "class_filter", "settings"},
+    {"annotate", "checkpoint", "safetensors_file", "runtimes"},
+    {"weights", "detector"},
+    {"worker", "convert"},
+    {"ros"},
+]
+PEERS = {("ros", "ros"), ("runtimes", "runtimes")}
+
+
+def _imports(path: Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def _modules() -> dict[Path, str]:
+    """Every source file and the name, below the package, that stands for it in RANKS."""
+    return {
+        path: path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        for path in sorted(PACKAGE.rglob("*.py"))
+        if path != PACKAGE / "__init__.py"
+    }
+
+
+@pytest.mark.parametrize(("path", "name"), [pytest.param(*item, id=str(item[0].name)) for item in _modules().items()])
+def test_imports_point_from_higher_to_lower_rank(path: Path, name: str) -> None:
+    rank = {module: index for index, modules in enumerate(RANKS) for module in modules}
+    assert name in rank, f"say in RANKS where {name} belongs"
+    imported = {part.split(".")[1] for part in _imports(path) if part.startswith("yolov5_lifecycle.")}
+    wrong = {other for other in imported if rank[other] >= rank[name] and (name, other) not in PEERS}
+    assert not wrong, f"{path.name} must not import {wrong}"
+
+
+@pytest.mark.parametrize(("path", "name"), [pytest.param(*item, id=str(item[0].name)) for item in _modules().items()])
+def test_settings_are_imported_by_ros_alone(path: Path, name: str) -> None:
+    assert name == "ros" or not any(part.startswith("yolov5_lifecycle.settings") for part in _imports(path))
+
+
+def test_everything_outside_ros_imports_without_ros() -> None:
+    names = [
+        ".".join(("yolov5_lifecycle", *path.relative_to(PACKAGE).with_suffix("").parts))
+        for path, name in _modules().items()
+        if name != "ros"
+    ]
+    block = f"import sys; sys.modules.update(dict.fromkeys({sorted(ROS_MODULES)!r}))"
+    program = f"{block}; import importlib; [importlib.import_module(name) for name in {names!r}]"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr

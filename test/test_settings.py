@@ -1,0 +1,120 @@
+"""Settings: every rule, every message, one source."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from yolov5_lifecycle.settings import SETTINGS, Change, Setting, Settings, SettingsError, validated
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        pytest.param({"confidence_threshold": 1.5}, "1.5 is not a number from 0 to 1", id="above-range"),
+        pytest.param({"confidence_threshold": -0.1}, "-0.1 is not a number from 0 to 1", id="below-range"),
+        pytest.param({"confidence_threshold": math.nan}, "nan is not a number", id="nan"),
+        pytest.param({"max_rate": math.inf}, "inf is not a number", id="infinity"),
+        pytest.param({"confidence_threshold": True}, "True is not a number", id="bool-for-number"),
+        pytest.param({"confidence_threshold": "0.5"}, "'0.5' is not a number", id="text-for-number"),
+        pytest.param({"max_detections": 0}, "0 is not a whole number from 1", id="no-detections"),
+        pytest.param({"max_detections": 2.5}, "2.5 is not a whole number", id="fraction-for-count"),
+        pytest.param({"image_size": True}, "True is not a whole number", id="bool-for-count"),
+        pytest.param({"image_size": 650}, "a multiple of 32", id="no-multiple-of-a-stride"),
+        pytest.param({"lazy": 1}, "1 is not true or false", id="number-for-bool"),
+        pytest.param({"model_size": "xl"}, "Did you mean 'x'?", id="misspelt-choice"),
+        pytest.param({"device": "gpu"}, "Did you mean 'cuda'?", id="gpu"),
+        pytest.param({"device": "cuda:one"}, "must be auto, cpu, cuda", id="device-index-in-words"),
+        pytest.param({"weights_sha256": "abc"}, "64 hexadecimal digits", id="short-digest"),
+        pytest.param({"weights_sha256": "g" * 64}, "64 hexadecimal digits", id="no-hex-digest"),
+        pytest.param({"weights": 3}, "3 is not a text", id="number-for-path"),
+        pytest.param({"classes": ("a", 3)}, "a list of texts", id="number-among-classes"),
+        pytest.param({"classes": ("a",) * 10_001}, "a list of texts", id="huge-list"),
+        pytest.param({"weights_dir": ""}, "is not a text", id="empty-folder"),
+    ],
+)
+def test_a_broken_rule_is_named_with_field_value_and_rule(values: dict[str, object], problem: str) -> None:
+    with pytest.raises(SettingsError) as refusal:
+        validated(values)
+    (found,) = refusal.value.problems
+    assert found.setting == next(iter(values))
+    assert problem in found.message
+
+
+def test_every_broken_field_is_reported_at_once() -> None:
+    with pytest.raises(SettingsError) as refusal:
+        validated({"confidence_threshold": 2, "model_size": "q", "image_size": 7, "wieghts": "x"})
+    assert [problem.setting for problem in refusal.value.problems] == [
+        "model_size",
+        "image_size",
+        "confidence_threshold",
+        "wieghts",
+    ]
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
+    with pytest.raises(SettingsError, match="confidence_treshold: .*Did you mean 'confidence_threshold'"):
+        validated({"confidence_treshold": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        pytest.param({"device": "cpu", "precision": "fp16"}, "fp16.*device is 'cpu'", id="half-on-cpu"),
+        pytest.param({"model_size": "n6", "image_size": 672}, "multiple of 64.*640 or 704", id="p6-stride"),
+    ],
+)
+def test_settings_that_contradict_each_other_are_refused(values: dict[str, object], problem: str) -> None:
+    with pytest.raises(SettingsError, match=problem):
+        validated(values)
+
+
+def test_every_contradiction_is_reported_at_once() -> None:
+    with pytest.raises(SettingsError) as refusal:
+        validated({"device": "cpu", "precision": "fp16", "model_size": "n6", "image_size": 672})
+    assert [problem.setting for problem in refusal.value.problems] == ["precision", "image_size"]
+
+
+def test_the_stride_of_a_named_weights_file_is_left_to_the_file() -> None:
+    assert validated({"weights": "mine.pt", "model_size": "n6", "image_size": 672}).image_size == 672
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        pytest.param({"device": "0"}, {"device": "cuda:0"}, id="bare-index-is-cuda"),
+        pytest.param({"confidence_threshold": 1}, {"confidence_threshold": 1.0}, id="whole-number-for-number"),
+        pytest.param({"classes": ["a"]}, {"classes": ("a",)}, id="list"),
+        pytest.param({"weights_sha256": "AB" * 32}, {"weights_sha256": "ab" * 32}, id="digest-in-capitals"),
+    ],
+)
+def test_what_is_plainly_meant_is_accepted(given: dict[str, object], kept: dict[str, object]) -> None:
+    assert validated(given).model_dump() == Settings().model_dump() | kept
+
+
+def test_merged_checks_again_and_leaves_the_old_value_alone() -> None:
+    settings = Settings()
+    changed = settings.merged({"confidence_threshold": 0.5})
+    assert (settings.confidence_threshold, changed.confidence_threshold) == (0.25, 0.5)
+    with pytest.raises(SettingsError):
+        changed.merged({"iou_threshold": 7})
+
+
+def test_differing_names_only_settings_of_the_asked_kind() -> None:
+    changed = Settings().merged({"device": "cpu", "confidence_threshold": 0.5})
+    assert Settings().differing(changed, Change.RELOAD) == ["device"]
+    assert Settings().differing(changed, Change.LIVE) == ["confidence_threshold"]
+
+
+def test_the_digest_names_the_configuration() -> None:
+    assert Settings().digest() == validated({}).digest()
+    assert Settings().digest() != Settings().merged({"lazy": False}).digest()
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
+def test_every_setting_says_what_a_user_needs(setting: Setting) -> None:
+    assert setting.description.endswith(".")
+    assert setting.allowed
+    assert (setting.minimum is None) == (setting.maximum is None)
+    assert validated({setting.name: setting.default}) == Settings()

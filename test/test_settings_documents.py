@@ -1,0 +1,32 @@
+"""The generated files tell what the settings say."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tools.settings_documents import DOCUMENTS, yaml_file
+from yolov5_lifecycle.settings import SETTINGS, Settings, validated
+
+
+@pytest.mark.parametrize(("path", "text"), [pytest.param(*item, id=item[0].name) for item in DOCUMENTS.items()])
+def test_the_committed_file_is_up_to_date(path: Path, text: Callable[[], str]) -> None:
+    assert path.read_text() == text(), "run `make docs`"
+
+
+def test_the_yaml_file_holds_the_defaults() -> None:
+    parameters = yaml.safe_load(yaml_file())["/**"]["ros__parameters"]
+    assert list(parameters) == [setting.name for setting in SETTINGS]
+    assert validated(parameters) == Settings()
+
+
+def test_the_schema_knows_every_setting() -> None:
+    schema = json.loads(next(text() for path, text in DOCUMENTS.items() if path.suffix == ".json"))
+    properties = schema["additionalProperties"]["properties"]["ros__parameters"]["properties"]
+    assert list(properties) == [setting.name for setting in SETTINGS]
+    assert properties["model_size"]["enum"] == ["n", "s", "m", "l", "x", "n6", "s6", "m6", "l6", "x6"]
+    assert (properties["image_size"]["minimum"], properties["image_size"]["multipleOf"]) == (64, 32)

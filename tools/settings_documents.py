@@ -1,0 +1,119 @@
+"""Writes what is derived from the settings: the YAML file, its JSON schema and the reference page.
+
+python -m tools.settings_documents
+"""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from pathlib import Path
+from typing import Any
+
+from yolov5_lifecycle.settings import SETTINGS, Change, Setting
+
+REPOSITORY = Path(__file__).parents[1]
+_JSON_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", tuple: "array"}
+
+
+def yaml_file() -> str:
+    """config/yolov5.yaml: every setting with its default and what it is."""
+    lines = [
+        "# yaml-language-server: $schema=yolov5.schema.json",
+        "# Every setting with its default. Generated from yolov5_lifecycle/settings.py by `make docs`.",
+        "/**:",
+        "  ros__parameters:",
+    ]
+    for setting in SETTINGS:
+        comment = f"{setting.description} [{setting.allowed}; {_effect(setting)}]"
+        lines += ["", *textwrap.wrap(comment, 110, initial_indent="    # ", subsequent_indent="    # ")]
+        lines.append(f"    {setting.name}: {json.dumps(setting.default)}")
+    return "\n".join(lines) + "\n"
+
+
+def schema() -> str:
+    """config/yolov5.schema.json: completion and checks for editors."""
+    parameters = {
+        "type": "object",
+        "properties": {setting.name: _property(setting) for setting in SETTINGS},
+        "patternProperties": {"^(use_sim_time|qos_overrides)": {}},
+        "additionalProperties": False,
+    }
+    node = {"type": "object", "properties": {"ros__parameters": parameters}, "required": ["ros__parameters"]}
+    document = {
+        "$schema": "http://json-schema.org/draft-07/schema#",
+        "title": "Parameters of the yolov5_lifecycle detector",
+        "type": "object",
+        "additionalProperties": node,
+    }
+    return json.dumps(document, indent=2) + "\n"
+
+
+def reference_page() -> str:
+    """docs/parameters.md: one table."""
+    rows = [
+        f"| `{setting.name}` | {_type_word(setting)} | `{json.dumps(setting.default)}` | {setting.allowed} "
+        f"| {_effect(setting)} | {setting.description} |"
+        for setting in SETTINGS
+    ]
+    changes = [f"- **{change.value.partition(': ')[0]}**: {change.value.partition(': ')[2]}." for change in Change]
+    return "\n".join(
+        [
+            "# Parameters",
+            "",
+            "Generated from `yolov5_lifecycle/settings.py` by `make docs`; `ros2 param describe /yolov5 NAME` says the",
+            "same of a running node. `config/yolov5.yaml` holds every default, ready to be changed.",
+            "",
+            "| name | type | default | allowed | change | meaning |",
+            "| --- | --- | --- | --- | --- | --- |",
+            *rows,
+            "",
+            "What a change does while the node is active:",
+            "",
+            *changes,
+            "",
+            "Accepted as meant: a whole number where a number is asked (`confidence_threshold: 1`), a bare index as",
+            "device (`device: 0` is `cuda:0`), a list of indices as classes (`classes: [0, 2]`), an empty list.",
+            "",
+        ]
+    )
+
+
+DOCUMENTS = {
+    REPOSITORY / "config" / "yolov5.yaml": yaml_file,
+    REPOSITORY / "config" / "yolov5.schema.json": schema,
+    REPOSITORY / "docs" / "parameters.md": reference_page,
+}
+
+
+def _effect(setting: Setting) -> str:
+    return setting.change.value.partition(":")[0]
+
+
+def _type_word(setting: Setting) -> str:
+    return {bool: "bool", int: "int", float: "double", str: "string", tuple: "string[]"}[setting.type]
+
+
+def _property(setting: Setting) -> dict[str, Any]:
+    rules: dict[str, Any] = {
+        "type": _JSON_TYPES[setting.type],
+        "description": setting.description,
+        "default": setting.default,
+    }
+    if setting.type is tuple:
+        rules["items"] = {"type": ["string", "integer"]}
+    if setting.choices:
+        rules["enum"] = setting.choices
+    if setting.name == "device":
+        rules["type"] = ["string", "integer"]
+    limits = {"minimum": setting.minimum, "maximum": setting.maximum, "multipleOf": setting.step}
+    return rules | {name: value for name, value in limits.items() if value is not None}
+
+
+def main() -> None:
+    for path, text in DOCUMENTS.items():
+        path.write_text(text())
+
+
+if __name__ == "__main__":
+    main()
