@@ -22,8 +22,8 @@ _SPIN_S = 0.2
 
 def main(args: Sequence[str] | None = None) -> int:
     """Spin the node until a signal or its shutdown; 0 after a clean release, 1 when inference had to be left behind."""
-    parameter_file_error = _initialise(list(sys.argv if args is None else args))
-    node = DetectorNode(parameter_file_error=parameter_file_error)
+    arguments = list(sys.argv if args is None else args)
+    node = DetectorNode(parameter_file_error=_initialise(arguments), arguments=arguments)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
@@ -54,12 +54,18 @@ class DetectorNode(LifecycleNode):
     Owns the parameters, the inference worker, the model loader and the diagnostics from birth to `close`; the
     publishers from configure to cleanup; the `Detection` (model and image subscription) while active.
 
-    `prepare` makes a model from settings; tests pass one of their own. `parameter_file_error` says why a parameter
-    file could not be read at all; configure refuses until the process is started with a good one.
+    `prepare` makes a model from settings; tests pass one of their own. `arguments` are the words of the command line.
+    `parameter_file_error` says why a parameter file could not be read at all; configure refuses until the process is
+    started with a good one.
     """
 
     def __init__(
-        self, *, prepare: Prepare = prepare_model, parameter_file_error: str = "", **node_options: Any
+        self,
+        *,
+        prepare: Prepare = prepare_model,
+        arguments: Sequence[str] = (),
+        parameter_file_error: str = "",
+        **node_options: Any,
     ) -> None:
         # Callbacks that await (activate, a reload) must not hold the others up. The executor has one thread, so
         # nothing runs at the same time even in a reentrant group.
@@ -78,7 +84,11 @@ class DetectorNode(LifecycleNode):
         )
         self._loader = ModelLoader(self, prepare)
         self._reconfiguration = Reconfiguration(
-            self, loader=self._loader, running=lambda: self._detection, on_commit=self._keep_settings
+            self,
+            loader=self._loader,
+            running=lambda: self._detection,
+            on_commit=self._keep_settings,
+            arguments=arguments,
         )
         self._diagnostics = Diagnostics(self, self._status)
         harden(self, {"change_state": self._change_state} | self._reconfiguration.handlers())
@@ -127,6 +137,7 @@ class DetectorNode(LifecycleNode):
         if problems:
             self.report("\n  ".join([f"configure refused, {len(problems)} problem(s) in the parameters:", *problems]))
             return FAILURE
+        self.get_logger().info("configured with\n" + self._reconfiguration.parameters.table())
         self._settings = settings
         self._outputs = Outputs(self, on_listeners_changed=self._follow_listeners)
         self._problem = ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from enum import Enum
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
@@ -35,6 +36,15 @@ _BY_NAME = {setting.name: setting for setting in SETTINGS}
 _FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 
 
+class Source(Enum):
+    """Where the value of a setting comes from."""
+
+    DEFAULT = "default"
+    PARAMETER_FILE = "parameter file"
+    COMMAND_LINE = "command line"
+    RUN_TIME = "set at run time"
+
+
 class SettingsParameters:
     """Owns the declaration of every setting and the callbacks that judge and commit a change.
 
@@ -42,18 +52,22 @@ class SettingsParameters:
     is kept until the parameter is set again, so that configure can name all of them.
 
     `review(candidate)` adds the rules that need the loaded model; `commit(settings)` is told after every change that
-    leaves a valid whole.
+    leaves a valid whole. `arguments` are the words of the command line, to tell where an override comes from.
     """
 
-    def __init__(self, node: Node, *, review: Review, commit: Commit) -> None:
+    def __init__(self, node: Node, *, review: Review, commit: Commit, arguments: Sequence[str] = ()) -> None:
         self._node = node
         self._review = review
         self._commit = commit
         self._bad_overrides: dict[str, Problem] = {}
+        self._sources = dict.fromkeys(_BY_NAME, Source.DEFAULT)
         # rclpy has no public way to list overrides that nobody declared.
         overrides: dict[str, Parameter] = dict(getattr(node, "_parameter_overrides", {}))
         for setting in SETTINGS:
-            self._declare(setting, overrides.pop(setting.name, None))
+            if (override := overrides.pop(setting.name, None)) is not None:
+                on_command_line = setting.name in names_on_command_line(arguments)
+                self._sources[setting.name] = Source.COMMAND_LINE if on_command_line else Source.PARAMETER_FILE
+            self._declare(setting, override)
         for name in overrides:
             if not name.startswith(_FOREIGN_PREFIXES):
                 self._bad_overrides[name] = unknown_setting(name)
@@ -71,6 +85,14 @@ class SettingsParameters:
     def candidate(self, parameters: Iterable[Parameter]) -> Settings:
         """What the settings would be with `parameters` set; raises SettingsError. Changes nothing."""
         return validated(self._values() | plain_values(map(coerced, parameters)))
+
+    def table(self) -> str:
+        """Name, value and source of every setting, one a line."""
+        width = max(map(len, _BY_NAME))
+        values = self._values()
+        return "\n".join(
+            f"  {name:{width}}  {_ros_value(values[name])!r:<28}  {source.value}" for name, source in self._sources.items()
+        )
 
     def forget(self, name: str) -> bool:
         """Drop the complaint about an override with an unknown name; False when there was none."""
@@ -97,7 +119,7 @@ class SettingsParameters:
     def _judge(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         """Refuse a change that adds a problem; one that leaves an older, unrelated problem standing is welcome."""
         changes = plain_values(parameters)
-        if not changes or not self._is_declared():
+        if not changes:
             return SetParametersResult(successful=True)
         values = self._values()
         known = _problems(values)
@@ -107,9 +129,9 @@ class SettingsParameters:
         return SetParametersResult(successful=not problems, reason=" ".join(map(str, problems)))
 
     def _committed(self, parameters: Sequence[Parameter]) -> None:
-        if not self._is_declared():
-            return
         for parameter in parameters:
+            if parameter.name in self._sources:
+                self._sources[parameter.name] = Source.RUN_TIME
             self._bad_overrides.pop(parameter.name, None)
             for unknown in [name for name in self._bad_overrides if nearest(name, _BY_NAME) == parameter.name]:
                 del self._bad_overrides[unknown]
@@ -119,8 +141,10 @@ class SettingsParameters:
             return  # configure will name what is still wrong
         self._commit(settings)
 
-    def _is_declared(self) -> bool:
-        return self._node.has_parameter(SETTINGS[-1].name)
+def names_on_command_line(arguments: Sequence[str]) -> set[str]:
+    """Parameters set by `-p [node:]name:=value` (or `--param`)."""
+    assignments = [word for flag, word in zip(arguments, arguments[1:], strict=False) if flag in ("-p", "--param")]
+    return {assignment.partition(":=")[0].rpartition(":")[2] for assignment in assignments}
 
 
 def descriptor(setting: Setting) -> ParameterDescriptor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -31,13 +31,14 @@ class Reconfiguration:
         loader: ModelLoader,
         running: Callable[[], Detection | None],
         on_commit: Callable[[Settings], None],
+        arguments: Sequence[str],
     ) -> None:
         self._node = node
         self._loader = loader
         self._running = running
         self._on_commit = on_commit
         self._replacement: PreparedModel | None = None
-        self.parameters = SettingsParameters(node, review=self._review, commit=self._commit)
+        self.parameters = SettingsParameters(node, review=self._review, commit=self._commit, arguments=arguments)
 
     def handlers(self) -> dict[str, Handler]:
         """Service callbacks by the last part of the service's name."""
