@@ -1,0 +1,1 @@
+"""Ways to execute a network, one file each, with the same call."""
