@@ -1,0 +1,89 @@
+# `make` lists what there is to do. Nothing outside this folder is touched.
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+
+PYTHON ?= python3
+SET ?= tested
+PIP_FLAGS ?=
+PYTEST_FLAGS ?=
+
+ifeq ($(SET),tested)
+VENV := .venv
+CONSTRAINTS := requirements/constraints.txt
+else ifeq ($(SET),apt)
+VENV := .venv-apt
+CONSTRAINTS := requirements/constraints-apt.txt
+else
+$(error SET=$(SET): expected 'tested' (the newest numpy and OpenCV) or 'apt' (those of Ubuntu 24.04))
+endif
+
+# Only the virtual environment counts: paths of a sourced ROS or of another environment would mix two builds of rclpy.
+unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH VIRTUAL_ENV CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
+unexport RMW_IMPLEMENTATION ROS_LOCALHOST_ONLY ROS_STATIC_PEERS _ROS_WHEELS_BOOTSTRAP_COMPLETE
+export AMENT_PREFIX_PATH := $(abspath $(VENV))
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export PATH := $(abspath $(VENV))/bin:$(PATH)
+
+# A stamp is written after its step has succeeded, never before: an interrupted step is done again from its beginning.
+# The first one carries Python's version, so another PYTHON makes another environment.
+PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+DEPENDENCIES := $(VENV)/.dependencies-$(PYTHON_VERSION)
+INTERFACES := $(VENV)/.interfaces
+PACKAGE := $(VENV)/.package
+INTERFACES_BUILD := build/vision_msgs-$(SET)
+PYTHON_SOURCES := $(wildcard yolov5_lifecycle test tools benchmark requirements launch setup.py)
+
+.PHONY: help install demo test lint clean
+help:
+	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
+	@echo 'make test     the test suite          (SET=apt: with the numpy and OpenCV of Ubuntu 24.04, in .venv-apt)'
+	@echo 'make lint     ruff and mypy --strict'
+	@echo 'make install  what the others do first: .venv with the pinned packages, vision_msgs and this package'
+	@echo 'make clean    removes everything that make has made, .venv included'
+	@echo 'Variables: PYTHON=python3.12  SET=apt  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"'
+
+install: $(PACKAGE)
+
+demo: $(PACKAGE)
+	@mkdir -p build/demo
+	@$(VENV)/bin/demo
+
+test: $(PACKAGE)
+	$(VENV)/bin/python -m pytest $(PYTEST_FLAGS)
+
+lint: $(PACKAGE)
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy --strict $(PYTHON_SOURCES)
+
+clean:
+	rm -rf .venv .venv-apt build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+$(DEPENDENCIES): requirements/environment.txt requirements/pins.txt $(CONSTRAINTS) requirements/check_machine.py
+	@$(PYTHON) requirements/check_machine.py $(SET)
+	@echo "Installing the pinned packages into $(VENV): about 1.5 GB, some minutes the first time."
+	rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/environment.txt -c $(CONSTRAINTS)
+	echo 'export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"' >> $(VENV)/bin/activate
+	touch $@
+
+$(INTERFACES): $(DEPENDENCIES) $(shell find interfaces -type f)
+	@echo "Building vision_msgs into $(VENV): less than a minute."
+	rm -rf $(INTERFACES_BUILD)
+	$(VENV)/bin/cmake -S interfaces/vision_msgs -B $(INTERFACES_BUILD) -G Ninja --log-level=WARNING \
+	  -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DPython3_EXECUTABLE=$(abspath $(VENV))/bin/python \
+	  -DCMAKE_PREFIX_PATH=$(abspath $(VENV)) -DCMAKE_INSTALL_PREFIX=$(abspath $(VENV))
+	$(VENV)/bin/cmake --build $(INTERFACES_BUILD)
+	$(VENV)/bin/cmake --install $(INTERFACES_BUILD) > $(INTERFACES_BUILD)/install.log
+	touch $@
+
+# Modules and data are used where they lie, so the package's share/ is this folder; colcon copies what setup.py names.
+$(PACKAGE): $(INTERFACES) Makefile setup.py setup.cfg package.xml
+	PYTHONWARNINGS=ignore $(VENV)/bin/python -m pip install --quiet --no-deps --no-index --no-build-isolation --editable .
+	ln -sfnT ../.. $(VENV)/share/yolov5_lifecycle
+	ln -sfT ../../../../resource/yolov5_lifecycle $(VENV)/share/ament_index/resource_index/packages/yolov5_lifecycle
+	touch $@

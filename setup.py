@@ -1,0 +1,42 @@
+"""Installs the package with colcon or pip. Name, version, licence and people stand in package.xml, once."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+manifest = ElementTree.parse("package.xml").getroot()
+name = manifest.findtext("name", "")
+
+
+def data(folder: str) -> tuple[str, list[str]]:
+    """The files of a folder, hidden ones left out, and where they go: share/<package>/<folder>."""
+    return f"share/{name}/{folder}", [str(file) for file in sorted(Path(folder).glob("[!.]*")) if file.is_file()]
+
+
+setup(
+    name=name,
+    version=manifest.findtext("version"),
+    description=manifest.findtext("description"),
+    license=manifest.findtext("license"),
+    maintainer=manifest.findtext("maintainer"),
+    packages=find_packages(include=[name, f"{name}.*"]),
+    package_data={name: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
+        (f"share/{name}", ["package.xml"]),
+        *map(data, ["config", "launch", "weights"]),
+    ],
+    python_requires=">=3.10",
+    # rclpy, the messages and OpenCV are left out: on a ROS machine they come from apt, where pip does not see them.
+    install_requires=["numpy>=1.26", "pydantic>=2", "safetensors", "torch>=2.10"],
+    zip_safe=True,
+    entry_points={
+        "console_scripts": [
+            f"camera = {name}.ros.camera:main",
+            f"convert = {name}.convert:main",
+            f"demo = {name}.ros.demo:main",
+            f"detector = {name}.ros.detector:main",
+        ]
+    },
+)
