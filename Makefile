@@ -85,5 +85,5 @@ $(INTERFACES): $(DEPENDENCIES) $(shell find interfaces -type f)
 $(PACKAGE): $(INTERFACES) Makefile setup.py setup.cfg package.xml
 	PYTHONWARNINGS=ignore $(VENV)/bin/python -m pip install --quiet --no-deps --no-index --no-build-isolation --editable .
 	ln -sfnT ../.. $(VENV)/share/yolov5_lifecycle
-	ln -sfT ../../../../resource/yolov5_lifecycle $(VENV)/share/ament_index/resource_index/packages/yolov5_lifecycle
+	ln -sfT ../../../../../resource/yolov5_lifecycle $(VENV)/share/ament_index/resource_index/packages/yolov5_lifecycle
 	touch $@
