@@ -4,33 +4,28 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import sys
-import threading
 from collections.abc import Sequence
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from yolov5_lifecycle.ros.node import DetectorNode
+from yolov5_lifecycle.ros.process import spin, stop_event
 
 _PARAMETER_FILE_FLAG = "--params-file"
-# Python runs signal handlers between two waits of the executor; this bounds how long one waits.
-_SPIN_S = 0.2
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Spin the node until a signal or its shutdown; 0 after a clean release, 1 when inference had to be left behind."""
+    """Spin the node until a signal or its shutdown; 0 after a clean release, 1 when inference hung."""
     arguments = list(sys.argv if args is None else args)
+    stop = stop_event()
     node = DetectorNode(parameter_file_error=_initialise(arguments), arguments=arguments)
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     executor.create_task(node.autostart)
-    _spin(executor, node, stop)
+    spin(executor, node, until=lambda: stop.is_set() or node.state_label == "finalized")
     rested = node.close()
     rclpy.try_shutdown()
     logging.shutdown()
@@ -48,7 +43,7 @@ def _initialise(args: list[str]) -> str:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         return ""
-    except Exception as error:
+    except RuntimeError as error:
         if _PARAMETER_FILE_FLAG not in args:
             raise
         problem = str(error).partition("Error: ")[2] or str(error)
@@ -62,18 +57,6 @@ def _without_parameter_files(args: list[str]) -> list[str]:
         for word, before in zip(args, ["", *args], strict=False)
         if _PARAMETER_FILE_FLAG not in (word, before)
     ]
-
-
-def _spin(executor: SingleThreadedExecutor, node: DetectorNode, stop: threading.Event) -> None:
-    while not stop.is_set() and node.state_label != "finalized":
-        try:
-            executor.spin_once(timeout_sec=_SPIN_S)
-        except ExternalShutdownException:
-            return
-        except Exception as error:
-            node.get_logger().error(
-                f"unexpected {type(error).__name__} in a callback: {error}", throttle_duration_sec=1.0
-            )
 
 
 if __name__ == "__main__":
