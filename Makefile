@@ -33,7 +33,7 @@ DEPENDENCIES := $(VENV)/.dependencies-$(PYTHON_VERSION)
 INTERFACES := $(VENV)/.interfaces
 PACKAGE := $(VENV)/.package
 INTERFACES_BUILD := build/vision_msgs-$(SET)
-PYTHON_SOURCES := $(wildcard yolov5_lifecycle test tools benchmark requirements launch setup.py)
+TYPED := $(wildcard yolov5_lifecycle test tools benchmark launch requirements)
 
 .PHONY: help install demo test lint clean
 help:
@@ -56,13 +56,14 @@ test: $(PACKAGE)
 lint: $(PACKAGE)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
-	$(VENV)/bin/mypy --strict $(PYTHON_SOURCES)
+	$(VENV)/bin/mypy --strict $(TYPED)
 
 clean:
 	rm -rf .venv .venv-apt build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 $(DEPENDENCIES): requirements/environment.txt requirements/pins.txt $(CONSTRAINTS) requirements/check_machine.py
+	@command -v $(PYTHON) > /dev/null || { echo "PYTHON=$(PYTHON): no such program; name a Python 3.10 to 3.13" >&2; exit 1; }
 	@$(PYTHON) requirements/check_machine.py $(SET)
 	@echo "Installing the pinned packages into $(VENV): about 1.5 GB, some minutes the first time."
 	rm -rf $(VENV)

@@ -11,7 +11,9 @@ name = manifest.findtext("name", "")
 
 def data(folder: str) -> tuple[str, list[str]]:
     """The files of a folder, hidden ones left out, and where they go: share/<package>/<folder>."""
-    return f"share/{name}/{folder}", [str(file) for file in sorted(Path(folder).glob("[!.]*")) if file.is_file()]
+    return f"share/{name}/{folder}", [
+        str(file) for file in sorted(Path(folder).glob("[!.]*")) if file.is_file()
+    ]
 
 
 setup(
@@ -28,7 +30,7 @@ setup(
         *map(data, ["config", "launch", "weights"]),
     ],
     python_requires=">=3.10",
-    # rclpy, the messages and OpenCV are left out: on a ROS machine they come from apt, where pip does not see them.
+    # rclpy, the messages and OpenCV are not named: on a ROS machine they come from apt, unseen by pip.
     install_requires=["numpy>=1.26", "pydantic>=2", "safetensors", "torch>=2.10"],
     zip_safe=True,
     entry_points={
