@@ -23,7 +23,17 @@ ROS_MODULES = {
 }
 # A module may import modules of a lower rank; those of one rank only what is named in PEERS.
 RANKS = [
-    {"architecture", "detections", "images", "letterbox", "suggestion", "frame_balance", "rate", "memory", "scene"},
+    {
+        "architecture",
+        "detections",
+        "images",
+        "letterbox",
+        "suggestion",
+        "frame_balance",
+        "rate",
+        "memory",
+        "scene",
+    },
     {"model", "network", "boxes", "class_filter", "settings"},
     {"annotate", "checkpoint", "safetensors_file", "runtimes"},
     {"weights", "detector"},
@@ -52,7 +62,9 @@ def _modules() -> dict[Path, str]:
     }
 
 
-@pytest.mark.parametrize(("path", "name"), [pytest.param(*item, id=str(item[0].name)) for item in _modules().items()])
+@pytest.mark.parametrize(
+    ("path", "name"), [pytest.param(*item, id=str(item[0].name)) for item in _modules().items()]
+)
 def test_imports_point_from_higher_to_lower_rank(path: Path, name: str) -> None:
     rank = {module: index for index, modules in enumerate(RANKS) for module in modules}
     assert name in rank, f"say in RANKS where {name} belongs"
@@ -61,7 +73,9 @@ def test_imports_point_from_higher_to_lower_rank(path: Path, name: str) -> None:
     assert not wrong, f"{path.name} must not import {wrong}"
 
 
-@pytest.mark.parametrize(("path", "name"), [pytest.param(*item, id=str(item[0].name)) for item in _modules().items()])
+@pytest.mark.parametrize(
+    ("path", "name"), [pytest.param(*item, id=str(item[0].name)) for item in _modules().items()]
+)
 def test_settings_are_imported_by_ros_alone(path: Path, name: str) -> None:
     assert name == "ros" or not any(part.startswith("yolov5_lifecycle.settings") for part in _imports(path))
 

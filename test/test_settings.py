@@ -84,7 +84,9 @@ def test_the_stride_of_a_named_weights_file_is_left_to_the_file() -> None:
     ("given", "kept"),
     [
         pytest.param({"device": "0"}, {"device": "cuda:0"}, id="bare-index-is-cuda"),
-        pytest.param({"confidence_threshold": 1}, {"confidence_threshold": 1.0}, id="whole-number-for-number"),
+        pytest.param(
+            {"confidence_threshold": 1}, {"confidence_threshold": 1.0}, id="whole-number-for-number"
+        ),
         pytest.param({"classes": ["a"]}, {"classes": ("a",)}, id="list"),
         pytest.param({"weights_sha256": "AB" * 32}, {"weights_sha256": "ab" * 32}, id="digest-in-capitals"),
     ],

@@ -13,7 +13,9 @@ from tools.settings_documents import DOCUMENTS, yaml_file
 from yolov5_lifecycle.settings import SETTINGS, Settings, validated
 
 
-@pytest.mark.parametrize(("path", "text"), [pytest.param(*item, id=item[0].name) for item in DOCUMENTS.items()])
+@pytest.mark.parametrize(
+    ("path", "text"), [pytest.param(*item, id=item[0].name) for item in DOCUMENTS.items()]
+)
 def test_the_committed_file_is_up_to_date(path: Path, text: Callable[[], str]) -> None:
     assert path.read_text() == text(), "run `make docs`"
 

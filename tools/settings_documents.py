@@ -56,13 +56,15 @@ def reference_page() -> str:
         f"| {_effect(setting)} | {setting.description} |"
         for setting in SETTINGS
     ]
-    changes = [f"- **{change.value.partition(': ')[0]}**: {change.value.partition(': ')[2]}." for change in Change]
+    changes = [
+        f"- **{change.value.partition(': ')[0]}**: {change.value.partition(': ')[2]}." for change in Change
+    ]
     return "\n".join(
         [
             "# Parameters",
             "",
-            "Generated from `yolov5_lifecycle/settings.py` by `make docs`; `ros2 param describe /yolov5 NAME` says the",
-            "same of a running node. `config/yolov5.yaml` holds every default, ready to be changed.",
+            "Generated from `yolov5_lifecycle/settings.py` by `make docs`; of a running node,",
+            "`ros2 param describe /yolov5 NAME` says the same. `config/yolov5.yaml` holds every default.",
             "",
             "| name | type | default | allowed | change | meaning |",
             "| --- | --- | --- | --- | --- | --- |",
@@ -72,8 +74,9 @@ def reference_page() -> str:
             "",
             *changes,
             "",
-            "Accepted as meant: a whole number where a number is asked (`confidence_threshold: 1`), a bare index as",
-            "device (`device: 0` is `cuda:0`), a list of indices as classes (`classes: [0, 2]`), an empty list.",
+            "Accepted as meant: a whole number where a number is asked (`confidence_threshold: 1`), a bare",
+            "index as device (`device: 0` is `cuda:0`), a list of indices as classes (`classes: [0, 2]`), an",
+            "empty list.",
             "",
         ]
     )

@@ -16,8 +16,9 @@ AnchorsPx = tuple[tuple[tuple[float, float], ...], ...]
 class Layer(NamedTuple):
     """One row of the network: layers numbered `sources` (-1 is the one before) feed a module of `kind`.
 
-    `repeats` counts the bottlenecks of a C3 before the depth multiple. `args` start with the output channels before
-    the width multiple: Conv (channels, kernel, stride), C3 (channels, shortcut), SPPF (channels, kernel).
+    `repeats` counts the bottlenecks of a C3 before the depth multiple. `args` start with the output channels
+    before the width multiple: Conv (channels, kernel, stride), C3 (channels, shortcut), SPPF (channels,
+    kernel).
     """
 
     sources: tuple[int, ...]
@@ -98,8 +99,9 @@ P6_LAYERS = (
 class Architecture:
     """A YOLOv5 v6/v7 detection network: its layers and the numbers that scale them.
 
-    `anchors_px` are (width, height) in network pixels, one row of anchors per detection level; `strides` are the
-    network pixels per grid cell of each level. The last layer is the Detect layer and has one source per level.
+    `anchors_px` are (width, height) in network pixels, one row of anchors per detection level; `strides` are
+    the network pixels per grid cell of each level. The last layer is the Detect layer and has one source per
+    level.
     """
 
     depth_multiple: float

@@ -176,7 +176,9 @@ def _modules(architecture: Architecture) -> list[nn.Module]:
     modules: list[nn.Module] = []
     channels: list[int] = []
     for layer in architecture.layers:
-        channels_in = [(channels or [3])[source] if source == -1 else channels[source] for source in layer.sources]
+        channels_in = [
+            (channels or [3])[source] if source == -1 else channels[source] for source in layer.sources
+        ]
         module, channels_out = _module(layer, channels_in, architecture)
         modules.append(module)
         channels.append(channels_out)

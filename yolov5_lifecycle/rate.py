@@ -36,7 +36,7 @@ class LatencySummary:
 
 
 class LatencyWindow:
-    """Latencies of the events of the last `window_s` seconds; not thread-safe but safe to read from elsewhere."""
+    """Latencies of the last `window_s` seconds; one thread adds, any thread may read."""
 
     def __init__(self, window_s: float = 5.0) -> None:
         self._window_s = window_s

@@ -113,13 +113,21 @@ class Settings(BaseModel):
             return value
         if value.isascii() and value.isdigit() and len(value) <= 3:
             return f"cuda:{value}"
-        hint = " Did you mean 'cuda'?" if value.lower() == "gpu" else did_you_mean(value, ("auto", "cpu", "cuda", "mps"))
-        raise PydanticCustomError("device", "must be auto, cpu, cuda, cuda:N, N or mps.{hint}", {"hint": hint})
+        hint = (
+            " Did you mean 'cuda'?"
+            if value.lower() == "gpu"
+            else did_you_mean(value, ("auto", "cpu", "cuda", "mps"))
+        )
+        raise PydanticCustomError(
+            "device", "must be auto, cpu, cuda, cuda:N, N or mps.{hint}", {"hint": hint}
+        )
 
     @model_validator(mode="after")
     def _agrees(self) -> Settings:
         if problems := _contradictions(self):
-            raise PydanticCustomError("contradiction", "settings contradict each other", {"problems": problems})
+            raise PydanticCustomError(
+                "contradiction", "settings contradict each other", {"problems": problems}
+            )
         return self
 
     def merged(self, changes: Mapping[str, object]) -> Settings:
@@ -165,7 +173,13 @@ class Setting:
         return _TYPE_WORDS[self.type]
 
 
-_TYPE_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", tuple: "a list of texts"}
+_TYPE_WORDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    tuple: "a list of texts",
+}
 
 
 def _setting(name: str, field: FieldInfo) -> Setting:
@@ -254,7 +268,9 @@ def _field_problem(details: ErrorDetails) -> Problem:
     hint = did_you_mean(value, setting.choices) if isinstance(value, str) and setting.choices else ""
     if details["type"] in ("sha256", "device"):
         return Problem(name, f"{_shown(value)} {details['msg']}")
-    return Problem(name, f"{_shown(value)} is not {setting.allowed}.{hint} The default is {_shown(setting.default)}.")
+    return Problem(
+        name, f"{_shown(value)} is not {setting.allowed}.{hint} The default is {_shown(setting.default)}."
+    )
 
 
 def unknown_setting(name: str) -> Problem:

@@ -18,10 +18,12 @@ Process = Callable[[Frame], Deliver]
 class Worker(Generic[Frame]):
     """Runs `process` on the newest frame, one at a time, always in the same thread.
 
-    Torch keeps a thread pool and warm caches per calling thread, so the thread outlives every start and stop. Only a
-    thread that hangs is given up: its frame counts as failed, its late result is dropped, and a new thread takes over.
+    Torch keeps a thread pool and warm caches per calling thread, so the thread outlives every start and stop.
+    Only a thread that hangs is given up: its frame counts as failed, its late result is dropped, and a new
+    thread takes over.
 
-    `on_failure(outcome, error)` and `on_success()` are called in the worker's thread after a frame has been counted.
+    `on_failure(outcome, error)` and `on_success()` are called in the worker's thread after a frame has been
+    counted.
     """
 
     def __init__(

@@ -54,7 +54,7 @@ class Detection:
         self._worker.rest(REST_TIMEOUT_S)
 
     def apply(self, settings: Settings, model: PreparedModel) -> None:
-        """Obey `settings` with `model` from the next frame on; the caller closes a model that was replaced."""
+        """Obey `settings` with `model` from the next frame on; the caller closes a replaced model."""
         self._worker.start(self._pipeline(settings, model))
         resubscribe = self.settings.differing(settings, Change.RESUBSCRIBE)
         self.settings, self.model = settings, model
@@ -93,7 +93,9 @@ class Detection:
         self.model.close()
         return rested
 
-    def _pipeline(self, settings: Settings, model: PreparedModel) -> Callable[[ReceivedFrame], Callable[[], None]]:
+    def _pipeline(
+        self, settings: Settings, model: PreparedModel
+    ) -> Callable[[ReceivedFrame], Callable[[], None]]:
         return Pipeline(
             model.detector, selection(settings, model.detector.class_names), self._outputs, self.latencies
         )

@@ -39,7 +39,13 @@ class Diagnostics:
 
 def diagnostic_status(status: Status, node_name: str) -> DiagnosticStatus:
     """ERROR with a problem, WARN with a hint, else OK."""
-    level = DiagnosticStatus.ERROR if status.problem else DiagnosticStatus.WARN if status.hint else DiagnosticStatus.OK
+    level = (
+        DiagnosticStatus.ERROR
+        if status.problem
+        else DiagnosticStatus.WARN
+        if status.hint
+        else DiagnosticStatus.OK
+    )
     return DiagnosticStatus(
         level=level,
         name=f"{node_name}: detection",
@@ -47,4 +53,3 @@ def diagnostic_status(status: Status, node_name: str) -> DiagnosticStatus:
         hardware_id=node_name,
         values=[KeyValue(key=key, value=value) for key, value in status.values().items()],
     )
-

@@ -43,8 +43,9 @@ class InputStatus:
 class ImageInput:
     """Owns the image subscription: keep last 1, reliability as asked or as the publishers offer.
 
-    `lost` goes on counting gaps in the publisher's sequence numbers: frames lost on the wire or overwritten before they were
-    taken. It is only counted while the topic has a single publisher, since numbers of several cannot be told apart.
+    `lost` goes on counting gaps in the publisher's sequence numbers: frames lost on the wire or overwritten
+    before they were taken. It is only counted while the topic has a single publisher, since numbers of
+    several cannot be told apart.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ from yolov5_lifecycle.ros.preparation import Prepare, prepare_model
 from yolov5_lifecycle.ros.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.status import Status
-from yolov5_lifecycle.settings import Settings, SettingsError
+from yolov5_lifecycle.settings import Settings
 from yolov5_lifecycle.worker import Worker
 
 SUCCESS, FAILURE, ERROR = (
@@ -34,7 +34,7 @@ Transition = Callable[["DetectorNode", LifecycleState], TransitionCallbackReturn
 
 
 def logged(transition: Transition) -> Transition:
-    """Log what rclpy would swallow: an exception in a transition becomes ERROR without a word (ros2/rclpy#1673)."""
+    """Log what rclpy swallows: an exception in a transition becomes a silent ERROR (ros2/rclpy#1673)."""
 
     @functools.wraps(transition)
     def guarded(node: DetectorNode, state: LifecycleState) -> TransitionCallbackReturn:
@@ -54,9 +54,9 @@ class DetectorNode(LifecycleNode):
     Owns the parameters, the inference worker, the model loader and the diagnostics from birth to `close`; the
     publishers from configure to cleanup; the `Detection` (model and image subscription) while active.
 
-    `prepare` makes a model from settings; tests pass one of their own. `arguments` are the words of the command line.
-    `parameter_file_error` says why a parameter file could not be read at all; configure refuses until the process is
-    started with a good one.
+    `prepare` makes a model from settings; tests pass one of their own. `arguments` are the words of the
+    command line. `parameter_file_error` says why a parameter file could not be read at all; configure refuses
+    until the process is started with a good one.
     """
 
     def __init__(
@@ -67,8 +67,8 @@ class DetectorNode(LifecycleNode):
         parameter_file_error: str = "",
         **node_options: Any,
     ) -> None:
-        # Callbacks that await (activate, a reload) must not hold the others up. The executor has one thread, so
-        # nothing runs at the same time even in a reentrant group.
+        # Callbacks that await (activate, a reload) must not hold the others up. The executor has one thread,
+        # so nothing runs at the same time even in a reentrant group.
         self._group = ReentrantCallbackGroup()
         super().__init__("yolov5", **node_options)
         self._parameter_file_error = parameter_file_error
@@ -115,7 +115,11 @@ class DetectorNode(LifecycleNode):
 
     async def autostart(self) -> None:
         """Configure and activate, if the parameter `autostart` asks for it."""
-        if self.get_parameter("autostart").value and self.trigger_configure() is SUCCESS and await self._load():
+        if (
+            self.get_parameter("autostart").value
+            and self.trigger_configure() is SUCCESS
+            and await self._load()
+        ):
             self.trigger_activate()
 
     def close(self) -> bool:
@@ -129,23 +133,23 @@ class DetectorNode(LifecycleNode):
 
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        problems = [self._parameter_file_error] if self._parameter_file_error else []
-        try:
-            settings = self._reconfiguration.parameters.settings()
-        except SettingsError as error:
-            problems += map(str, error.problems)
+        parameters = self._reconfiguration.parameters
+        problems = [*filter(None, [self._parameter_file_error]), *map(str, parameters.problems())]
         if problems:
-            self.report("\n  ".join([f"configure refused, {len(problems)} problem(s) in the parameters:", *problems]))
+            self.report(
+                "\n  ".join([f"configure refused, {len(problems)} problem(s) in the parameters:", *problems])
+            )
             return FAILURE
-        self.get_logger().info("configured with\n" + self._reconfiguration.parameters.table())
-        self._settings = settings
+        self.get_logger().info("configured with\n" + parameters.table())
+        self._settings = parameters.settings()
         self._outputs = Outputs(self, on_listeners_changed=self._follow_listeners)
         self._problem = ""
         return super().on_configure(state)
 
     @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        assert self._settings is not None and self._outputs is not None
+        assert self._settings is not None
+        assert self._outputs is not None
         preparation, self._preparation = self._preparation or self._loader.begin(self._settings), None
         try:
             model = preparation.result()
@@ -162,7 +166,9 @@ class DetectorNode(LifecycleNode):
             return FAILURE
         self._failures.succeeded()
         self._problem = ""
-        self.get_logger().info("active with " + ", ".join(f"{name} {value}" for name, value in model.facts.items()))
+        self.get_logger().info(
+            "active with " + ", ".join(f"{name} {value}" for name, value in model.facts.items())
+        )
         result = super().on_activate(state)
         self._detection.publish_label_info()
         self._detection.follow_listeners()
@@ -201,7 +207,9 @@ class DetectorNode(LifecycleNode):
 
     async def _change_state(self, request: Any, response: Any) -> Any:
         wanted, possible = request.transition, self._state_machine.available_transitions
-        labels = [row[1] for row in possible if (row[1] == wanted.label if wanted.label else row[0] == wanted.id)]
+        labels = [
+            row[1] for row in possible if (row[1] == wanted.label if wanted.label else row[0] == wanted.id)
+        ]
         if not labels:
             self.get_logger().warning(
                 f"transition '{wanted.label or wanted.id}' refused in state {self.state_label}. "
@@ -225,7 +233,9 @@ class DetectorNode(LifecycleNode):
         finally:
             self._is_loading = False
         if self._preparation is None:
-            self.get_logger().warning("activate given up: another transition came while the model was loading")
+            self.get_logger().warning(
+                "activate given up: another transition came while the model was loading"
+            )
         return self._preparation is not None
 
     def _keep_settings(self, settings: Settings) -> None:
@@ -239,7 +249,9 @@ class DetectorNode(LifecycleNode):
     def _give_up(self, reason: str) -> None:
         if self.state_label == "active":
             self.trigger_deactivate()
-            self.report(f"deactivated after {MAX_CONSECUTIVE_FAILURES} failed frames in a row, the last: {reason}")
+            self.report(
+                f"deactivated after {MAX_CONSECUTIVE_FAILURES} failed frames in a row, the last: {reason}"
+            )
 
     def _status(self) -> Status:
         detection = self._detection

@@ -26,9 +26,14 @@ class Outputs:
             Detection2DArray, "~/detections", QoSProfile(depth=10), event_callbacks=events
         )
         self.image: LifecyclePublisher = node.create_lifecycle_publisher(
-            Image, "~/image", QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE), event_callbacks=events
+            Image,
+            "~/image",
+            QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE),
+            event_callbacks=events,
         )
-        self.label_info: LifecyclePublisher = node.create_lifecycle_publisher(LabelInfo, "~/label_info", _LATCHED)
+        self.label_info: LifecyclePublisher = node.create_lifecycle_publisher(
+            LabelInfo, "~/label_info", _LATCHED
+        )
 
     @property
     def listeners(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import Enum
+from itertools import pairwise
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
@@ -33,7 +34,7 @@ _TYPES = {
 }
 _BY_NAME = {setting.name: setting for setting in SETTINGS}
 # Declared by rclpy itself, when it pleases.
-_FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 
 
 class Source(Enum):
@@ -48,11 +49,12 @@ class Source(Enum):
 class SettingsParameters:
     """Owns the declaration of every setting and the callbacks that judge and commit a change.
 
-    A bad override (YAML file or command line) never raises: the parameter is declared with its default and the problem
-    is kept until the parameter is set again, so that configure can name all of them.
+    A bad override (YAML file or command line) never raises: the parameter is declared with its default and
+    the problem is kept until the parameter is set again, so that configure can name all of them.
 
-    `review(candidate)` adds the rules that need the loaded model; `commit(settings)` is told after every change that
-    leaves a valid whole. `arguments` are the words of the command line, to tell where an override comes from.
+    `review(candidate)` adds the rules that need the loaded model; `commit(settings)` is told after every
+    change that leaves a valid whole. `arguments` are the words of the command line, to tell where an override
+    comes from.
     """
 
     def __init__(self, node: Node, *, review: Review, commit: Commit, arguments: Sequence[str] = ()) -> None:
@@ -66,20 +68,25 @@ class SettingsParameters:
         for setting in SETTINGS:
             if (override := overrides.pop(setting.name, None)) is not None:
                 on_command_line = setting.name in names_on_command_line(arguments)
-                self._sources[setting.name] = Source.COMMAND_LINE if on_command_line else Source.PARAMETER_FILE
+                self._sources[setting.name] = (
+                    Source.COMMAND_LINE if on_command_line else Source.PARAMETER_FILE
+                )
             self._declare(setting, override)
         for name in overrides:
-            if not name.startswith(_FOREIGN_PREFIXES):
+            if not name.startswith(FOREIGN_PREFIXES):
                 self._bad_overrides[name] = unknown_setting(name)
-        node.add_pre_set_parameters_callback(lambda parameters: [coerced(parameter) for parameter in parameters])
+        node.add_pre_set_parameters_callback(
+            lambda parameters: [coerced(parameter) for parameter in parameters]
+        )
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._committed)
 
+    def problems(self) -> list[Problem]:
+        """What is wrong with the current values and the overrides that gave them."""
+        return [*self._bad_overrides.values(), *_problems(self._values())]
+
     def settings(self) -> Settings:
-        """The current values as valid settings; raises SettingsError with every problem."""
-        problems = [*self._bad_overrides.values(), *_problems(self._values())]
-        if problems:
-            raise SettingsError(problems)
+        """The current values; raises SettingsError when they contradict each other."""
         return validated(self._values())
 
     def candidate(self, parameters: Iterable[Parameter]) -> Settings:
@@ -91,7 +98,8 @@ class SettingsParameters:
         width = max(map(len, _BY_NAME))
         values = self._values()
         return "\n".join(
-            f"  {name:{width}}  {_ros_value(values[name])!r:<28}  {source.value}" for name, source in self._sources.items()
+            f"  {name:{width}}  {_ros_value(values[name])!r:<28}  {source.value}"
+            for name, source in self._sources.items()
         )
 
     def forget(self, name: str) -> bool:
@@ -110,14 +118,15 @@ class SettingsParameters:
                 self._bad_overrides[setting.name] = problems[0]
             else:
                 parameter = wanted
-        # An empty list must be declared by type and then set: its own type would be BYTE_ARRAY (ros2/rclpy#912).
+        # An empty list must be declared by type and then set: its own type would be BYTE_ARRAY
+        # (ros2/rclpy#912).
         default = parameter.type_ if parameter.value == [] else parameter.value
         self._node.declare_parameter(setting.name, default, descriptor(setting), ignore_override=True)
         if parameter.value == []:
             self._node.set_parameters([parameter])
 
     def _judge(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        """Refuse a change that adds a problem; one that leaves an older, unrelated problem standing is welcome."""
+        """Refuse a change that adds a problem; one that leaves an older problem standing is welcome."""
         changes = plain_values(parameters)
         if not changes:
             return SetParametersResult(successful=True)
@@ -133,17 +142,17 @@ class SettingsParameters:
             if parameter.name in self._sources:
                 self._sources[parameter.name] = Source.RUN_TIME
             self._bad_overrides.pop(parameter.name, None)
-            for unknown in [name for name in self._bad_overrides if nearest(name, _BY_NAME) == parameter.name]:
+            for unknown in [
+                name for name in self._bad_overrides if nearest(name, _BY_NAME) == parameter.name
+            ]:
                 del self._bad_overrides[unknown]
-        try:
-            settings = self.settings()
-        except SettingsError:
-            return  # configure will name what is still wrong
-        self._commit(settings)
+        if not self.problems():  # else configure will name them
+            self._commit(self.settings())
+
 
 def names_on_command_line(arguments: Sequence[str]) -> set[str]:
     """Parameters set by `-p [node:]name:=value` (or `--param`)."""
-    assignments = [word for flag, word in zip(arguments, arguments[1:], strict=False) if flag in ("-p", "--param")]
+    assignments = [word for flag, word in pairwise(arguments) if flag in ("-p", "--param")]
     return {assignment.partition(":=")[0].rpartition(":")[2] for assignment in assignments}
 
 
@@ -172,8 +181,8 @@ def descriptor(setting: Setting) -> ParameterDescriptor:
 def coerced(parameter: Parameter, *, may_be_unset: bool = False) -> Parameter:
     """`parameter` in the type of its setting where the user's meaning is plain; otherwise as it is.
 
-    A whole number for a number, a number or a list of numbers for texts (`device: 0`, `classes: [0, 2]`), an empty
-    list of any type, and the YAML 1.1 booleans that `n` and `y` are read as where a text is expected.
+    A whole number for a number, a number or a list of numbers for texts (`device: 0`, `classes: [0, 2]`), an
+    empty list of any type, and the YAML 1.1 booleans that `n` and `y` are read as where a text is expected.
     """
     setting = _BY_NAME.get(parameter.name)
     if setting is None:
@@ -183,7 +192,12 @@ def coerced(parameter: Parameter, *, may_be_unset: bool = False) -> Parameter:
         return Parameter(parameter.name, type_, float(value))
     if setting.type is str and parameter.type_ is Parameter.Type.INTEGER:
         return Parameter(parameter.name, type_, str(value))
-    if setting.type is str and parameter.type_ is Parameter.Type.BOOL and "n" in setting.choices and not value:
+    if (
+        setting.type is str
+        and parameter.type_ is Parameter.Type.BOOL
+        and "n" in setting.choices
+        and not value
+    ):
         return Parameter(parameter.name, type_, "n")
     if setting.type is tuple and parameter.type_ is Parameter.Type.INTEGER_ARRAY:
         return Parameter(parameter.name, type_, [str(entry) for entry in value])
@@ -221,4 +235,3 @@ def _problems(values: dict[str, object]) -> list[Problem]:
     except SettingsError as error:
         return error.problems
     return []
-

@@ -38,7 +38,9 @@ class Reconfiguration:
         self._running = running
         self._on_commit = on_commit
         self._replacement: PreparedModel | None = None
-        self.parameters = SettingsParameters(node, review=self._review, commit=self._commit, arguments=arguments)
+        self.parameters = SettingsParameters(
+            node, review=self._review, commit=self._commit, arguments=arguments
+        )
 
     def handlers(self) -> dict[str, Handler]:
         """Service callbacks by the last part of the service's name."""
@@ -50,7 +52,9 @@ class Reconfiguration:
         return response
 
     async def _set_together(self, request: Any, response: Any) -> Any:
-        response.result = await self._set([Parameter.from_parameter_msg(message) for message in request.parameters])
+        response.result = await self._set(
+            [Parameter.from_parameter_msg(message) for message in request.parameters]
+        )
         return response
 
     async def _set(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -73,7 +77,9 @@ class Reconfiguration:
 
         preparation = await self._loader.load(wanted)
         if preparation is None:
-            return _refused("the node left the active state while the new model was loading; nothing was changed.")
+            return _refused(
+                "the node left the active state while the new model was loading; nothing was changed."
+            )
         if (error := preparation.exception()) is not None:
             return _refused(f"{error} The running model stays.")
         old, self._replacement = detection.model, preparation.result()
@@ -91,7 +97,10 @@ class Reconfiguration:
         model = self._replacement or detection.model
         if not model.serves(candidate):
             names = model.settings.differing(candidate, Change.RELOAD)
-            return [Problem(name, "needs another model, which only the parameter services load.") for name in names]
+            return [
+                Problem(name, "needs another model, which only the parameter services load.")
+                for name in names
+            ]
         try:
             class_ids(candidate.classes, model.detector.class_names)
         except ClassFilterError as error:

@@ -16,10 +16,11 @@ Handler = Callable[[Any, Any], Any]
 
 
 def harden(node: Node, handlers: dict[str, Handler]) -> None:
-    """Make every service of `node` answer even when its callback raises; `handlers` replace callbacks by name.
+    """Make every service of `node` answer even when its callback raises; `handlers` replace callbacks by
+    name.
 
-    A plain rclpy node dies of the first exception in a service callback: of a transition that is not possible now
-    (ros2/rclpy#1209) or of a parameter value of a type that does not exist (ros2/rclcpp#3257).
+    A plain rclpy node dies of the first exception in a service callback: of a transition that is not possible
+    now (ros2/rclpy#1209) or of a parameter value of a type that does not exist (ros2/rclcpp#3257).
     """
     for service in node.services:
         name = service.srv_name.rpartition("/")[2]

@@ -44,7 +44,8 @@ class Status:
                 "set image_reliability to auto or best_effort"
             )
         if self.input.silent_s > SILENCE_S:
-            return f"no image on {self.input.topic} for {self.input.silent_s:.0f} s, though somebody publishes there"
+            silent_s = f"{self.input.silent_s:.0f} s"
+            return f"no image on {self.input.topic} for {silent_s}, though somebody publishes there"
         if self.recently_rejected:
             return f"images are rejected: {self.recently_rejected}"
         return ""
@@ -64,7 +65,10 @@ class Status:
         if self.model is not None:
             values |= self.model.facts
         if self.input is not None:
-            values |= {"image topic": self.input.topic, "image reliability": self.input.reliability.name.lower()}
+            values |= {
+                "image topic": self.input.topic,
+                "image reliability": self.input.reliability.name.lower(),
+            }
             values |= {"image publishers": str(self.input.publishers), "frames lost": str(self.input.lost)}
         if self.latency is not None:
             values["rate Hz"] = f"{self.latency.rate_hz:.1f}"

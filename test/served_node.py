@@ -1,0 +1,253 @@
+"""The real node over the real middleware in this process, with a runtime of the test's, and a client."""
+
+from __future__ import annotations
+
+import threading
+import time
+from array import array
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from numpy.typing import NDArray
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Image
+from vision_msgs.msg import Detection2DArray, LabelInfo
+
+from yolov5_lifecycle.detector import Detector
+from yolov5_lifecycle.images import Order
+from yolov5_lifecycle.ros.node import DetectorNode
+from yolov5_lifecycle.ros.preparation import Prepare, PreparedModel
+from yolov5_lifecycle.settings import Settings
+
+PATIENCE_S = 20.0
+CLASS_NAMES = ("cat", "dog")
+
+
+class ScriptedRuntime:
+    """Predicts what the test says: `run` may be replaced at any time, and raise, wait or answer nonsense."""
+
+    name = "scripted"
+    device = "cpu"
+    precision = "fp32"
+
+    def __init__(self) -> None:
+        self.run: Callable[[], NDArray[np.float32]] = lambda: prediction("cat", 0.9)
+        self.calls = 0
+        self.is_closed = False
+
+    def __call__(self, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
+        self.calls += 1
+        return self.run()
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+def prediction(class_name: str, score: float) -> NDArray[np.float32]:
+    """One raw row: a box of 20 x 10 network pixels around (32, 32)."""
+    row = np.zeros((1, 5 + len(CLASS_NAMES)), np.float32)
+    row[0, :5] = (32, 32, 20, 10, 1.0)
+    row[0, 5 + CLASS_NAMES.index(class_name)] = score
+    return row
+
+
+class Preparations:
+    """Stands in for `prepare_model`: hands out scripted detectors; `refusal` and `gate` control it."""
+
+    def __init__(self) -> None:
+        self.refusal = ""
+        self.gate = threading.Event()
+        self.gate.set()
+        self.begun = threading.Semaphore(0)
+        self.runtimes: list[ScriptedRuntime] = []
+
+    def __call__(self, settings: Settings) -> PreparedModel:
+        self.begun.release()
+        assert self.gate.wait(PATIENCE_S)
+        if self.refusal:
+            raise ValueError(self.refusal)
+        runtime = ScriptedRuntime()
+        self.runtimes.append(runtime)
+        detector = Detector(runtime, class_names=CLASS_NAMES, image_size=settings.image_size, stride=32)
+        return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64)
+
+    @property
+    def running(self) -> ScriptedRuntime:
+        return self.runtimes[-1]
+
+
+class ServedNode:
+    """A `DetectorNode` spun in a thread, and what a client needs to try it; a context manager."""
+
+    def __init__(self, prepare: Prepare, *, parameters: Sequence[str] = ()) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, args=[])
+        assignments = [word for parameter in parameters for word in ("-p", parameter)]
+        arguments = ["--ros-args", *assignments] if assignments else []
+        self.node = DetectorNode(
+            prepare=prepare, context=self._context, cli_args=arguments, arguments=arguments
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._stopping = False
+        self._thread = threading.Thread(target=self._serve)
+        self.client = rclpy.create_node("client", context=self._context)
+        self._client_executor = SingleThreadedExecutor(context=self._context)
+        self._client_executor.add_node(self.client)
+        self.escaped: list[Exception] = []
+        self.detections: list[Detection2DArray] = []
+        self.diagnostics: list[DiagnosticArray] = []
+        self._sent = 0
+        self.images = self.client.create_publisher(Image, "/yolov5/image_raw", 1)
+
+    def __enter__(self) -> ServedNode:
+        self._thread.start()
+        self.client.create_subscription(Detection2DArray, "/yolov5/detections", self.detections.append, 10)
+        self.client.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stopping = True
+        self._thread.join(PATIENCE_S)
+        self.node.close()
+        self.client.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def _serve(self) -> None:
+        while not self._stopping:
+            try:
+                self._executor.spin_once(timeout_sec=0.05)
+            except Exception as error:
+                self.escaped.append(error)
+
+    def wait_for(self, condition: Callable[[], bool], what: str) -> None:
+        """Spin the client until `condition`, or fail after a while."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline_s, f"waited in vain for {what}"
+            self._client_executor.spin_once(timeout_sec=0.02)
+
+    def begin(self, service_type: Any, name: str, request: Any) -> Any:
+        """Send a request; the future of its response."""
+        client = self.client.create_client(service_type, f"/yolov5/{name}")
+        self.wait_for(client.service_is_ready, f"the service {name}")
+        return client.call_async(request)
+
+    def call(self, service_type: Any, name: str, request: Any) -> Any:
+        future = self.begin(service_type, name, request)
+        self.wait_for(future.done, f"an answer of {name}")
+        return future.result()
+
+    def begin_transition(self, label: str, transition_id: int = 0) -> Any:
+        transition = Transition(id=transition_id, label=label)
+        return self.begin(ChangeState, "change_state", ChangeState.Request(transition=transition))
+
+    def transition(self, label: str, transition_id: int = 0) -> bool:
+        future = self.begin_transition(label, transition_id)
+        self.wait_for(future.done, f"the answer to {label}")
+        return bool(future.result().success)
+
+    def bring_to(self, state: str) -> None:
+        """Walk from unconfigured to `state`."""
+        path = {
+            "unconfigured": [],
+            "inactive": ["configure"],
+            "active": ["configure", "activate"],
+            "finalized": ["shutdown"],
+        }
+        for label in path[state]:
+            assert self.transition(label), label
+        assert self.state() == state
+
+    def state(self) -> str:
+        return str(self.call(GetState, "get_state", GetState.Request()).current_state.label)
+
+    def begin_set(self, **values: Any) -> Any:
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        return self.begin(SetParametersAtomically, "set_parameters_atomically", request)
+
+    def set(self, **values: Any) -> tuple[bool, str]:
+        """Set all together; whether it was done, and the reason if not."""
+        future = self.begin_set(**values)
+        self.wait_for(future.done, f"the answer to setting {values}")
+        result = future.result().result
+        return result.successful, result.reason
+
+    def set_one_by_one(self, messages: Sequence[Any]) -> list[Any]:
+        request = SetParameters.Request(parameters=list(messages))
+        return list(self.call(SetParameters, "set_parameters", request).results)
+
+    def get(self, name: str) -> Any:
+        (value,) = self.call(GetParameters, "get_parameters", GetParameters.Request(names=[name])).values
+        return Parameter.from_parameter_msg(ParameterMessage(name=name, value=value)).value
+
+    def publish(self, message: Image | None = None) -> None:
+        """Send one image once the node listens."""
+        self.wait_for(lambda: self.images.get_subscription_count() > 0, "the node to subscribe")
+        self.images.publish(message or image())
+
+    def detect(self) -> Detection2DArray:
+        """Send images until one of them is detected; what was found in it."""
+        first_sec = self._sent + 1
+
+        def is_detected() -> bool:
+            self._sent += 1
+            message = image()
+            message.header.stamp.sec = self._sent
+            self.images.publish(message)
+            return bool(self.detections) and self.detections[-1].header.stamp.sec >= first_sec
+
+        self.wait_for(is_detected, "a detection")
+        return self.detections[-1]
+
+    def label_info(self) -> LabelInfo:
+        """What a late subscriber to the latched topic gets."""
+        received: list[LabelInfo] = []
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        subscription = self.client.create_subscription(
+            LabelInfo, "/yolov5/label_info", received.append, latched
+        )
+        self.wait_for(lambda: bool(received), "label_info")
+        self.client.destroy_subscription(subscription)
+        return received[-1]
+
+    def status(self) -> Any:
+        """The next diagnostic status of the node."""
+        seen = len(self.diagnostics)
+        self.wait_for(lambda: len(self.diagnostics) > seen, "diagnostics")
+        return self.diagnostics[-1].status[0]
+
+    def values(self) -> dict[str, str]:
+        """The values of the next diagnostic status."""
+        return {item.key: item.value for item in self.status().values}
+
+    def counts(self) -> dict[str, int]:
+        """Frames by what became of them, from the next diagnostic status."""
+        prefix = "frames "
+        return {
+            key.removeprefix(prefix): int(value)
+            for key, value in self.values().items()
+            if key.startswith(prefix) and key != "frames lost"
+        }
+
+
+def image(height: int = 48, width: int = 64, encoding: str = "rgb8") -> Image:
+    """A grey picture."""
+    message = Image(height=height, width=width, encoding=encoding, step=width * 3)
+    message.data = array("B", bytes([114]) * (height * width * 3))
+    return message
+
+
+def class_ids_of(detections: Detection2DArray) -> list[str]:
+    return [detection.results[0].hypothesis.class_id for detection in detections.detections]

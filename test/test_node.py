@@ -1,0 +1,450 @@
+"""The node's contract towards its neighbours, with a runtime that does what the test says."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from served_node import Preparations, ServedNode, class_ids_of, image, prediction
+
+STATES = ("unconfigured", "inactive", "active")
+
+
+@pytest.fixture
+def prepare(ros_domain: int) -> Preparations:
+    return Preparations()
+
+
+@pytest.fixture
+def served(prepare: Preparations) -> Iterator[ServedNode]:
+    with ServedNode(prepare) as served:
+        yield served
+    assert served.escaped == []
+
+
+# Lifecycle
+
+
+def test_a_full_cycle_detects_only_while_active(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("inactive")
+    assert prepare.runtimes == []
+    assert served.transition("activate")
+    assert class_ids_of(served.detect()) == ["cat"]
+    assert served.transition("deactivate")
+    assert prepare.running.is_closed
+    assert served.transition("activate")
+    assert class_ids_of(served.detect()) == ["cat"]
+    assert served.transition("deactivate")
+    assert served.transition("cleanup")
+    assert served.transition("shutdown")
+    assert served.state() == "finalized"
+    assert [runtime.is_closed for runtime in prepare.runtimes] == [True, True]
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_an_illegal_transition_is_refused_and_nothing_changes(served: ServedNode, state: str) -> None:
+    legal = {
+        "unconfigured": {"configure", "shutdown"},
+        "inactive": {"activate", "cleanup", "shutdown"},
+        "active": {"deactivate", "shutdown"},
+    }
+    served.bring_to(state)
+    for label in ("configure", "activate", "deactivate", "cleanup", "destroy", "nonsense", ""):
+        if label not in legal[state]:
+            assert not served.transition(label, transition_id=99)
+    assert served.state() == state
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_every_transition_number_is_answered(served: ServedNode, state: str) -> None:
+    """Whatever the number does, the node answers and goes on to answer."""
+    served.bring_to(state)
+    legal = {1, 2, 3, 4, 5, 6, 7}
+    for transition_id in sorted(set(range(256)) - legal):
+        assert not served.transition("", transition_id)
+    assert served.state() == state
+
+
+def test_shutdown_from_active_frees_the_model(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("active")
+    assert served.transition("shutdown")
+    assert prepare.running.is_closed
+
+
+def test_activate_that_cannot_load_says_why_and_stays_inactive(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    prepare.refusal = "/no/such.pt: there is no such file"
+    served.bring_to("inactive")
+    assert not served.transition("activate")
+    assert served.state() == "inactive"
+    assert "/no/such.pt" in served.status().message
+    prepare.refusal = ""
+    assert served.transition("activate")
+    assert "/no/such.pt" not in served.status().message
+
+
+def test_an_unexpected_exception_in_activate_leads_back_to_unconfigured(ros_domain: int) -> None:
+    def broken(settings: object) -> None:
+        raise KeyError("surprise")
+
+    with ServedNode(broken) as served:  # type: ignore[arg-type]
+        served.bring_to("inactive")
+        assert not served.transition("activate")
+        assert served.state() == "unconfigured"
+        assert "surprise" in served.status().message
+        assert served.transition("configure")
+
+
+def test_services_answer_while_the_model_loads(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("inactive")
+    prepare.gate.clear()
+    activation = served.begin_transition("activate")
+    assert prepare.begun.acquire(timeout=10)
+    assert served.state() == "inactive"
+    assert served.get("confidence_threshold") == 0.25
+    assert not activation.done()
+    prepare.gate.set()
+    served.wait_for(activation.done, "activate")
+    assert activation.result().success
+    assert served.state() == "active"
+
+
+def test_a_second_activate_while_loading_is_refused(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("inactive")
+    prepare.gate.clear()
+    first = served.begin_transition("activate")
+    assert prepare.begun.acquire(timeout=10)
+    assert not served.transition("activate")
+    prepare.gate.set()
+    served.wait_for(first.done, "the first activate")
+    assert first.result().success
+    assert len(prepare.runtimes) == 1
+
+
+@pytest.mark.parametrize(("label", "state"), [("cleanup", "unconfigured"), ("shutdown", "finalized")])
+def test_another_transition_wins_over_a_loading_activate(
+    served: ServedNode, prepare: Preparations, label: str, state: str
+) -> None:
+    served.bring_to("inactive")
+    prepare.gate.clear()
+    activation = served.begin_transition("activate")
+    assert prepare.begun.acquire(timeout=10)
+    assert served.transition(label)
+    prepare.gate.set()
+    served.wait_for(activation.done, "activate")
+    assert not activation.result().success
+    assert served.state() == state
+    assert all(runtime.is_closed for runtime in prepare.runtimes)
+
+
+def test_settings_changed_while_loading_are_the_ones_that_run(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("inactive")
+    prepare.gate.clear()
+    activation = served.begin_transition("activate")
+    assert prepare.begun.acquire(timeout=10)
+    assert served.set(image_size=320) == (True, "")
+    prepare.gate.set()
+    served.wait_for(activation.done, "activate")
+    assert [runtime.is_closed for runtime in prepare.runtimes] == [True, False]
+    assert class_ids_of(served.detect()) == ["cat"]
+
+
+# Parameters
+
+
+def test_live_settings_are_obeyed_from_the_next_frame(served: ServedNode) -> None:
+    served.bring_to("active")
+    assert class_ids_of(served.detect()) == ["cat"]
+    assert served.set(confidence_threshold=0.95) == (True, "")
+    assert class_ids_of(served.detect()) == []
+    assert served.set(confidence_threshold=0.5, classes=["dog"]) == (True, "")
+    assert class_ids_of(served.detect()) == []
+    assert served.set(classes=["0"]) == (True, "")
+    assert class_ids_of(served.detect()) == ["cat"]
+
+
+def test_an_unknown_class_is_refused_with_a_suggestion(served: ServedNode) -> None:
+    served.bring_to("active")
+    done, reason = served.set(classes=["catt"])
+    assert not done
+    assert "'catt' is not a class" in reason
+    assert "Did you mean 'cat'?" in reason
+    assert served.get("classes") == []
+
+
+def test_activate_refuses_a_class_that_the_model_does_not_have(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    assert served.set(classes=["dgo"]) == (True, "")
+    served.bring_to("inactive")
+    assert not served.transition("activate")
+    assert "Did you mean 'dog'?" in served.status().message
+    assert prepare.running.is_closed
+
+
+def test_a_reload_swaps_the_model_and_frees_the_old_one(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("active")
+    served.detect()
+    assert served.set(image_size=320) == (True, "")
+    old, new = prepare.runtimes
+    assert old.is_closed
+    assert not new.is_closed
+    new.run = lambda: prediction("dog", 0.8)
+    assert class_ids_of(served.detect()) == ["dog"]
+
+
+def test_frames_are_detected_while_the_next_model_loads(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("active")
+    prepare.gate.clear()
+    change = served.begin_set(image_size=320)
+    prepare.begun.acquire(timeout=10)
+    assert prepare.begun.acquire(timeout=10)
+    assert class_ids_of(served.detect()) == ["cat"]
+    assert served.state() == "active"
+    assert served.get("image_size") == 640
+    assert not change.done()
+    prepare.gate.set()
+    served.wait_for(change.done, "the reload")
+    assert change.result().result.successful
+    assert served.get("image_size") == 320
+
+
+def test_a_refused_reload_leaves_model_and_value_alone(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("active")
+    prepare.refusal = "/broken.pt: this is no checkpoint"
+    done, reason = served.set(weights="/broken.pt")
+    assert not done
+    assert "/broken.pt: this is no checkpoint" in reason
+    assert served.get("weights") == ""
+    assert class_ids_of(served.detect()) == ["cat"]
+    assert not prepare.running.is_closed
+
+
+def test_concurrent_reloads_both_hold_in_the_end(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("active")
+    changes = [served.begin_set(image_size=320), served.begin_set(weights="/other.pt")]
+    for change in changes:
+        served.wait_for(change.done, "both reloads")
+        assert change.result().result.successful
+    assert (served.get("image_size"), served.get("weights")) == (320, "/other.pt")
+    assert [runtime.is_closed for runtime in prepare.runtimes[:-1]] == [True] * (len(prepare.runtimes) - 1)
+    assert not prepare.running.is_closed
+
+
+@pytest.mark.parametrize("label", ["deactivate", "shutdown"])
+def test_leaving_active_wins_over_a_reload(served: ServedNode, prepare: Preparations, label: str) -> None:
+    served.bring_to("active")
+    prepare.gate.clear()
+    change = served.begin_set(image_size=320)
+    prepare.begun.acquire(timeout=10)
+    assert prepare.begun.acquire(timeout=10)
+    assert served.transition(label)
+    prepare.gate.set()
+    served.wait_for(change.done, "the reload")
+    assert not change.result().result.successful
+    assert "left the active state" in change.result().result.reason
+    assert served.get("image_size") == 640
+    assert all(runtime.is_closed for runtime in prepare.runtimes)
+
+
+def test_several_reload_settings_at_once_load_one_model(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("active")
+    assert served.set(image_size=320, weights="/other.pt", confidence_threshold=0.5) == (True, "")
+    assert len(prepare.runtimes) == 2
+
+
+def test_an_atomic_change_is_all_or_nothing(served: ServedNode) -> None:
+    served.bring_to("active")
+    done, reason = served.set(confidence_threshold=0.5, classes=["bird"])
+    assert not done
+    assert "bird" in reason
+    assert served.get("confidence_threshold") == 0.25
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        pytest.param(ParameterValue(type=42), id="type-that-does-not-exist"),
+        pytest.param(ParameterValue(type=0), id="deletion"),
+        pytest.param(ParameterValue(type=4, string_value="high"), id="text-for-number"),
+        pytest.param(ParameterValue(type=3, double_value=float("nan")), id="nan"),
+        pytest.param(ParameterValue(type=3, double_value=float("inf")), id="infinity"),
+        pytest.param(ParameterValue(type=8, double_array_value=[0.5] * 100_000), id="huge-array"),
+        pytest.param(ParameterValue(type=4, string_value="x" * 1_000_000), id="huge-text"),
+    ],
+)
+@pytest.mark.parametrize("state", STATES)
+def test_a_malformed_value_is_refused_in_every_state(
+    served: ServedNode, state: str, value: ParameterValue
+) -> None:
+    served.bring_to(state)
+    (result,) = served.set_one_by_one([ParameterMessage(name="confidence_threshold", value=value)])
+    assert not result.successful
+    assert result.reason
+    assert served.get("confidence_threshold") == 0.25
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_an_unknown_parameter_is_refused_in_every_state(served: ServedNode, state: str) -> None:
+    served.bring_to(state)
+    done, reason = served.set(confidence_treshold=0.5)
+    assert not done
+    assert reason
+
+
+def test_a_setting_that_is_read_only_cannot_be_set(served: ServedNode) -> None:
+    done, reason = served.set(autostart=True)
+    assert not done
+    assert "read-only" in reason
+
+
+@pytest.mark.parametrize(
+    ("parameter", "mended"),
+    [
+        pytest.param("confidence_threshold:=1.5", {"confidence_threshold": 0.5}, id="out-of-range"),
+        pytest.param("lazy:=high", {"lazy": True}, id="wrong-type"),
+        pytest.param("confidence_treshold:=0.5", {"confidence_threshold": 0.5}, id="unknown-name"),
+        pytest.param("model_size:=nano", {"model_size": "n"}, id="no-such-choice"),
+    ],
+)
+def test_a_bad_override_fails_configure_until_it_is_mended(
+    prepare: Preparations, parameter: str, mended: dict[str, object]
+) -> None:
+    with ServedNode(prepare, parameters=[parameter]) as served:
+        assert not served.transition("configure")
+        assert parameter.partition(":=")[0] in served.status().message
+        assert served.set(**mended) == (True, "")
+        assert served.transition("configure")
+        assert served.escaped == []
+
+
+def test_an_unknown_override_may_be_deleted(prepare: Preparations) -> None:
+    with ServedNode(prepare, parameters=["colour:=red"]) as served:
+        assert not served.transition("configure")
+        (result,) = served.set_one_by_one([ParameterMessage(name="colour")])
+        assert result.successful
+        assert served.transition("configure")
+
+
+@pytest.mark.parametrize(
+    ("parameter", "name", "value"),
+    [
+        pytest.param("confidence_threshold:=1", "confidence_threshold", 1.0, id="whole-number"),
+        pytest.param("device:=0", "device", "0", id="device-index"),
+        pytest.param("classes:=[]", "classes", [], id="empty-list"),
+        pytest.param("classes:=[0, 1]", "classes", ["0", "1"], id="class-indices"),
+        pytest.param("classes:=[cat]", "classes", ["cat"], id="class-names"),
+        pytest.param("model_size:=n", "model_size", "n", id="n-that-yaml-takes-for-no"),
+    ],
+)
+def test_an_override_is_taken_as_it_is_meant(
+    prepare: Preparations, parameter: str, name: str, value: object
+) -> None:
+    with ServedNode(prepare, parameters=[parameter]) as served:
+        assert served.transition("configure")
+        assert served.get(name) == value
+
+
+# Frames
+
+
+def test_a_rejected_image_is_counted_and_the_next_one_detected(served: ServedNode) -> None:
+    served.bring_to("active")
+    served.publish(image(encoding="nonsense"))
+    served.wait_for(lambda: served.counts()["rejected"] == 1, "the rejection")
+    assert "'nonsense' is not supported" in served.diagnostics[-1].status[0].message
+    assert class_ids_of(served.detect()) == ["cat"]
+    counts = served.counts()
+    assert counts.pop("received") == sum(counts.values())
+
+
+def test_failures_in_a_row_deactivate_the_node_with_the_reason(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+
+    def fail() -> np.ndarray:
+        raise RuntimeError("the device is on fire")
+
+    prepare.running.run = fail
+
+    def is_inactive() -> bool:
+        served.images.publish(image())
+        return served.node.state_label == "inactive"
+
+    served.wait_for(is_inactive, "the node to give up")
+    served.wait_for(lambda: "on fire" in served.status().message, "the reason")
+    assert served.transition("activate")
+    assert class_ids_of(served.detect()) == ["cat"]
+
+
+def test_a_hung_inference_does_not_hold_deactivate(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("active")
+    entered, release = threading.Event(), threading.Event()
+
+    def hang() -> np.ndarray:
+        entered.set()
+        release.wait(30)
+        return prediction("cat", 0.9)
+
+    prepare.running.run = hang
+    served.publish()
+    served.wait_for(entered.is_set, "inference to hang")
+    assert served.state() == "active"
+    assert served.transition("deactivate")
+    assert "did not end" in served.status().message
+    release.set()
+    assert served.transition("activate")
+    assert class_ids_of(served.detect()) == ["cat"]
+
+
+def test_detections_carry_the_header_of_their_image(served: ServedNode) -> None:
+    served.bring_to("active")
+    message = image()
+    message.header.frame_id = "front"
+    message.header.stamp.sec, message.header.stamp.nanosec = 12, 34
+    served.publish(message)
+    served.wait_for(lambda: bool(served.detections), "a detection")
+    array = served.detections[0]
+    assert array.header == message.header
+    assert [detection.header for detection in array.detections] == [message.header]
+    assert array.detections[0].id == ""
+    assert (array.detections[0].bbox.size_x, array.detections[0].bbox.size_y) == pytest.approx((2, 1))
+
+
+def test_labels_are_latched_with_the_threshold_in_force(served: ServedNode) -> None:
+    served.bring_to("active")
+    info = served.label_info()
+    assert [(label.class_id, label.class_name) for label in info.class_map] == [(0, "cat"), (1, "dog")]
+    assert info.threshold == pytest.approx(0.25)
+    served.set(confidence_threshold=0.5)
+    assert served.label_info().threshold == pytest.approx(0.5)
+
+
+def test_without_listeners_a_lazy_node_does_not_subscribe(served: ServedNode) -> None:
+    served.bring_to("active")
+    served.publish()
+    for subscription in list(served.client.subscriptions):
+        if subscription.topic == "/yolov5/detections":
+            served.client.destroy_subscription(subscription)
+    served.wait_for(lambda: served.images.get_subscription_count() == 0, "the node to unsubscribe")
+    assert "nobody listens" in served.status().message
+    assert served.set(lazy=False) == (True, "")
+    served.wait_for(lambda: served.images.get_subscription_count() == 1, "the node to subscribe")
+
+
+def test_diagnostics_come_in_every_state(served: ServedNode) -> None:
+    assert served.status().message == "unconfigured"
+    served.bring_to("active")
+    assert served.state() == "active"
+    values = served.values()
+    assert values["state"] == "active"
+    assert values["runtime"] == "scripted"
+    assert values["sha256"] == "0" * 64
