@@ -34,7 +34,7 @@ RANKS = [
         "memory",
         "scene",
     },
-    {"model", "network", "boxes", "class_filter", "settings"},
+    {"model", "network", "boxes", "class_filter", "settings", "image_encoding", "picture_source"},
     {"annotate", "checkpoint", "safetensors_file", "runtimes"},
     {"weights", "detector"},
     {"worker", "convert"},

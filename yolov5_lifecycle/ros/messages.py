@@ -21,7 +21,7 @@ from vision_msgs.msg import (
 )
 
 from yolov5_lifecycle.detections import Detections
-from yolov5_lifecycle.images import Order, Picture, decode_compressed, decode_raw
+from yolov5_lifecycle.images import Picture, decode_compressed, decode_raw
 
 
 def picture(message: Image | CompressedImage) -> Picture:
@@ -38,11 +38,11 @@ def picture(message: Image | CompressedImage) -> Picture:
     )
 
 
-def image_message(pixels: NDArray[np.uint8], order: Order, header: Header) -> Image:
-    """An Image of (H, W, 3) pixels, encoded rgb8 or bgr8."""
+def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> Image:
+    """An Image of (H, W, channels) pixels laid out as `encoding` says."""
     height, width, channels = pixels.shape
     message = Image(
-        header=header, height=height, width=width, encoding=f"{order}8", is_bigendian=0, step=width * channels
+        header=header, height=height, width=width, encoding=encoding, is_bigendian=0, step=width * channels
     )
     # The setter iterates over every byte of anything but an array (ros2/rclpy#836): 127 ms for 640x480.
     buffer = array("B")

@@ -52,4 +52,4 @@ class Pipeline:
         self.latencies.add(now_s, (now_s - frame.received_s) * 1e3)
         if self.outputs.image_listeners:
             drawn = annotate(picture, detections, class_names)
-            self.outputs.image.publish(messages.image_message(drawn, picture.order, header))
+            self.outputs.image.publish(messages.image_message(drawn, f"{picture.order}8", header))

@@ -1,0 +1,139 @@
+"""Where a camera's pictures come from: a synthetic scene, a device, a video or picture files."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.images import Picture
+from yolov5_lifecycle.scene import Scene, Truth
+
+SYNTHETIC = "synthetic"
+_DEFAULT_SCENE_HW = (480, 640)
+_PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+
+
+class SourceError(ValueError):
+    """A source that does not exist, cannot be read or went away; the message says which and what to do."""
+
+
+@dataclass(frozen=True)
+class SourceFrame:
+    """One picture and, from the synthetic scene alone, what it shows."""
+
+    picture: Picture
+    truth: Truth | None = None
+
+
+def open_source(
+    source: str, *, size_hw: tuple[int, int] | None = None, seed: int = 0, loop: bool = True
+) -> Iterator[SourceFrame]:
+    """The frames of `source`: "synthetic", the number of a device, the path of a video, picture or folder.
+
+    `size_hw` is the size that every picture gets, None that of the source (the scene: 480 x 640). Files begin
+    anew at their end when `loop`, else the iterator ends; a device and the scene never end.
+
+    Raises SourceError here when `source` cannot be opened, and in the iterator when it can be read no longer.
+    """
+    if source == SYNTHETIC:
+        return _synthetic(seed, size_hw or _DEFAULT_SCENE_HW)
+    if source.isascii() and source.isdigit():
+        return _device(int(source), size_hw)
+    path = Path(source).expanduser()
+    if not path.exists():
+        raise SourceError(
+            f"'{source}' is neither '{SYNTHETIC}', nor the number of a device, "
+            "nor a file or folder that exists."
+        )
+    if path.is_dir() or path.suffix.lower() in _PICTURE_SUFFIXES:
+        return _pictures(_picture_paths(path), size_hw, loop)
+    return _video(path, size_hw, loop)
+
+
+def _synthetic(seed: int, size_hw: tuple[int, int]) -> Iterator[SourceFrame]:
+    try:
+        scene = Scene(seed, size_hw)
+    except ValueError as error:
+        raise SourceError(str(error)) from None
+    return (
+        SourceFrame(Picture(pixels, "rgb"), truth) for pixels, truth in map(scene.frame, itertools.count())
+    )
+
+
+def _device(number: int, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
+    capture = cv2.VideoCapture(number)
+    if not capture.isOpened():
+        raise SourceError(f"Device {number} cannot be opened: is it plugged in, free, and may you read it?")
+    if size_hw is not None:
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size_hw[0])
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size_hw[1])
+
+    def frames() -> Iterator[SourceFrame]:
+        yield from _captured(capture, size_hw)
+        raise SourceError(f"Device {number} gives no more pictures: was it unplugged?")
+
+    return frames()
+
+
+def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> Iterator[SourceFrame]:
+    capture = cv2.VideoCapture(str(path))
+    if not capture.isOpened():
+        raise SourceError(f"{path} can be read neither as a picture nor as a video.")
+    captured = _captured(capture, size_hw)
+    first = next(captured, None)
+    if first is None:
+        raise SourceError(f"{path} is a video without a picture that can be read.")
+
+    def frames() -> Iterator[SourceFrame]:
+        yield first
+        yield from captured
+        while loop:
+            # Many formats cannot go back to their beginning, all can be opened again.
+            again = _captured(cv2.VideoCapture(str(path)), size_hw)
+            beginning = next(again, None)
+            if beginning is None:
+                raise SourceError(f"{path} can be read no longer: was it moved or unplugged?")
+            yield beginning
+            yield from again
+
+    return frames()
+
+
+def _captured(capture: cv2.VideoCapture, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
+    try:
+        while True:
+            is_read, pixels = capture.read()
+            if not is_read:
+                return
+            yield SourceFrame(Picture(_sized(np.asarray(pixels, np.uint8), size_hw), "bgr"))
+    finally:
+        capture.release()
+
+
+def _picture_paths(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    paths = sorted(file for file in path.iterdir() if file.suffix.lower() in _PICTURE_SUFFIXES)
+    if not paths:
+        raise SourceError(f"The folder {path} has no pictures ({', '.join(_PICTURE_SUFFIXES)}).")
+    return paths
+
+
+def _pictures(paths: list[Path], size_hw: tuple[int, int] | None, loop: bool) -> Iterator[SourceFrame]:
+    for path in itertools.cycle(paths) if loop else paths:
+        pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if pixels is None:
+            raise SourceError(f"{path} cannot be read as a picture.")
+        yield SourceFrame(Picture(_sized(np.asarray(pixels, np.uint8), size_hw), "bgr"))
+
+
+def _sized(pixels: NDArray[np.uint8], size_hw: tuple[int, int] | None) -> NDArray[np.uint8]:
+    if size_hw is None or pixels.shape[:2] == size_hw:
+        return pixels
+    return np.asarray(cv2.resize(pixels, size_hw[::-1], interpolation=cv2.INTER_AREA), np.uint8)

@@ -1,0 +1,92 @@
+"""What a user may set of the camera, read from its node's parameters."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails, PydanticCustomError
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.node import Node
+
+from yolov5_lifecycle.images import MAX_SIDE_PX
+from yolov5_lifecycle.ros.parameters import FOREIGN_PREFIXES
+from yolov5_lifecycle.settings import Problem, SettingsError
+from yolov5_lifecycle.suggestion import did_you_mean
+
+
+def _number_as_text(value: object) -> object:
+    return str(value) if type(value) is int else value
+
+
+class CameraSettings(BaseModel):
+    """A valid configuration of the camera, fixed when its process starts."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    source: Annotated[str, BeforeValidator(_number_as_text)] = Field(
+        "synthetic",
+        min_length=1,
+        description="synthetic (moving shapes), a device's number, the path of a video, picture or folder.",
+    )
+    rate: float = Field(30.0, gt=0, le=1000, description="Images per second.")
+    width: int = Field(
+        0, ge=0, le=MAX_SIDE_PX, description="Width of the images in pixels. 0: that of the source."
+    )
+    height: int = Field(
+        0, ge=0, le=MAX_SIDE_PX, description="Height of the images in pixels. 0: that of the source."
+    )
+    loop: bool = Field(True, description="Begin anew at the end of the files; false: end the process.")
+    seed: int = Field(0, ge=0, description="Which synthetic scene to draw.")
+    encoding: Literal["rgb8", "bgr8", "mono8", "rgba8", "bgra8"] = Field(
+        "rgb8", description="Layout of the pixels in a message."
+    )
+    frame_id: str = Field("camera", description="Coordinate frame in the header of the images.")
+    reliability: Literal["reliable", "best_effort"] = Field(
+        "reliable", description="Reliability offered to subscribers."
+    )
+
+    @model_validator(mode="after")
+    def _has_no_or_both_sides(self) -> CameraSettings:
+        if bool(self.width) != bool(self.height):
+            raise PydanticCustomError("sides", "width and height go together: set both or none")
+        return self
+
+    @property
+    def size_hw(self) -> tuple[int, int] | None:
+        """Size of the images in pixels, None for that of the source."""
+        return (self.height, self.width) if self.height else None
+
+
+def declared_settings(node: Node) -> CameraSettings:
+    """The settings from the parameter overrides of `node`, declared on it as read-only parameters.
+
+    Raises SettingsError with every problem: values that break a rule, and names that are no parameter.
+    """
+    # rclpy has no public way to list overrides that nobody declared.
+    overrides = getattr(node, "_parameter_overrides", {})
+    values = {
+        name: parameter.value
+        for name, parameter in overrides.items()
+        if not name.startswith(FOREIGN_PREFIXES)
+    }
+    try:
+        settings = CameraSettings.model_validate(values)
+    except ValidationError as error:
+        problems = [_problem(details) for details in error.errors()]
+    else:
+        for name, field in CameraSettings.model_fields.items():
+            described = ParameterDescriptor(description=field.description, read_only=True)
+            node.declare_parameter(name, getattr(settings, name), described, ignore_override=True)
+        return settings
+    raise SettingsError(problems)
+
+
+def _problem(details: ErrorDetails) -> Problem:
+    if details["type"] == "sides":
+        return Problem("width, height", f"{details['msg']}.")
+    name = str(details["loc"][0])
+    if details["type"] == "extra_forbidden":
+        return Problem(name, f"there is no such parameter.{did_you_mean(name, CameraSettings.model_fields)}")
+    default = CameraSettings.model_fields[name].default
+    return Problem(name, f"{details['input']!r}: {details['msg']}. The default is {default!r}.")
