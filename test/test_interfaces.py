@@ -11,7 +11,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from vision_msgs import msg
 
-# A type's hash covers its name and those of its fields, their types and their order, through all nested types.
+# A type's hash covers its name and its fields' names, types and order, through all nested types.
 OFFICIAL_HASHES = {
     "BoundingBox2D": "RIHS01_008eacbb0cf8f26e83795547bed013eec3675485ef386ec056d80eaaf1c1ce2f",
     "Detection2D": "RIHS01_0d12b69df5c593b3455b7346fac8205437a7d4bcb09b9e0e0b2dde787ded38ea",
