@@ -62,7 +62,7 @@ clean:
 	rm -rf .venv .venv-apt build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-$(DEPENDENCIES): requirements/environment.txt requirements/pins.txt $(CONSTRAINTS) requirements/check_machine.py
+$(DEPENDENCIES): requirements/environment.txt requirements/pins.txt $(CONSTRAINTS)
 	@command -v $(PYTHON) > /dev/null || { echo "PYTHON=$(PYTHON): no such program; name a Python 3.10 to 3.13" >&2; exit 1; }
 	@$(PYTHON) requirements/check_machine.py $(SET)
 	@echo "Installing the pinned packages into $(VENV): about 1.5 GB, some minutes the first time."
