@@ -31,7 +31,14 @@ setup(
     ],
     python_requires=">=3.10",
     # rclpy, the messages and OpenCV are not named: on a ROS machine they come from apt, unseen by pip.
-    install_requires=["numpy>=1.26", "pydantic>=2", "safetensors", "torch>=2.10"],
+    install_requires=[
+        "annotated-types",
+        "numpy>=1.26",
+        "pydantic>=2",
+        "pydantic-core",
+        "safetensors",
+        "torch>=2.10",
+    ],
     zip_safe=True,
     entry_points={
         "console_scripts": [

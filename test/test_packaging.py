@@ -1,0 +1,217 @@
+"""What a user gets: the colcon build, the installed commands, the declared and the pinned dependencies."""
+
+from __future__ import annotations
+
+import ast
+import os
+import runpy
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.metadata import Distribution, distribution, distributions
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+REPOSITORY = Path(__file__).parents[1]
+PACKAGE = "yolov5_lifecycle"
+COMMANDS = ("camera", "convert", "demo", "detector")
+SHARED_FOLDERS = ("config", "launch", "weights")
+SETS = ("constraints.txt", "constraints-apt.txt")
+
+
+def published_files() -> list[Path]:
+    """What a clone of the working tree would hold, relative to the repository."""
+    listing = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=REPOSITORY,
+        capture_output=True,
+        check=True,
+    )
+    names = listing.stdout.decode().split("\0")
+    return [Path(name) for name in names if (REPOSITORY / name).is_file()]
+
+
+@pytest.fixture(scope="session")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A colcon workspace in which the package has been built."""
+    workspace = tmp_path_factory.mktemp("workspace")
+    for file in published_files():
+        copy = workspace / "src" / PACKAGE / file
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(REPOSITORY / file, copy)
+    colcon = Path(sys.executable).with_name("colcon")
+    build = subprocess.run(
+        [colcon, "build"],
+        cwd=workspace,
+        env=os.environ | {"COLCON_HOME": str(workspace / "home")},
+        capture_output=True,
+        text=True,
+    )
+    assert build.returncode == 0, build.stdout + build.stderr
+    return workspace
+
+
+@pytest.fixture
+def prefix(workspace: Path) -> Path:
+    return workspace / "install" / PACKAGE
+
+
+def in_built_workspace(workspace: Path, command: str) -> str:
+    """Output of a shell command after the workspace has been sourced."""
+    script = f"set -e; . install/local_setup.bash; cd /; {command}"
+    run = subprocess.run(["bash", "-c", script], cwd=workspace, capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr
+    return run.stdout
+
+
+def test_colcon_builds_this_package_alone(workspace: Path) -> None:
+    assert [folder.name for folder in (workspace / "install").iterdir() if folder.is_dir()] == [PACKAGE]
+
+
+def test_the_executables_lie_where_ros2_run_looks(prefix: Path) -> None:
+    folder = prefix / "lib" / PACKAGE
+    assert sorted(file.name for file in folder.iterdir()) == sorted(COMMANDS)
+    assert all(os.access(file, os.X_OK) for file in folder.iterdir())
+
+
+def test_the_package_is_in_the_ament_index(prefix: Path) -> None:
+    assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / PACKAGE).is_file()
+    assert (prefix / "share" / PACKAGE / "package.xml").is_file()
+
+
+@pytest.mark.parametrize("folder", SHARED_FOLDERS)
+def test_a_folder_of_data_is_shared_whole(prefix: Path, folder: str) -> None:
+    published = {file.name for file in published_files() if file.parts[0] == folder and len(file.parts) == 2}
+    shared = prefix / "share" / PACKAGE / folder
+    assert ({file.name for file in shared.iterdir()} if shared.exists() else set()) == published
+
+
+def test_the_configuration_and_the_embedded_model_are_shared(prefix: Path) -> None:
+    assert (prefix / "share" / PACKAGE / "config" / "yolov5.yaml").is_file()
+    assert list((prefix / "share" / PACKAGE / "weights").glob("*.safetensors"))
+
+
+def test_every_module_is_installed(prefix: Path) -> None:
+    (installed,) = prefix.glob(f"lib/python3*/site-packages/{PACKAGE}")
+    published = {file.relative_to(PACKAGE) for file in published_files() if file.parts[0] == PACKAGE}
+    assert {
+        file.relative_to(installed)
+        for file in installed.rglob("*")
+        if file.suffix != ".pyc" and file.is_file()
+    } == published
+
+
+def test_a_built_executable_runs_with_the_built_modules(workspace: Path) -> None:
+    module = in_built_workspace(
+        workspace, f"{sys.executable} -c 'import {PACKAGE} as built; print(built.__file__)'"
+    )
+    assert module.startswith(str(workspace))
+    help_text = in_built_workspace(workspace, f"{workspace}/install/{PACKAGE}/lib/{PACKAGE}/convert --help")
+    assert "safetensors" in help_text
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_is_installed_and_its_function_exists(command: str) -> None:
+    (entry,) = distribution(PACKAGE).entry_points.select(group="console_scripts", name=command)
+    assert callable(entry.load())
+    assert os.access(Path(sys.executable).with_name(command), os.X_OK)
+
+
+def test_every_imported_package_is_declared() -> None:
+    assert imported_packages() - {PACKAGE} - sys.stdlib_module_names == declared_packages()
+
+
+def imported_packages() -> set[str]:
+    return {
+        name
+        for file in (REPOSITORY / PACKAGE).rglob("*.py")
+        for name in _imports(ast.parse(file.read_bytes()))
+    }
+
+
+def _imports(module: ast.Module) -> Iterator[str]:
+    for node in ast.walk(module):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module is not None and node.level == 0:
+            yield node.module.partition(".")[0]
+
+
+def declared_packages() -> set[str]:
+    """Import names of what package.xml and setup.py ask for."""
+    module_of = {"python3-numpy": "numpy", "python3-opencv": "cv2"}
+    keys = [
+        element.text or "" for element in ElementTree.parse(REPOSITORY / "package.xml").iter("exec_depend")
+    ]
+    from_pip = [Requirement(line).name for line in distribution(PACKAGE).requires or []]
+    return {module_of.get(key, key) for key in keys} | {name.replace("-", "_") for name in from_pip}
+
+
+def pins(constraints: str) -> dict[str, str]:
+    """Package -> version for this Python; files named by -c included."""
+    lines = (REPOSITORY / "requirements" / constraints).read_text().splitlines()
+    versions: dict[str, str] = {}
+    for line in lines:
+        if line.startswith("-c "):
+            versions |= pins(line.removeprefix("-c "))
+        elif line and not line.startswith("#"):
+            requirement = Requirement(line)
+            if requirement.marker is None or requirement.marker.evaluate():
+                versions[canonicalize_name(requirement.name)] = str(requirement.specifier).removeprefix("==")
+    return versions
+
+
+def from_package_index(installed: Distribution) -> bool:
+    """Whether pip put it here; torch itself names the exact versions of the CUDA libraries it brings."""
+    name = canonicalize_name(installed.name)
+    return (
+        installed.read_text("INSTALLER") == "pip\n"
+        and name != canonicalize_name(PACKAGE)
+        and not name.startswith(("nvidia-", "cuda-", "triton"))
+    )
+
+
+def test_torch_is_the_same_in_both_sets_while_numpy_and_opencv_differ() -> None:
+    newest, apt = map(pins, SETS)
+    assert newest["torch"] == apt["torch"] == "2.13.0"
+    assert {name for name in newest.keys() | apt.keys() if newest.get(name) != apt.get(name)} == {
+        "numpy",
+        "opencv-python-headless",
+    }
+    assert apt["numpy"].startswith("1.26.")
+
+
+def test_every_installed_package_is_pinned() -> None:
+    installed = {
+        canonicalize_name(found.name): found.version.partition("+")[0]
+        for found in distributions()
+        if from_package_index(found)
+    }
+    assert installed
+    assert any(installed.items() <= pins(constraints).items() for constraints in SETS)
+
+
+@pytest.mark.parametrize(
+    ("version", "package_set", "fits"),
+    [
+        pytest.param((3, 9), "tested", False, id="too old"),
+        pytest.param((3, 10), "tested", True, id="oldest"),
+        pytest.param((3, 13), "tested", True, id="newest"),
+        pytest.param((3, 14), "tested", False, id="too new"),
+        pytest.param((3, 12), "apt", True, id="newest with numpy 1.26"),
+        pytest.param((3, 13), "apt", False, id="too new for numpy 1.26"),
+    ],
+)
+def test_an_unsuitable_python_is_named_with_the_suitable_ones(
+    version: tuple[int, int], package_set: str, fits: bool
+) -> None:
+    python_problem = runpy.run_path(str(REPOSITORY / "requirements" / "check_machine.py"))["python_problem"]
+    problem = python_problem(version, package_set)
+    assert (
+        problem == "" if fits else "Python 3.10 to 3.1" in problem and f"{version[0]}.{version[1]}" in problem
+    )
