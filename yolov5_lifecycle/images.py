@@ -16,16 +16,19 @@ Order = Literal["rgb", "bgr"]
 MAX_SIDE_PX = 16384
 """Wider or higher pictures are refused: no camera makes them, but a damaged message may claim them."""
 
+MAX_COMPRESSED_PX = 1 << 26
+"""A file of a few kilobytes may claim any size; this many pixels take 200 MB once decoded."""
+
 
 class ImageError(ValueError):
-    """A buffer that holds no picture we can use; the message says what was expected and what was found."""
+    """A buffer that holds no picture we can use; says what was expected and what was found."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
     """Pixels and the order of their colours, so that nobody needs a pass over them to agree.
 
-    Raises ImageError at birth when `pixels` is no uint8 array of shape (H, W, 3) with sides in [1, 16384].
+    Raises ImageError at birth when `pixels` is no uint8 array (H, W, 3) with sides in [1, 16384].
     """
 
     pixels: NDArray[np.uint8]
@@ -48,7 +51,7 @@ class Picture:
 class _Encoding(NamedTuple):
     channels: int
     order: Order
-    conversion: int | None  # OpenCV's code to three channels; None where the buffer has them already
+    conversion: int | None  # OpenCV's code to three channels, None where the buffer has them already
 
 
 ENCODINGS: Mapping[str, _Encoding] = MappingProxyType(
@@ -63,58 +66,96 @@ ENCODINGS: Mapping[str, _Encoding] = MappingProxyType(
 """The encodings of sensor_msgs/Image that are understood, by name."""
 
 
-def decode_raw(data: Any, *, encoding: str, height: int, width: int, step: int, is_bigendian: bool) -> Picture:
+def decode_raw(
+    data: Any, *, encoding: str, height: int, width: int, step: int, is_bigendian: bool
+) -> Picture:
     """The picture in an uncompressed buffer, laid out as in sensor_msgs/Image.
 
-    `data` is any contiguous buffer (bytes, array.array, memoryview, ndarray); `step` is the bytes from one row to the
-    next. rgb8 and bgr8 give a read-only view of `data`, the others one copy. `is_bigendian` may be anything, as a
-    pixel value is one byte in every encoding understood.
+    `data` is any contiguous buffer (bytes, array.array, memoryview, ndarray); `step` is the bytes from one
+    row to the next. rgb8 and bgr8 give a read-only view of `data`, the others one copy. `is_bigendian` may
+    be either: every encoding understood has values of one byte.
 
     Raises ImageError when the encoding is another or the buffer does not hold what the numbers claim.
     """
     if encoding not in ENCODINGS:
-        raise ImageError(f"Encoding '{encoding[:40]}' is not supported. Supported: {', '.join(ENCODINGS)}.")
+        raise ImageError(f"Encoding {encoding[:40]!r} is not supported; supported: {', '.join(ENCODINGS)}.")
     channels, order, conversion = ENCODINGS[encoding]
-    _check_size(height, width)
-    row_bytes = width * channels
-    if step < row_bytes:
-        raise ImageError(
-            f"A row of {width} {encoding} pixels needs a step of at least {row_bytes} bytes, found {step}."
-        )
     buffer = _bytes_of(data)
-    needed = step * (height - 1) + row_bytes
-    if buffer.size < needed:
-        raise ImageError(
-            f"{height} rows of {step} bytes need at least {needed} bytes of data, found {buffer.size}."
-        )
-    pixels: NDArray[np.uint8] = np.ndarray((height, width, channels), np.uint8, buffer, strides=(step, channels, 1))
+    _check_layout(buffer.size, encoding, height=height, width=width, step=step)
+    pixels: NDArray[np.uint8] = np.ndarray(
+        (height, width, channels), np.uint8, buffer, strides=(step, channels, 1)
+    )
     if conversion is not None:
-        return Picture(np.asarray(cv2.cvtColor(pixels, conversion), np.uint8), order)
+        return Picture(cv2.cvtColor(pixels, conversion), order)
     pixels.flags.writeable = False
     return Picture(pixels, order)
 
 
 def decode_compressed(data: Any) -> Picture:
-    """The picture in a JPEG or PNG file image, `data` as for `decode_raw`; the rotation a camera may note is ignored.
+    """The picture in the bytes of a JPEG or PNG file, `data` as for `decode_raw`.
 
-    Raises ImageError when it cannot be decoded.
+    The pixels as they are stored: a rotation that the file asks for (EXIF) is not made.
+
+    Raises ImageError when it is another format, larger than MAX_COMPRESSED_PX or cannot be decoded.
     """
     buffer = _bytes_of(data)
-    pixels = None
-    if buffer.size:
+    height, width = _compressed_size_hw(buffer)
+    _check_size(height, width)
+    if height * width > MAX_COMPRESSED_PX:
+        raise ImageError(
+            f"A compressed picture may have {MAX_COMPRESSED_PX} pixels, this one claims {height} x {width}."
+        )
+    try:
         pixels = cv2.imdecode(buffer, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error as error:
+        raise ImageError(f"OpenCV refuses the compressed picture: {error.err}.") from None
     if pixels is None:
-        raise ImageError(f"Expected a JPEG or PNG image, found {buffer.size} bytes that cannot be decoded.")
-    return Picture(np.asarray(pixels, np.uint8), "bgr")
+        raise ImageError(f"Expected a whole JPEG or PNG, found {buffer.size} bytes that cannot be decoded.")
+    return Picture(pixels, "bgr")
 
 
 def _check_size(height: int, width: int) -> None:
     if not (1 <= height <= MAX_SIDE_PX and 1 <= width <= MAX_SIDE_PX):
-        raise ImageError(f"Height and width must lie in 1 to {MAX_SIDE_PX} pixels, found {height} x {width}.")
+        raise ImageError(f"Height and width must be 1 to {MAX_SIDE_PX} pixels, found {height} x {width}.")
+
+
+def _check_layout(size: int, encoding: str, *, height: int, width: int, step: int) -> None:
+    _check_size(height, width)
+    row_size = width * ENCODINGS[encoding].channels
+    if step < row_size:
+        raise ImageError(f"Rows of {width} {encoding} pixels need a step >= {row_size}, found {step}.")
+    needed = step * (height - 1) + row_size  # the last row may come without its padding
+    if size < needed:
+        raise ImageError(
+            f"{height} rows of {width} {encoding} pixels with step {step} need {needed} bytes, found {size}."
+        )
 
 
 def _bytes_of(data: Any) -> NDArray[np.uint8]:
     try:
         return np.frombuffer(data, np.uint8)
-    except (TypeError, ValueError, BufferError) as error:
-        raise ImageError(f"Expected a contiguous buffer of bytes, found {type(data).__name__}: {error}.") from None
+    except (TypeError, ValueError, BufferError):
+        raise ImageError(f"Expected a contiguous buffer of bytes, found {type(data).__name__}.") from None
+
+
+def _compressed_size_hw(buffer: NDArray[np.uint8]) -> tuple[int, int]:
+    """Height and width that a PNG or JPEG claims, read without decoding it."""
+    start = buffer[:24].tobytes()
+    if start[:8] == b"\x89PNG\r\n\x1a\n" and len(start) == 24:
+        return int.from_bytes(start[20:24], "big"), int.from_bytes(start[16:20], "big")
+    if start[:2] == b"\xff\xd8":
+        return _jpeg_size_hw(memoryview(buffer))
+    raise ImageError(f"Expected a JPEG or PNG, found {buffer.size} bytes that begin with {start[:8].hex()}.")
+
+
+def _jpeg_size_hw(data: memoryview) -> tuple[int, int]:
+    """The size in the frame header, found by walking over the segments before it (ITU-T T.81, annex B)."""
+    position = 2
+    while position + 9 <= len(data) and data[position] == 0xFF:
+        marker = data[position + 1]
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = data[position + 5 : position + 7], data[position + 7 : position + 9]
+            return int.from_bytes(height, "big"), int.from_bytes(width, "big")
+        is_fill = marker == 0xFF
+        position += 1 if is_fill else 2 + int.from_bytes(data[position + 2 : position + 4], "big")
+    raise ImageError(f"Expected a whole JPEG, found {len(data)} bytes without a frame header.")

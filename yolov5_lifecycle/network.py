@@ -156,11 +156,12 @@ class Network(nn.Module):
     def forward(self, pixels: Tensor) -> Tensor:
         """Predictions (B, N, 5 + C): cx, cy, w, h in network pixels, objectness, class scores in [0, 1].
 
-        `pixels` as for `heads`. The same in training and evaluation mode.
+        `pixels` as for `heads`. float32 whatever the layers compute in: half numbers would place a box at
+        x = 600 to half a pixel only. The same in training and evaluation mode.
         """
         detect = self.model[-1]
         assert isinstance(detect, Detect)
-        return detect.decode(self.heads(pixels))
+        return detect.decode([level.float() for level in self.heads(pixels)])
 
 
 def fuse(network: Network) -> Network:

@@ -14,12 +14,16 @@ class InferenceError(RuntimeError):
     """The network could not be run on a picture, or gave no usable predictions."""
 
 
+class DeviceLostError(InferenceError):
+    """The device will not answer this process again; only a new process helps."""
+
+
 class Runtime(Protocol):
-    """A network on a device, ready to run. Not for two threads at once."""
+    """A network on a device, ready to run; for one thread at a time."""
 
     @property
     def name(self) -> str:
-        """As in the setting `runtime`: torch, ..."""
+        """The word of the setting `runtime` that chooses it."""
 
     @property
     def device(self) -> str:
@@ -27,13 +31,13 @@ class Runtime(Protocol):
 
     @property
     def precision(self) -> str:
-        """fp32 or fp16."""
+        """What it really computes in: fp32 or fp16."""
 
     def __call__(self, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
-        """Raw predictions (N, 5 + C) as of `Network` for a letterboxed frame (h, w, 3) with colours in `order`.
+        """Raw predictions (N, 5 + C), see `Network`, for a letterboxed frame (h, w, 3).
 
         Raises InferenceError.
         """
 
     def close(self) -> None:
-        """Free the network; a call afterwards raises InferenceError. Closing again does nothing."""
+        """Free the network; running it then raises InferenceError. Closing again does nothing."""

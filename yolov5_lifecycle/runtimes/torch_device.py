@@ -1,4 +1,4 @@
-"""Where torch runs and with which numbers, from what a user asked for."""
+"""Where torch runs and in which numbers, from the words of a user."""
 
 from __future__ import annotations
 
@@ -6,63 +6,57 @@ import torch
 
 
 class DeviceError(ValueError):
-    """The device is absent or cannot do what was asked; the message names what there is."""
+    """The device is absent or cannot do what was asked; says what there is and what to do."""
 
 
 def resolve_device(device: str) -> torch.device:
     """The device for auto, cpu, cuda, cuda:N, N (the same as cuda:N) or mps.
 
-    auto is the first CUDA device, else the CPU. Raises DeviceError when the device is absent or the word unknown.
+    auto is the first CUDA device, else the CPU. Raises DeviceError.
     """
     if device == "auto":
         return torch.device("cuda:0" if torch.cuda.is_available() else "cpu")
-    if device == "cpu":
-        return torch.device("cpu")
-    if device == "mps":
-        if not torch.backends.mps.is_available():
-            raise DeviceError(f"Device 'mps' is absent: torch sees {_seen()}. Use device 'auto' or 'cpu'.")
-        return torch.device("mps")
-    return _cuda_device(device)
+    resolved = torch.device(device) if device in ("cpu", "mps") else _cuda_device(device)
+    present = devices_present()
+    name = str(resolved)
+    if name not in present:
+        raise DeviceError(
+            f"Device '{name}' is absent: torch {torch.__version__} sees {', '.join(present)}. Use one of these "
+            f"or 'auto', or install the driver and a torch built for '{resolved.type}'."
+        )
+    return resolved
 
 
 def resolve_precision(precision: str, device: torch.device) -> torch.dtype:
     """The number format for auto, fp32 or fp16; auto is fp16 on CUDA and fp32 elsewhere.
 
-    Raises DeviceError for fp16 on a CPU and for an unknown word.
+    Raises DeviceError when the device is a CPU and the word fp16, or the word unknown.
     """
     if precision == "auto":
         return torch.float16 if device.type == "cuda" else torch.float32
-    if precision == "fp32":
-        return torch.float32
-    if precision != "fp16":
-        raise DeviceError(f"Precision must be auto, fp32 or fp16, found '{precision[:40]}'.")
-    if device.type == "cpu":
+    if precision not in ("fp32", "fp16"):
+        raise DeviceError(f"Precision must be auto, fp32 or fp16, found {precision[:40]!r}.")
+    if precision == "fp16" and device.type == "cpu":
         raise DeviceError(
-            "Precision 'fp16' needs a GPU: a CPU computes half numbers many times slower than fp32, found device "
-            "'cpu'. Use precision 'auto' or 'fp32'."
+            "Precision 'fp16' needs a GPU, found device 'cpu', which computes half numbers slower than whole "
+            "ones. Use precision 'auto' or 'fp32'."
         )
-    return torch.float16
+    return torch.float16 if precision == "fp16" else torch.float32
 
 
-def _cuda_device(device: str) -> torch.device:
-    kind, _, index = device.rpartition(":") if ":" in device else ("cuda", "", device)
-    if device == "cuda":
-        index = "0"
-    if kind != "cuda" or not (index.isascii() and index.isdigit()):
-        raise DeviceError(f"Device must be auto, cpu, cuda, cuda:N, N or mps, found '{device[:40]}'.")
-    if not torch.cuda.is_available() or int(index) >= torch.cuda.device_count():
-        remedy = "" if torch.version.cuda else " This torch was built without CUDA: install one built with it."
-        raise DeviceError(
-            f"Device 'cuda:{int(index)}' is absent: torch sees {_seen()}.{remedy} Otherwise use device 'auto' or 'cpu'."
-        )
-    return torch.device("cuda", int(index))
-
-
-def _seen() -> str:
-    """The devices that torch sees, as a list of their names."""
+def devices_present() -> list[str]:
+    """Names of the devices that torch can use here."""
     devices = ["cpu"]
     if torch.cuda.is_available():
         devices += [f"cuda:{index}" for index in range(torch.cuda.device_count())]
     if torch.backends.mps.is_available():
         devices.append("mps")
-    return ", ".join(devices)
+    return devices
+
+
+def _cuda_device(device: str) -> torch.device:
+    index = "0" if device == "cuda" else device.removeprefix("cuda:")
+    # torch keeps the index in eight bits.
+    if not (index.isascii() and index.isdigit() and len(index) < 4 and int(index) < 128):
+        raise DeviceError(f"Device must be auto, cpu, cuda, cuda:N, N or mps, found {device[:40]!r}.")
+    return torch.device("cuda", int(index))
