@@ -15,13 +15,13 @@ REPOSITORY = Path(__file__).parents[1]
 
 @pytest.fixture(scope="session")
 def reference_dir() -> Path:
-    """Folder with an official checkpoint, a picture and the official pipeline's answers to it.
+    """Folder with weights/yolov5n.pt (official, AGPL-3.0), images/bus.jpg and golden/, its official answers.
 
-    They are not part of this project (the checkpoint is AGPL-3.0): weights/yolov5n.pt, images/bus.jpg, golden/.
+    They are not part of this project.
     """
     folder = Path(os.environ.get("YOLOV5_REFERENCE_DIR") or REPOSITORY.parent / "shared")
     if not (folder / "golden" / "yolov5n_bus.json").is_file():
-        pytest.skip(f"no reference data in {folder}: set YOLOV5_REFERENCE_DIR to compare with the official YOLOv5")
+        pytest.skip(f"no reference data in {folder}: set YOLOV5_REFERENCE_DIR to the folder that has it")
     return folder
 
 
@@ -31,7 +31,7 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     folder = Path(tempfile.gettempdir()) / "yolov5_lifecycle_domains"
     folder.mkdir(exist_ok=True)
     for domain in range(1, 101):
-        with open(folder / str(domain), "w") as lock:
+        with (folder / str(domain)).open("w") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:

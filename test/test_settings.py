@@ -54,7 +54,7 @@ def test_every_broken_field_is_reported_at_once() -> None:
 
 
 def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
-    with pytest.raises(SettingsError, match="confidence_treshold: .*Did you mean 'confidence_threshold'"):
+    with pytest.raises(SettingsError, match=r"confidence_treshold: .*Did you mean 'confidence_threshold'"):
         validated({"confidence_treshold": 0.5})
 
 
