@@ -17,7 +17,7 @@ from yolov5_lifecycle.images import Order, Picture
 Colour = tuple[int, int, int]
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_MAX_LABEL_LETTERS = 40
+_MAX_NAME_LETTERS = 40
 _GOLDEN_RATIO = 0.618034  # its multiples fill the circle of hues evenly, however many there are
 
 
@@ -29,13 +29,14 @@ def annotate(picture: Picture, detections: Detections, class_names: Sequence[str
     """
     canvas = np.array(picture.pixels, order="C")
     pen = _Pen.for_picture(picture.size_hw)
-    rows = zip(detections.boxes_xyxy, detections.scores, detections.class_ids.tolist(), strict=True)
-    for box_xyxy, score, class_id in reversed(list(rows)):
+    corners = _corners_inside(detections.boxes_xyxy, picture.size_hw)
+    rows = list(zip(corners, detections.scores.tolist(), detections.class_ids.tolist(), strict=True))[::-1]
+    for (x1, y1, x2, y2), _, class_id in rows:
+        cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, picture.order), pen.line_px)
+    for (x1, y1, _, _), score, class_id in rows:
         colour = class_colour(class_id, picture.order)
-        x1, y1, x2, y2 = _corners_inside(box_xyxy, picture.size_hw)
-        cv2.rectangle(canvas, (x1, y1), (x2, y2), colour, pen.thickness)
-        label = pen.label(f"{printable(class_names[class_id])} {score:.2f}", max_width=canvas.shape[1])
-        label.draw(canvas, (x1, y1), colour, text_colour(colour, picture.order))
+        label = pen.label(printable(class_names[class_id]), score, canvas.shape[1])
+        _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, picture.order))
     return canvas
 
 
@@ -61,63 +62,56 @@ def printable(text: str) -> str:
 
 
 @dataclass(frozen=True)
-class _Label:
-    """A line of text on a filled rectangle, sizes in pixels."""
-
-    text: str
-    pen: _Pen
-    width: int
-    height: int
-    baseline: int
-
-    def draw(
-        self, canvas: NDArray[np.uint8], box_top_left: tuple[int, int], colour: Colour, ink: Colour
-    ) -> None:
-        """Draw above the box, or inside it at the top of the picture; nothing when the picture is too low."""
-        height, width, _ = canvas.shape
-        if not self.text or self.height > height:
-            return
-        left = min(box_top_left[0], width - self.width)
-        top = box_top_left[1] - self.height
-        if top < 0:
-            top = min(box_top_left[1], height - self.height)
-        cv2.rectangle(canvas, (left, top), (left + self.width - 1, top + self.height - 1), colour, cv2.FILLED)
-        origin = (left + self.pen.margin, top + self.height - self.baseline - self.pen.margin)
-        cv2.putText(
-            canvas, self.text, origin, _FONT, self.pen.font_scale, ink, self.pen.text_thickness, cv2.LINE_AA
-        )
-
-
-@dataclass(frozen=True)
 class _Pen:
-    """How thick and large to draw."""
+    """How thick and large to draw in a picture."""
 
-    thickness: int
-    text_thickness: int
+    line_px: int
+    margin_px: int
     font_scale: float
-    margin: int
+    text_thickness: int
 
     @classmethod
     def for_picture(cls, size_hw: tuple[int, int]) -> _Pen:
         side = min(size_hw)
-        thickness = max(round(side / 240), 1)
-        return cls(thickness, max(round(side / 480), 1), max(side / 900, 0.4), thickness + 1)
+        line_px = max(round(side / 240), 1)
+        return cls(line_px, line_px + 1, max(side / 900, 0.4), max(round(side / 480), 1))
 
-    def label(self, text: str, *, max_width: int) -> _Label:
-        """`text`, shortened until it fits; empty when nothing does."""
-        shorter = [text[:length] + ".." for length in range(min(len(text), _MAX_LABEL_LETTERS), 0, -1)]
-        whole = [text] if len(text) <= _MAX_LABEL_LETTERS else []
-        for candidate in [*whole, *shorter]:
-            (width, height), baseline = cv2.getTextSize(candidate, _FONT, self.font_scale, self.text_thickness)
-            if width + 2 * self.margin <= max_width:
-                size = (width + 2 * self.margin, height + baseline + 2 * self.margin)
-                return _Label(candidate, self, *size, baseline)
-        return _Label("", self, 0, 0, 0)
+    def text_size(self, text: str) -> tuple[int, int, int]:
+        """Width of `text`, height above and height below its baseline in pixels."""
+        (width, above), below = cv2.getTextSize(text, _FONT, self.font_scale, self.text_thickness)
+        return width, above, below
+
+    def label(self, name: str, score: float, max_width: int) -> str:
+        """Name and score, the name cut until a label fits; empty when none does."""
+        whole = [name] if len(name) <= _MAX_NAME_LETTERS else []
+        cut = [name[:length] + ".." for length in range(min(len(name), _MAX_NAME_LETTERS) - 1, 0, -1)]
+        labels = (f"{short} {score:.2f}" for short in [*whole, *cut])
+        return next(
+            (text for text in labels if self.text_size(text)[0] + 2 * self.margin_px <= max_width), ""
+        )
 
 
-def _corners_inside(box_xyxy: NDArray[np.float32], size_hw: tuple[int, int]) -> list[int]:
+def _draw_label(
+    canvas: NDArray[np.uint8], text: str, corner_xy: tuple[int, int], pen: _Pen, colour: Colour, ink: Colour
+) -> None:
+    """Draw `text` above a box's upper left corner, or under it where there is no room above."""
+    height, width, _ = canvas.shape
+    text_width, above, below = pen.text_size(text)
+    label_width, label_height = text_width + 2 * pen.margin_px, above + below + 2 * pen.margin_px
+    if not text or label_height > height:
+        return
+    left, bottom = min(corner_xy[0], width - label_width), corner_xy[1]
+    if bottom < label_height:
+        bottom = min(bottom + label_height, height)
+    top = bottom - label_height
+    cv2.rectangle(canvas, (left, top), (left + label_width - 1, bottom - 1), colour, cv2.FILLED)
+    origin = (left + pen.margin_px, top + pen.margin_px + above)
+    cv2.putText(canvas, text, origin, _FONT, pen.font_scale, ink, pen.text_thickness, cv2.LINE_AA)
+
+
+def _corners_inside(boxes_xyxy: NDArray[np.float32], size_hw: tuple[int, int]) -> list[list[int]]:
     """The nearest whole pixels; a box that ends at the edge of the picture ends on its last pixel."""
     height, width = size_hw
     last_xyxy = np.array((width, height, width, height)) - 1
-    corners: list[int] = np.clip(np.rint(box_xyxy), 0, last_xyxy).astype(int).tolist()
+    corners: list[list[int]] = np.clip(np.rint(boxes_xyxy), 0, last_xyxy).astype(int).tolist()
     return corners

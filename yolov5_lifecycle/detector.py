@@ -23,9 +23,7 @@ class Detector:
     `stride`, the largest stride of the model; raises ValueError when it is not.
     """
 
-    def __init__(
-        self, runtime: Runtime, *, class_names: Sequence[str], image_size: int, stride: int
-    ) -> None:
+    def __init__(self, runtime: Runtime, *, class_names: Sequence[str], image_size: int, stride: int) -> None:
         _check_image_size(image_size, stride)
         self.runtime = runtime
         self.class_names = tuple(class_names)

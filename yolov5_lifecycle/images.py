@@ -144,7 +144,7 @@ def _compressed_size_hw(buffer: NDArray[np.uint8]) -> tuple[int, int]:
     if start[:8] == b"\x89PNG\r\n\x1a\n" and len(start) == 24:
         return int.from_bytes(start[20:24], "big"), int.from_bytes(start[16:20], "big")
     if start[:2] == b"\xff\xd8":
-        return _jpeg_size_hw(memoryview(buffer))
+        return _jpeg_size_hw(buffer.data)
     raise ImageError(f"Expected a JPEG or PNG, found {buffer.size} bytes that begin with {start[:8].hex()}.")
 
 

@@ -18,11 +18,10 @@ def resolve_device(device: str) -> torch.device:
         return torch.device("cuda:0" if torch.cuda.is_available() else "cpu")
     resolved = torch.device(device) if device in ("cpu", "mps") else _cuda_device(device)
     present = devices_present()
-    name = str(resolved)
-    if name not in present:
+    if str(resolved) not in present:
         raise DeviceError(
-            f"Device '{name}' is absent: torch {torch.__version__} sees {', '.join(present)}. Use one of these "
-            f"or 'auto', or install the driver and a torch built for '{resolved.type}'."
+            f"Device '{resolved}' is absent: torch {torch.__version__} sees {', '.join(present)}. Use one of "
+            f"these or 'auto', or install the driver and a torch built for '{resolved.type}'."
         )
     return resolved
 

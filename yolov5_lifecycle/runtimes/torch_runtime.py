@@ -43,7 +43,8 @@ class TorchRuntime:
         except (torch.OutOfMemoryError, torch.AcceleratorError) as error:
             problem = _first_line(error)
         raise DeviceError(
-            f"Device '{torch_device}' does not take the network: {problem} Use a smaller model or device 'cpu'."
+            f"Device '{torch_device}' does not take the network: {problem} "
+            "Use a smaller model or device 'cpu'."
         )
 
     @property
