@@ -1,0 +1,81 @@
+"""Which weights file, and what is in it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+
+from yolov5_lifecycle.checkpoint import read_checkpoint
+from yolov5_lifecycle.model import Model, WeightsError
+from yolov5_lifecycle.safetensors_file import read_safetensors
+
+MAX_FILE_BYTES = 2 << 30
+_READERS = {".safetensors": read_safetensors, ".pt": read_checkpoint, ".pth": read_checkpoint}
+
+
+@dataclass(frozen=True, eq=False)
+class WeightsFile:
+    """A file that was read, the digest of the very bytes that were used, and the model in them."""
+
+    path: Path
+    sha256: str
+    model: Model
+
+
+def find_weights(*, weights: str, weights_dir: Path, model_size: str) -> Path:
+    """The file that `weights` names, or the one of `model_size` in `weights_dir`: .safetensors before .pt.
+
+    Raises WeightsError when there is none.
+    """
+    if weights:
+        return Path(weights).expanduser()
+    tried = [weights_dir / f"yolov5{model_size}{suffix}" for suffix in (".safetensors", ".pt")]
+    for path in tried:
+        if path.exists():
+            return path
+    raise WeightsError(
+        f"no weights for model_size '{model_size}': neither {tried[0]} nor {tried[1]} is there. "
+        "Put the file into that folder, or set the parameter `weights` to its path."
+    )
+
+
+def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
+    """Read the file at `path` once and make its model; with `sha256`, only if its bytes have that digest.
+
+    Raises WeightsError with the path in its message.
+    """
+    try:
+        reader = _READERS.get(path.suffix.lower())
+        if reader is None:
+            raise WeightsError(
+                f"expected a file that ends in {', '.join(_READERS)}, found '{path.suffix[:40]}'"
+            )
+        data = _read_once(path)
+        digest = hashlib.sha256(data).hexdigest()
+        if sha256 and digest != sha256.lower():
+            raise WeightsError(f"its sha256 is {digest}, expected {sha256.lower()}: this is another file")
+        return WeightsFile(path, digest, reader(data))
+    except WeightsError as error:
+        raise WeightsError(f"{path}: {error}.") from None
+
+
+def _read_once(path: Path) -> bytes:
+    """All bytes of a regular file; what is checked and what is used cannot differ."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    except FileNotFoundError:
+        raise WeightsError("there is no such file: check the path for a missing '/' or a typo") from None
+    except (OSError, ValueError) as error:
+        raise WeightsError(
+            f"the file cannot be opened ({getattr(error, 'strerror', None) or error})"
+        ) from None
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise WeightsError("expected a regular file, found a folder, pipe or device")
+        if status.st_size > MAX_FILE_BYTES:
+            raise WeightsError(f"the file has {status.st_size} bytes; at most {MAX_FILE_BYTES} are read")
+        return file.read(MAX_FILE_BYTES + 1)
