@@ -296,7 +296,7 @@ def test_an_unknown_parameter_is_refused_in_every_state(served: ServedNode, stat
     served.bring_to(state)
     done, reason = served.set(confidence_treshold=0.5)
     assert not done
-    assert reason
+    assert "Did you mean 'confidence_threshold'?" in reason
 
 
 def test_a_setting_that_is_read_only_cannot_be_set(served: ServedNode) -> None:

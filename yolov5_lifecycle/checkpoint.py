@@ -71,8 +71,8 @@ def _model(module: StandIn, tensors: Mapping[str, Tensor]) -> Model:
         raise WeightsError(f"the Detect layer has {str(classes)[:40]} classes, expected 1 to {MAX_CLASSES}")
     if head.get("no") != classes + 5:
         raise WeightsError(
-            f"the Detect layer gives {str(head.get('no'))[:40]} numbers a box for {classes} classes, expected "
-            f"{classes + 5}: a segmentation model or a damaged file"
+            f"the Detect layer gives {str(head.get('no'))[:40]} numbers a box for {classes} classes, "
+            f"expected {classes + 5}: a segmentation model or a damaged file"
         )
     strides = _strides(module)
     architecture = architecture_of(

@@ -56,7 +56,7 @@ def checked_model(
 
 
 def check_class_names(names: object, classes: int) -> tuple[str, ...]:
-    """Names from a list or a dict from index to name; raises WeightsError unless there are `classes` of them."""
+    """Names from a list, or a dict by index; raises WeightsError unless there are `classes` of them."""
     if isinstance(names, dict):
         names = [names.get(index) for index in range(len(names))]
     if not isinstance(names, (list, tuple)) or len(names) != classes:

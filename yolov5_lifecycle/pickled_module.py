@@ -1,4 +1,4 @@
-"""The module tree in a checkpoint, read with inert stand-ins: nothing that the file names is imported or run."""
+"""The module tree in a checkpoint, read with inert stand-ins: nothing in the file is run."""
 
 from __future__ import annotations
 

@@ -110,4 +110,6 @@ def _architecture(described: Any) -> Architecture:
 
 
 def _yaml_arguments(kind: str, args: list[Any]) -> list[Any]:
-    return {"Upsample": [None, 2, "nearest"], "Concat": [1]}.get(kind, list(args))
+    """What a yaml row says where a `Layer` of this kind says nothing."""
+    implied: dict[str, list[Any]] = {"Upsample": [None, 2, "nearest"], "Concat": [1]}
+    return implied.get(kind, list(args))

@@ -46,7 +46,7 @@ def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> I
     )
     # The setter iterates over every byte of anything but an array (ros2/rclpy#836): 127 ms for 640x480.
     buffer = array("B")
-    buffer.frombytes(memoryview(np.ascontiguousarray(pixels)).cast("B"))
+    buffer.frombytes(np.ascontiguousarray(pixels).data.cast("B"))
     message.data = buffer
     return message
 

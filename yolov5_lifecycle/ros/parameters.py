@@ -93,6 +93,11 @@ class SettingsParameters:
         """What the settings would be with `parameters` set; raises SettingsError. Changes nothing."""
         return validated(self._values() | plain_values(map(coerced, parameters)))
 
+    def problems_of(self, parameters: Sequence[Parameter]) -> list[Problem]:
+        """Why a request to set `parameters` must be refused, as far as that can be said without the model."""
+        unknown = [unknown_setting(name) for name in self._unknown_names(parameters)]
+        return unknown + self._new_problems(parameters)
+
     def table(self) -> str:
         """Name, value and source of every setting, one a line."""
         width = max(map(len, _BY_NAME))
@@ -105,6 +110,16 @@ class SettingsParameters:
     def forget(self, name: str) -> bool:
         """Drop the complaint about an override with an unknown name; False when there was none."""
         return name not in _BY_NAME and self._bad_overrides.pop(name, None) is not None
+
+    def _new_problems(self, parameters: Iterable[Parameter]) -> list[Problem]:
+        """What `parameters` would break that is not broken already; an older problem may stay."""
+        values = self._values()
+        known = _problems(values)
+        broken = _problems(values | plain_values(map(coerced, parameters)))
+        return [problem for problem in broken if problem not in known]
+
+    def _unknown_names(self, parameters: Iterable[Parameter]) -> list[str]:
+        return [parameter.name for parameter in parameters if not self._node.has_parameter(parameter.name)]
 
     def _values(self) -> dict[str, object]:
         return plain_values(self._node.get_parameter(setting.name) for setting in SETTINGS)
@@ -126,16 +141,10 @@ class SettingsParameters:
             self._node.set_parameters([parameter])
 
     def _judge(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        """Refuse a change that adds a problem; one that leaves an older problem standing is welcome."""
-        changes = plain_values(parameters)
-        if not changes:
-            return SetParametersResult(successful=True)
-        values = self._values()
-        known = _problems(values)
-        problems = [problem for problem in _problems(values | changes) if problem not in known]
-        if not problems and not known:
-            problems = self._review(validated(values | changes))
-        return SetParametersResult(successful=not problems, reason=" ".join(map(str, problems)))
+        problems = self._new_problems(parameters)
+        if not problems and not _problems(self._values()):
+            problems = self._review(self.candidate(parameters))
+        return refusal(problems) if problems else SetParametersResult(successful=True)
 
     def _committed(self, parameters: Sequence[Parameter]) -> None:
         for parameter in parameters:
@@ -148,6 +157,11 @@ class SettingsParameters:
                 del self._bad_overrides[unknown]
         if not self.problems():  # else configure will name them
             self._commit(self.settings())
+
+
+def refusal(problems: Iterable[Problem]) -> SetParametersResult:
+    """The answer to a change that would cause `problems`."""
+    return SetParametersResult(successful=False, reason=" ".join(map(str, problems)))
 
 
 def names_on_command_line(arguments: Sequence[str]) -> set[str]:

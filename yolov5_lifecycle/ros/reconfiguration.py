@@ -12,10 +12,10 @@ from rclpy.parameter import Parameter
 from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
 from yolov5_lifecycle.ros.detection import Detection
 from yolov5_lifecycle.ros.loading import ModelLoader
-from yolov5_lifecycle.ros.parameters import SettingsParameters
+from yolov5_lifecycle.ros.parameters import SettingsParameters, refusal
 from yolov5_lifecycle.ros.preparation import PreparedModel
 from yolov5_lifecycle.ros.services import Handler
-from yolov5_lifecycle.settings import Change, Problem, Settings, SettingsError
+from yolov5_lifecycle.settings import Change, Problem, Settings
 
 
 class Reconfiguration:
@@ -62,12 +62,10 @@ class Reconfiguration:
         unset = [parameter for parameter in parameters if parameter.type_ is Parameter.Type.NOT_SET]
         if unset and all(self.parameters.forget(parameter.name) for parameter in unset):
             return SetParametersResult(successful=True)
-        try:
-            candidate = self.parameters.candidate(parameters)
-        except SettingsError:
-            return self._node.set_parameters_atomically(parameters)  # which refuses it with the reasons
+        if problems := self.parameters.problems_of(parameters):
+            return refusal(problems)
         detection = self._running()
-        if detection is None or detection.model.serves(candidate):
+        if detection is None or detection.model.serves(self.parameters.candidate(parameters)):
             return self._node.set_parameters_atomically(parameters)
         return await self._reload(detection, parameters)
 
