@@ -36,6 +36,7 @@ def select(raw: NDArray[np.float32], selection: Selection) -> Detections:
 
     YOLOv5's rules with one class a box: objectness, and objectness * best class score, both above the
     threshold, then suppression within each class, or across classes when agnostic. The score is the product.
+    Raises ValueError when a box or score above the threshold is infinite, or a box NaN.
     """
     rows = raw[raw[:, 4] > selection.confidence_threshold]
     class_ids = rows[:, 5:].argmax(axis=1).astype(np.int64)
@@ -46,6 +47,8 @@ def select(raw: NDArray[np.float32], selection: Selection) -> Detections:
     candidates = np.flatnonzero(wanted)
     order = candidates[np.argsort(-scores[candidates], kind="stable")][:MAX_CANDIDATES]
     boxes_xyxy, scores, class_ids = cxcywh_to_xyxy(rows[order, :4]), scores[order], class_ids[order]
+    if not np.isfinite(boxes_xyxy).all():
+        raise ValueError("The boxes of raw predictions must be finite numbers, found NaN or infinity.")
     kept = suppress(
         boxes_xyxy,
         scores,

@@ -140,12 +140,22 @@ def _bytes_of(data: Any) -> NDArray[np.uint8]:
 
 def _compressed_size_hw(buffer: NDArray[np.uint8]) -> tuple[int, int]:
     """Height and width that a PNG or JPEG claims, read without decoding it."""
-    start = buffer[:24].tobytes()
-    if start[:8] == b"\x89PNG\r\n\x1a\n" and len(start) == 24:
-        return int.from_bytes(start[20:24], "big"), int.from_bytes(start[16:20], "big")
+    start = buffer[:8].tobytes()
+    if start == b"\x89PNG\r\n\x1a\n":
+        return _png_size_hw(buffer.data)
     if start[:2] == b"\xff\xd8":
         return _jpeg_size_hw(buffer.data)
-    raise ImageError(f"Expected a JPEG or PNG, found {buffer.size} bytes that begin with {start[:8].hex()}.")
+    raise ImageError(f"Expected a JPEG or PNG, found {buffer.size} bytes that begin with {start.hex()}.")
+
+
+def _png_size_hw(data: memoryview) -> tuple[int, int]:
+    """The size in the first chunk; all chunks must be there, as OpenCV 5 sets 4 GB aside if one says so."""
+    position = 8
+    while position < len(data):
+        position += 12 + _number(data, position, 4)
+    if position != len(data) or position < 45:
+        raise ImageError(f"Expected a whole PNG, found {len(data)} bytes that end within a chunk.")
+    return _number(data, 20, 4), _number(data, 16, 4)
 
 
 def _jpeg_size_hw(data: memoryview) -> tuple[int, int]:
@@ -154,8 +164,11 @@ def _jpeg_size_hw(data: memoryview) -> tuple[int, int]:
     while position + 9 <= len(data) and data[position] == 0xFF:
         marker = data[position + 1]
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            height, width = data[position + 5 : position + 7], data[position + 7 : position + 9]
-            return int.from_bytes(height, "big"), int.from_bytes(width, "big")
+            return _number(data, position + 5, 2), _number(data, position + 7, 2)
         is_fill = marker == 0xFF
-        position += 1 if is_fill else 2 + int.from_bytes(data[position + 2 : position + 4], "big")
+        position += 1 if is_fill else 2 + _number(data, position + 2, 2)
     raise ImageError(f"Expected a whole JPEG, found {len(data)} bytes without a frame header.")
+
+
+def _number(data: memoryview, position: int, size: int) -> int:
+    return int.from_bytes(data[position : position + size], "big")
