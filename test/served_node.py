@@ -20,6 +20,7 @@ from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomic
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
@@ -226,9 +227,13 @@ class ServedNode:
         return received[-1]
 
     def status(self) -> Any:
-        """The next diagnostic status of the node."""
-        seen = len(self.diagnostics)
-        self.wait_for(lambda: len(self.diagnostics) > seen, "diagnostics")
+        """The next diagnostic status of the node, made after this call."""
+        asked = self.client.get_clock().now()
+
+        def is_answered() -> bool:
+            return bool(self.diagnostics) and Time.from_msg(self.diagnostics[-1].header.stamp) > asked
+
+        self.wait_for(is_answered, "diagnostics")
         return self.diagnostics[-1].status[0]
 
     def values(self) -> dict[str, str]:
