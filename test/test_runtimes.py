@@ -1,0 +1,217 @@
+"""Devices and precisions are resolved or refused; torch runs what the network is."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from random_model import CLASS_NAMES, TINY, random_model, random_network
+from torch import Tensor
+
+from yolov5_lifecycle.images import Order
+from yolov5_lifecycle.network import Network
+from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.runtimes.torch_device import (
+    DeviceError,
+    devices_present,
+    resolve_device,
+    resolve_precision,
+)
+from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
+
+CPU = torch.device("cpu")
+needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no CUDA device")
+
+
+def random_frame(height: int = 64, width: int = 96) -> NDArray[np.uint8]:
+    return np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
+
+
+def runtime_of(network: Network) -> TorchRuntime:
+    return TorchRuntime(network, device=CPU, dtype=torch.float32)
+
+
+class FailingNetwork(Network):
+    """Raises instead of predicting."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(TINY)
+        self.error = error
+
+    def forward(self, pixels: Tensor) -> Tensor:
+        raise self.error
+
+
+def test_cpu_is_always_there() -> None:
+    assert resolve_device("cpu") == CPU
+    assert devices_present()[0] == "cpu"
+
+
+def test_auto_is_the_first_cuda_device_else_the_cpu() -> None:
+    assert str(resolve_device("auto")) == ("cuda:0" if torch.cuda.is_available() else "cpu")
+
+
+@pytest.mark.parametrize(
+    ("word", "name"),
+    [("cuda:99", "cuda:99"), ("99", "cuda:99"), ("cuda:099", "cuda:99"), ("cuda", "cuda:0"), ("mps", "mps")],
+)
+def test_an_absent_device_is_refused_with_what_there_is(word: str, name: str) -> None:
+    if name in devices_present():
+        assert str(resolve_device(word)) == name
+        return
+    with pytest.raises(DeviceError, match=f"Device '{name}' is absent: torch .* sees cpu.*Use one of these"):
+        resolve_device(word)
+
+
+@pytest.mark.parametrize(
+    "word", ["", "gpu", "cuda:", "cuda:x", "cuda:-1", "cuda:1:2", "-1", "1.0", "cpu:0", "²", "9" * 30, "meta"]
+)
+def test_another_word_is_no_device(word: str) -> None:
+    with pytest.raises(DeviceError, match="must be auto, cpu, cuda, cuda:N, N or mps, found"):
+        resolve_device(word)
+
+
+@pytest.mark.parametrize(
+    ("precision", "device", "dtype"),
+    [
+        ("auto", "cpu", torch.float32),
+        ("auto", "cuda:1", torch.float16),
+        ("auto", "mps", torch.float32),
+        ("fp32", "cpu", torch.float32),
+        ("fp32", "cuda", torch.float32),
+        ("fp16", "cuda", torch.float16),
+        ("fp16", "mps", torch.float16),
+    ],
+)
+def test_precision_is_resolved_for_the_device(precision: str, device: str, dtype: torch.dtype) -> None:
+    assert resolve_precision(precision, torch.device(device)) == dtype
+
+
+@pytest.mark.parametrize(
+    ("precision", "reason"), [("fp16", "needs a GPU"), ("half", "must be auto, fp32 or fp16")]
+)
+def test_a_precision_that_cannot_be_is_refused(precision: str, reason: str) -> None:
+    with pytest.raises(DeviceError, match=reason):
+        resolve_precision(precision, CPU)
+
+
+@pytest.mark.parametrize("size_hw", [(64, 96), (32, 32), (160, 64)], ids=str)
+def test_predictions_are_those_of_the_network_as_it_was_trained(size_hw: tuple[int, int]) -> None:
+    frame = random_frame(*size_hw)
+    pixels = torch.from_numpy(frame).permute(2, 0, 1)[None] / 255
+    with torch.inference_mode():
+        expected = random_network(5)(pixels)[0].numpy()
+    raw = TorchRuntime.load(random_model(5), device="cpu", precision="auto")(frame, "rgb")
+    assert raw.dtype == np.float32
+    np.testing.assert_allclose(raw, expected, rtol=1e-3, atol=1e-3)
+
+
+def test_the_order_of_colours_makes_no_difference() -> None:
+    runtime = runtime_of(random_network(1))
+    frame = random_frame()
+    np.testing.assert_array_equal(runtime(frame, "rgb"), runtime(frame[..., ::-1].copy(), "bgr"))
+    assert not np.array_equal(runtime(frame, "rgb"), runtime(frame, "bgr"))
+
+
+def test_frame_and_earlier_predictions_stay_as_they_are() -> None:
+    runtime = runtime_of(random_network(1))
+    frame = random_frame()
+    orders: list[Order] = ["rgb", "bgr"]
+    for order in orders:
+        first = runtime(frame, order)
+        before = first.copy()
+        runtime(255 - frame, order)
+        np.testing.assert_array_equal(first, before)
+    np.testing.assert_array_equal(frame, random_frame())
+
+
+def test_loading_leaves_the_model_as_it_was() -> None:
+    model, untouched = random_model(3), random_model(3)
+    runtime = TorchRuntime.load(model, device="cpu", precision="fp32")
+    runtime(random_frame(), "rgb")
+    for key, tensor in untouched.state_dict.items():
+        assert torch.equal(model.state_dict[key], tensor), key
+
+
+def test_what_was_resolved_can_be_read() -> None:
+    runtime = TorchRuntime.load(random_model(), device="cpu", precision="auto")
+    assert (runtime.name, runtime.device, runtime.precision) == ("torch", "cpu", "fp32")
+
+
+def test_an_absent_device_is_refused_by_loading() -> None:
+    with pytest.raises(DeviceError, match="absent"):
+        TorchRuntime.load(random_model(), device="cuda:99", precision="auto")
+
+
+def test_closing_frees_the_network_and_may_be_repeated() -> None:
+    network = random_network(0)
+    freed = weakref.ref(network)
+    runtime = runtime_of(network)
+    runtime(random_frame(), "rgb")
+    del network
+    runtime.close()
+    runtime.close()
+    gc.collect()
+    assert freed() is None
+
+
+def test_a_closed_runtime_says_so() -> None:
+    runtime = runtime_of(random_network(0))
+    runtime.close()
+    with pytest.raises(InferenceError, match="closed"):
+        runtime(random_frame(), "rgb")
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        pytest.param(
+            RuntimeError("mat1 and mat2\nException raised from ..."),
+            "failed on cpu: mat1 and mat2$",
+            id="any",
+        ),
+        pytest.param(torch.OutOfMemoryError("Tried to allocate 2 GiB."), "2 GiB. Use a smaller", id="memory"),
+        pytest.param(
+            torch.AcceleratorError("CUDA error: launch failure"), "launch failure$", id="accelerator"
+        ),
+    ],
+)
+def test_what_torch_raises_is_told_in_one_line_and_keeps_nothing_alive(
+    error: Exception, message: str
+) -> None:
+    runtime = runtime_of(FailingNetwork(error))
+    with pytest.raises(InferenceError, match=message) as failure:
+        runtime(random_frame(), "rgb")
+    assert failure.value.__context__ is None
+
+
+def test_a_mistake_in_the_program_is_not_hidden() -> None:
+    with pytest.raises(TypeError, match="mistake"):
+        runtime_of(FailingNetwork(TypeError("mistake")))(random_frame(), "rgb")
+
+
+@needs_cuda
+@pytest.mark.parametrize(("precision", "scores", "boxes_px"), [("fp32", 2e-3, 0.1), ("fp16", 2e-2, 1.0)])
+def test_cuda_predicts_what_the_cpu_predicts(precision: str, scores: float, boxes_px: float) -> None:
+    frame = random_frame(384, 640)
+    expected = TorchRuntime.load(random_model(2), device="cpu", precision="fp32")(frame, "bgr")
+    runtime = TorchRuntime.load(random_model(2), device="cuda", precision=precision)
+    raw = runtime(frame, "bgr")
+    assert (runtime.device, runtime.precision) == ("cuda:0", precision)
+    assert raw.shape == (len(expected), 5 + len(CLASS_NAMES))
+    np.testing.assert_allclose(raw[:, :4], expected[:, :4], rtol=1e-3, atol=boxes_px)
+    np.testing.assert_allclose(raw[:, 4:], expected[:, 4:], rtol=0, atol=scores)
+
+
+@needs_cuda
+def test_closing_gives_the_memory_of_the_gpu_back() -> None:
+    before = torch.cuda.memory_allocated()
+    runtime = TorchRuntime.load(random_model(), device="cuda", precision="auto")
+    runtime(random_frame(), "rgb")
+    runtime.close()
+    gc.collect()
+    assert torch.cuda.memory_allocated() <= before
