@@ -1,0 +1,102 @@
+"""A process that was started from here and does not outlive us."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+_KEPT_LINES = 5000
+_KILL_S = 5.0
+
+
+class ProcessError(RuntimeError):
+    """A process ended when it should not, or did not when it should; the message has its last lines."""
+
+
+class ChildProcess:
+    """Runs `command` and keeps what it says. A context manager: at its end the process is killed."""
+
+    def __init__(self, name: str, command: Sequence[str], environment: Mapping[str, str]) -> None:
+        self.name = name
+        self._lines: deque[str] = deque(maxlen=_KEPT_LINES)
+        self._process = subprocess.Popen(
+            list(command),
+            env=dict(environment),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+        )
+        self._reader = threading.Thread(target=self._read, name=f"output of {name}", daemon=True)
+        self._reader.start()
+
+    def __enter__(self) -> ChildProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        self._reader.join(_KILL_S)
+
+    @property
+    def output(self) -> str:
+        """What the process has said so far, on either stream."""
+        return "".join(tuple(self._lines))
+
+    @property
+    def process_id(self) -> int:
+        return self._process.pid
+
+    def check_running(self) -> None:
+        """Raise ProcessError if the process has ended."""
+        code = self._process.poll()
+        if code is not None:
+            self._reader.join(_KILL_S)
+            raise ProcessError(
+                f"the {self.name} ended with exit code {code}. Its last words:\n{self._tail()}"
+            )
+
+    def wait(self, timeout_s: float) -> int:
+        """The exit code once the process has ended; raises ProcessError when it lives longer."""
+        try:
+            code = self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            raise ProcessError(
+                f"the {self.name} did not end within {timeout_s:g} s. Its last words:\n{self._tail()}"
+            ) from None
+        self._reader.join(_KILL_S)
+        return code
+
+    def stop(self, signal_number: int = signal.SIGINT, *, timeout_s: float = 5.0) -> int:
+        """Ask the process to end; its exit code. Raises ProcessError when it does not."""
+        self._process.send_signal(signal_number)
+        return self.wait(timeout_s)
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as stream:
+            self._lines.extend(stream)
+
+    def _tail(self) -> str:
+        return "".join(f"  {line}" for line in tuple(self._lines)[-15:]) or "  (none)"
+
+
+def entry_point(name: str) -> str:
+    """Path of the installed executable `name` of this package: beside the running one, else beside Python.
+
+    Raises FileNotFoundError with what to do.
+    """
+    folders = [Path(sys.argv[0]).absolute().parent, Path(sys.executable).absolute().parent]
+    for folder in folders:
+        if (folder / name).is_file():
+            return str(folder / name)
+    raise FileNotFoundError(
+        f"no executable '{name}' in {' or '.join(map(str, folders))}: install the package (make install)"
+    )

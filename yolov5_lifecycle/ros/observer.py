@@ -1,0 +1,101 @@
+"""A node that watches and drives others from outside."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+
+PATIENCE_S = 20.0
+"""For one answer: an activate loads a model, maybe on a slow machine."""
+
+
+class NoAnswerError(TimeoutError):
+    """What was waited for did not come."""
+
+
+class Observer(Node):
+    """Works in the caller's thread, and only while that waits for something.
+
+    Owns its rclpy context, which belongs to `domain`. `check()` is called while waiting and may raise.
+    """
+
+    def __init__(self, name: str, *, domain: int, check: Callable[[], None] = lambda: None) -> None:
+        context = Context()
+        rclpy.init(args=[], context=context, domain_id=domain)
+        super().__init__(name, context=context, use_global_arguments=False)
+        self._check = check
+        self._clients_by_name: dict[str, Any] = {}
+        self._loop = SingleThreadedExecutor(context=context)
+        self._loop.add_node(self)
+
+    def close(self) -> None:
+        """Destroy the node and its context."""
+        self._loop.shutdown()
+        self.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+    def wait_for(self, condition: Callable[[], bool], what: str, *, timeout_s: float = PATIENCE_S) -> None:
+        """Work until `condition()`; raises NoAnswerError naming `what` when it takes too long."""
+        deadline_s = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline_s:
+                raise NoAnswerError(f"waited {timeout_s:g} s in vain for {what}")
+            self._check()
+            self._loop.spin_once(timeout_sec=0.05)
+
+    def work_for(self, duration_s: float) -> None:
+        """Take what comes for a while."""
+        end_s = time.monotonic() + duration_s
+        self.wait_for(lambda: time.monotonic() >= end_s, "time to pass", timeout_s=2 * duration_s + 1)
+
+    def call(self, service_type: Any, name: str, request: Any) -> Any:
+        """The response of the service `name`; raises NoAnswerError."""
+        if name not in self._clients_by_name:
+            self._clients_by_name[name] = self.create_client(service_type, name)
+        client = self._clients_by_name[name]
+        self.wait_for(client.service_is_ready, f"the service {name}")
+        future = client.call_async(request)
+        self.wait_for(future.done, f"an answer of {name}")
+        return future.result()
+
+
+class RemoteLifecycleNode:
+    """The managed node `name`, a full one such as `/yolov5`, through its services."""
+
+    def __init__(self, observer: Observer, name: str) -> None:
+        self._observer = observer
+        self._name = name
+
+    def state(self) -> str:
+        """Its lifecycle state, such as `inactive`."""
+        response = self._observer.call(GetState, f"{self._name}/get_state", GetState.Request())
+        return str(response.current_state.label)
+
+    def change_state(self, label: str) -> bool:
+        """Ask for the transition `label`; whether it succeeded."""
+        request = ChangeState.Request(transition=Transition(label=label))
+        return bool(self._observer.call(ChangeState, f"{self._name}/change_state", request).success)
+
+    def set_parameters(self, **values: object) -> str:
+        """Set all or none; the reason why not, "" when done."""
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        name = f"{self._name}/set_parameters_atomically"
+        result = self._observer.call(SetParametersAtomically, name, request).result
+        return "" if result.successful else (result.reason or "no reason given")
+
+    def parameter(self, name: str) -> Any:
+        """The value of the parameter `name`, None when it has none."""
+        request = GetParameters.Request(names=[name])
+        (value,) = self._observer.call(GetParameters, f"{self._name}/get_parameters", request).values
+        return parameter_value_to_python(value)
