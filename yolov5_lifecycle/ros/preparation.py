@@ -85,7 +85,7 @@ def resolve_package(path: str) -> str:
     package, _, rest = path.removeprefix(_PACKAGE_SCHEME).partition("/")
     try:
         return str(Path(get_package_share_directory(package)) / rest)
-    except (PackageNotFoundError, ValueError):
+    except (PackageNotFoundError, ValueError, OSError):  # the last without AMENT_PREFIX_PATH
         raise ValueError(
             f"{path}: no package '{package}' is installed in this environment. "
             "Source the workspace that has it, or give the path of the file."
