@@ -60,7 +60,7 @@ class ChildProcess:
         if code is not None:
             self._reader.join(_KILL_S)
             raise ProcessError(
-                f"the {self.name} ended with exit code {code}. Its last words:\n{self._tail()}"
+                f"the {self.name} ended with exit code {code}. Its last words:\n{self.last_words}"
             )
 
     def wait(self, timeout_s: float) -> int:
@@ -69,7 +69,7 @@ class ChildProcess:
             code = self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             raise ProcessError(
-                f"the {self.name} did not end within {timeout_s:g} s. Its last words:\n{self._tail()}"
+                f"the {self.name} did not end within {timeout_s:g} s. Its last words:\n{self.last_words}"
             ) from None
         self._reader.join(_KILL_S)
         return code
@@ -84,7 +84,9 @@ class ChildProcess:
         with self._process.stdout as stream:
             self._lines.extend(stream)
 
-    def _tail(self) -> str:
+    @property
+    def last_words(self) -> str:
+        """The last lines of the output, indented."""
         return "".join(f"  {line}" for line in tuple(self._lines)[-15:]) or "  (none)"
 
 

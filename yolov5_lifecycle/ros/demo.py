@@ -81,11 +81,14 @@ def _run(tell: Callable[[str], None]) -> tuple[list[Phase], Path]:
             for process in running:
                 process.check_running()
 
-        with closing(Observer("demo", domain=domain, check=check)) as observer:
-            demonstration = Demonstration(observer, RemoteLifecycleNode(observer, "/yolov5"), tell=tell)
-            phases, annotated = demonstration.run()
-            running.remove(detector)
-            demonstration.shut_down()
+        try:
+            with closing(Observer("demo", domain=domain, check=check)) as observer:
+                demonstration = Demonstration(observer, RemoteLifecycleNode(observer, "/yolov5"), tell=tell)
+                phases, annotated = demonstration.run()
+                running.remove(detector)
+                demonstration.shut_down()
+        except (DemonstrationError, NoAnswerError) as error:
+            raise DemonstrationError(f"{error}. The detector's last words:\n{detector.last_words}") from error
         _expect_clean_end("detector", detector.wait(_END_S))
         _expect_clean_end("camera", camera.stop(signal.SIGINT, timeout_s=_END_S))
         tell("both processes ended with exit code 0")
@@ -96,10 +99,16 @@ def _run(tell: Callable[[str], None]) -> tuple[list[Phase], Path]:
 def _processes(domain: int) -> Iterator[tuple[ChildProcess, ChildProcess]]:
     OUTPUT.mkdir(parents=True, exist_ok=True)
     # Fast DDS needs shared memory that holds a whole image; here it counts for all three processes.
-    os.environ |= isolated(domain) | {
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(_project_file("config/shm.xml")),
-        "ROS_LOG_DIR": str(OUTPUT.absolute() / "log"),
-    }
+    environment = (
+        {"AMENT_PREFIX_PATH": sys.prefix}
+        | isolated(os.environ, domain)
+        | {
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(_project_file("config/shm.xml")),
+            "ROS_LOG_DIR": str(OUTPUT.absolute() / "log"),
+        }
+    )
+    os.environ.clear()
+    os.environ.update(environment)
     camera_command = [entry_point("camera"), "--ros-args", "-r", "image_raw:=/yolov5/image_raw"]
     parameter_file = str(_project_file("config/demo.yaml"))
     detector_command = [entry_point("detector"), "--ros-args", "--params-file", parameter_file]

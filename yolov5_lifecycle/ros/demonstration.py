@@ -65,6 +65,7 @@ class Demonstration:
     def run(self) -> tuple[list[Phase], Picture]:
         """All phases in turn, and an annotated picture; raises DemonstrationError or NoAnswerError."""
         self._tell("waiting for the detector")
+        self._detector.wait_until_reachable()
         self._expect_state("unconfigured")
         self._transition("configure", "inactive")
         self._transition("activate", "active")

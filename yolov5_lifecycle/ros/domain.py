@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 _DOMAINS = range(1, 101)
 """Domain numbers whose UDP ports lie below those that Linux hands out by chance."""
+_OTHER_REACHES = ("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS")
 
 
 @contextmanager
@@ -28,12 +29,8 @@ def own_domain() -> Iterator[int]:
     raise RuntimeError(f"all {len(_DOMAINS)} ROS domains for tests and demos are in use on this machine")
 
 
-def isolated(domain: int) -> dict[str, str]:
-    """Environment variables that keep a process within `domain` of this machine."""
-    return {
-        "ROS_DOMAIN_ID": str(domain),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        # Its older form would win over the range.
-        "ROS_LOCALHOST_ONLY": "0",
-        "ROS_STATIC_PEERS": "",
-    }
+def isolated(environment: Mapping[str, str], domain: int) -> dict[str, str]:
+    """`environment` for a process that keeps to `domain` of this machine."""
+    # The older form would win over the range.
+    kept = {name: value for name, value in environment.items() if name not in _OTHER_REACHES}
+    return kept | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,6 +18,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 
 PATIENCE_S = 20.0
 """For one answer: an activate loads a model, maybe on a slow machine."""
+_FIRST_ANSWER_S = 1.0
 
 
 class NoAnswerError(TimeoutError):
@@ -34,7 +36,6 @@ class Observer(Node):
         rclpy.init(args=[], context=context, domain_id=domain)
         super().__init__(name, context=context, use_global_arguments=False)
         self._check = check
-        self._clients_by_name: dict[str, Any] = {}
         self._loop = SingleThreadedExecutor(context=context)
         self._loop.add_node(self)
 
@@ -58,14 +59,14 @@ class Observer(Node):
         end_s = time.monotonic() + duration_s
         self.wait_for(lambda: time.monotonic() >= end_s, "time to pass", timeout_s=2 * duration_s + 1)
 
-    def call(self, service_type: Any, name: str, request: Any) -> Any:
-        """The response of the service `name`; raises NoAnswerError."""
-        if name not in self._clients_by_name:
-            self._clients_by_name[name] = self.create_client(service_type, name)
-        client = self._clients_by_name[name]
-        self.wait_for(client.service_is_ready, f"the service {name}")
+    def call(self, client: Any, request: Any, *, timeout_s: float = PATIENCE_S) -> Any:
+        """The response to `request`; raises NoAnswerError."""
+        self.wait_for(client.service_is_ready, f"the service {client.srv_name}", timeout_s=timeout_s)
         future = client.call_async(request)
-        self.wait_for(future.done, f"an answer of {name}")
+        try:
+            self.wait_for(future.done, f"an answer of {client.srv_name}", timeout_s=timeout_s)
+        finally:
+            client.remove_pending_request(future)
         return future.result()
 
 
@@ -75,27 +76,42 @@ class RemoteLifecycleNode:
     def __init__(self, observer: Observer, name: str) -> None:
         self._observer = observer
         self._name = name
+        self._get_state = observer.create_client(GetState, f"{name}/get_state")
+        self._change_state = observer.create_client(ChangeState, f"{name}/change_state")
+        self._get_parameters = observer.create_client(GetParameters, f"{name}/get_parameters")
+        self._set_parameters = observer.create_client(
+            SetParametersAtomically, f"{name}/set_parameters_atomically"
+        )
+
+    def wait_until_reachable(self) -> None:
+        """Wait for a first answer; raises NoAnswerError.
+
+        A service looks ready before it knows the way back to us, and answers into the void until then.
+        """
+        deadline_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline_s:
+            with contextlib.suppress(NoAnswerError):
+                self._observer.call(self._get_state, GetState.Request(), timeout_s=_FIRST_ANSWER_S)
+                return
+        raise NoAnswerError(f"waited {PATIENCE_S:g} s in vain for the node {self._name}")
 
     def state(self) -> str:
         """Its lifecycle state, such as `inactive`."""
-        response = self._observer.call(GetState, f"{self._name}/get_state", GetState.Request())
-        return str(response.current_state.label)
+        return str(self._observer.call(self._get_state, GetState.Request()).current_state.label)
 
     def change_state(self, label: str) -> bool:
         """Ask for the transition `label`; whether it succeeded."""
         request = ChangeState.Request(transition=Transition(label=label))
-        return bool(self._observer.call(ChangeState, f"{self._name}/change_state", request).success)
+        return bool(self._observer.call(self._change_state, request).success)
 
     def set_parameters(self, **values: object) -> str:
         """Set all or none; the reason why not, "" when done."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
-        name = f"{self._name}/set_parameters_atomically"
-        result = self._observer.call(SetParametersAtomically, name, request).result
+        result = self._observer.call(self._set_parameters, request).result
         return "" if result.successful else (result.reason or "no reason given")
 
     def parameter(self, name: str) -> Any:
         """The value of the parameter `name`, None when it has none."""
-        request = GetParameters.Request(names=[name])
-        (value,) = self._observer.call(GetParameters, f"{self._name}/get_parameters", request).values
+        (value,) = self._observer.call(self._get_parameters, GetParameters.Request(names=[name])).values
         return parameter_value_to_python(value)
