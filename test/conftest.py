@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from yolov5_lifecycle.ros.domain import isolated, own_domain
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -28,16 +28,7 @@ def reference_dir() -> Path:
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A ROS_DOMAIN_ID that nobody else on this machine uses during the test; child processes inherit it."""
-    folder = Path(tempfile.gettempdir()) / "yolov5_lifecycle_domains"
-    folder.mkdir(exist_ok=True)
-    for domain in range(1, 101):
-        with (folder / str(domain)).open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-            monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-            yield domain
-            return
-    pytest.fail("all 100 test domains are in use")
+    with own_domain() as domain:
+        for name, value in isolated({}, domain).items():
+            monkeypatch.setenv(name, value)
+        yield domain

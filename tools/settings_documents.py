@@ -107,8 +107,8 @@ def _property(setting: Setting) -> dict[str, Any]:
         rules["items"] = {"type": ["string", "integer"]}
     if setting.choices:
         rules["enum"] = setting.choices
-    if setting.name == "device":
-        rules["type"] = ["string", "integer"]
+    elif setting.type is str:
+        rules["type"] = ["string", "integer"]  # a bare device index is taken as it is meant
     limits = {"minimum": setting.minimum, "maximum": setting.maximum, "multipleOf": setting.step}
     return rules | {name: value for name, value in limits.items() if value is not None}
 

@@ -36,6 +36,6 @@ def _ids(entry: str, class_names: Sequence[str]) -> list[int]:
 def _explain(entry: str, class_names: Sequence[str]) -> str:
     count = len(class_names)
     if entry.isascii() and entry.isdigit():
-        return f"Class index {entry} is out of range: the loaded model has {count} classes, 0 to {count - 1}."
+        return f"Class index {entry} is out of range: the model has {count} classes, 0 to {count - 1}."
     shown = ", ".join(class_names[:8]) + (", ..." if count > 8 else "")
-    return f"'{entry}' is not a class of the loaded model ({shown}).{did_you_mean(entry, class_names)}"
+    return f"'{entry}' is not a class of the model ({shown}).{did_you_mean(entry, class_names)}"

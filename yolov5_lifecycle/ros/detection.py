@@ -22,7 +22,7 @@ REST_TIMEOUT_S = 3.0
 class Detection:
     """Owns the model and the image subscription, made in this order and given back in the other.
 
-    Raises ClassFilterError when the settings select a class that the model does not have.
+    `model` and `settings` must agree: no `model_problems`.
     """
 
     def __init__(

@@ -11,13 +11,13 @@ from typing import Any
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from yolov5_lifecycle.class_filter import ClassFilterError
 from yolov5_lifecycle.ros.detection import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.frame_failures import MAX_CONSECUTIVE_FAILURES, FrameFailures
 from yolov5_lifecycle.ros.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.loading import ModelLoader, Preparation
 from yolov5_lifecycle.ros.outputs import Outputs
+from yolov5_lifecycle.ros.pipeline import model_problems
 from yolov5_lifecycle.ros.preparation import Prepare, prepare_model
 from yolov5_lifecycle.ros.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.services import harden
@@ -156,14 +156,13 @@ class DetectorNode(LifecycleNode):
         except (ValueError, OSError, RuntimeError) as error:
             self.report(f"activate refused: {error}")
             return FAILURE
-        try:
-            self._detection = Detection(
-                self, settings=self._settings, model=model, outputs=self._outputs, worker=self._worker
-            )
-        except ClassFilterError as error:
+        if problems := model_problems(self._settings, model.detector.class_names):
             model.close()
-            self.report(f"activate refused: classes: {error}")
+            self.report("activate refused: " + " ".join(map(str, problems)))
             return FAILURE
+        self._detection = Detection(
+            self, settings=self._settings, model=model, outputs=self._outputs, worker=self._worker
+        )
         self._failures.succeeded()
         self._problem = ""
         self.get_logger().info(

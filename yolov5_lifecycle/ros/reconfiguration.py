@@ -9,13 +9,18 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
 from yolov5_lifecycle.ros.detection import Detection
 from yolov5_lifecycle.ros.loading import ModelLoader
 from yolov5_lifecycle.ros.parameters import SettingsParameters, refusal
+from yolov5_lifecycle.ros.pipeline import model_problems
 from yolov5_lifecycle.ros.preparation import PreparedModel
 from yolov5_lifecycle.ros.services import Handler
 from yolov5_lifecycle.settings import Change, Problem, Settings
+
+_TOGETHER = (
+    " All parameters of this request would be valid together: send them through set_parameters_atomically, "
+    "or set them in another order."
+)
 
 
 class Reconfiguration:
@@ -47,8 +52,12 @@ class Reconfiguration:
         return {"set_parameters": self._set_one_by_one, "set_parameters_atomically": self._set_together}
 
     async def _set_one_by_one(self, request: Any, response: Any) -> Any:
-        for message in request.parameters:
-            response.results.append(await self._set([Parameter.from_parameter_msg(message)]))
+        parameters = [Parameter.from_parameter_msg(message) for message in request.parameters]
+        for parameter in parameters:
+            result = await self._set([parameter])
+            if not result.successful and len(parameters) > 1 and not self.parameters.problems_of(parameters):
+                result.reason += _TOGETHER
+            response.results.append(result)
         return response
 
     async def _set_together(self, request: Any, response: Any) -> Any:
@@ -99,11 +108,7 @@ class Reconfiguration:
                 Problem(name, "needs another model, which only the parameter services load.")
                 for name in names
             ]
-        try:
-            class_ids(candidate.classes, model.detector.class_names)
-        except ClassFilterError as error:
-            return [Problem("classes", str(error))]
-        return []
+        return model_problems(candidate, model.detector.class_names)
 
     def _commit(self, settings: Settings) -> None:
         self._on_commit(settings)

@@ -1,0 +1,53 @@
+"""A setting is one field and what uses it; everything between them is derived."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from yolov5_lifecycle.settings import SETTINGS, Setting
+
+REPOSITORY = Path(__file__).parents[1]
+SOURCES = sorted(
+    [*(REPOSITORY / "yolov5_lifecycle").rglob("*.py"), REPOSITORY / "tools" / "settings_documents.py"]
+)
+# What carries settings from the user to their use knows none of them by name.
+CARRIERS = {"parameters.py", "reconfiguration.py", "services.py", "status.py", "settings_documents.py"}
+SETTINGS_FILE = "settings.py"
+
+
+def _words(path: Path) -> Iterator[str]:
+    """Every identifier, keyword and text constant of a source file."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Attribute):
+            yield node.attr
+        elif isinstance(node, ast.Name):
+            yield node.id
+        elif isinstance(node, (ast.keyword, ast.arg)) and node.arg:
+            yield node.arg
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+PLACES = {path.name: set(_words(path)) for path in SOURCES}
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
+def test_a_setting_occurs_where_it_is_declared_and_where_it_is_used(setting: Setting) -> None:
+    places = {name for name, words in PLACES.items() if setting.name in words}
+    assert SETTINGS_FILE in places
+    assert places - {SETTINGS_FILE}, "a setting that nobody uses"
+    assert not places & CARRIERS
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
+def test_a_default_stands_once(setting: Setting) -> None:
+    declared = [
+        line
+        for line in (REPOSITORY / "yolov5_lifecycle" / SETTINGS_FILE).read_text().splitlines()
+        if line.strip().startswith(f"{setting.name}: Annotated[")
+    ]
+    assert len(declared) == 1
