@@ -28,15 +28,45 @@ def write_safetensors(model: Model, path: Path) -> None:
     tensors = {key: _smallest(tensor) for key, tensor in model.state_dict.items()}
     metadata = {
         "format": FORMAT,
-        "architecture": json.dumps(asdict(model.architecture)),
+        "architecture": json.dumps(_described(model.architecture)),
         "class_names": json.dumps(model.class_names),
     }
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-        file.write(save(tensors, metadata=metadata))
-        file.flush()
-        os.fsync(file.fileno())
-    Path(file.name).chmod(0o644)
-    Path(file.name).replace(path)
+    _write_whole(path, _repeatable(save(tensors, metadata=metadata)))
+
+
+def _repeatable(data: bytes) -> bytes:
+    """The same file, its metadata sorted: safetensors shuffles it, and equal models shall have equal digests."""
+    end = 8 + struct.unpack("<Q", data[:8])[0]
+    header = json.loads(data[8:end])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return struct.pack("<Q", len(text)) + text + data[end:]
+
+
+def _described(architecture: Architecture) -> dict[str, Any]:
+    """The architecture as JSON has it, with 1 and 1.0, or 0 and False, written alike."""
+    return asdict(architecture) | {
+        "anchors_px": [[list(map(float, anchor)) for anchor in level] for level in architecture.anchors_px],
+        "layers": [
+            [layer.sources, layer.repeats, layer.kind, list(map(int, layer.args))]
+            for layer in architecture.layers
+        ],
+    }
+
+
+def _write_whole(path: Path, data: bytes) -> None:
+    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
+    unfinished = Path(name)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(descriptor)
+        unfinished.chmod(0o644)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def read_safetensors(data: bytes) -> Model:
