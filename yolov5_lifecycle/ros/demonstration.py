@@ -15,7 +15,7 @@ from vision_msgs.msg import Detection2DArray
 from yolov5_lifecycle.images import Picture
 from yolov5_lifecycle.ros.messages import picture
 from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
-from yolov5_lifecycle.ros.sighting import Sighting, recall
+from yolov5_lifecycle.ros.sighting import Sighting, recall, stamp_ns
 
 WATCHED_MESSAGES = 120
 _LATER_MESSAGES = 30
@@ -193,9 +193,8 @@ class Demonstration:
         self._truths[truth.stamp_ns] = truth
 
     def _take_image(self, message: Image) -> None:
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
-        objects = [len(seen.scores) for seen in self._sightings if seen.stamp_ns == stamp_ns]
+        image_ns = stamp_ns(message.header)
+        objects = [len(seen.scores) for seen in self._sightings if seen.stamp_ns == image_ns]
         if objects and objects[0] >= _SEVERAL:
             self._annotated = picture(message)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from std_msgs.msg import Header
 from vision_msgs.msg import BoundingBox2D, Detection2DArray
 
 MATCHING_IOU = 0.5
@@ -27,11 +28,11 @@ class Sighting:
     @classmethod
     def now(cls, message: Detection2DArray) -> Sighting:
         """`message`, arriving now on the machine of the camera."""
-        stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        image_ns = stamp_ns(message.header)
         best = [detection.results[0].hypothesis for detection in message.detections]
         return cls(
-            stamp_ns=stamp_ns,
-            latency_ms=(time.time_ns() - stamp_ns) / 1e6,
+            stamp_ns=image_ns,
+            latency_ms=(time.time_ns() - image_ns) / 1e6,
             class_names=tuple(hypothesis.class_id for hypothesis in best),
             scores=tuple(hypothesis.score for hypothesis in best),
             boxes_xyxy=np.array([_xyxy(detection.bbox) for detection in message.detections]).reshape(-1, 4),
@@ -47,6 +48,11 @@ class Sighting:
         ious = pairwise_iou(truth.boxes_xyxy, self.boxes_xyxy)
         same = np.array(truth.class_names)[:, None] == np.array(self.class_names)[None, :]
         return int(((ious >= MATCHING_IOU) & same).any(axis=1).sum())
+
+
+def stamp_ns(header: Header) -> int:
+    """The stamp in nanoseconds."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
 def pairwise_iou(a_xyxy: NDArray[np.float64], b_xyxy: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,340 @@
+"""The installed executables as processes, over the real middleware, with the embedded model."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from detector_process import (
+    NODE,
+    PARAMETERS,
+    WEIGHTS,
+    DetectorProcess,
+    as_arguments,
+    detector_process,
+    environment,
+    is_balanced,
+    parameter_file,
+    scene_image,
+    scene_truth,
+)
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import Image
+from vision_msgs.msg import Detection2DArray
+
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.messages import picture
+from yolov5_lifecycle.ros.sighting import Sighting, pairwise_iou, recall, stamp_ns
+from yolov5_lifecycle.scene import CLASS_NAMES
+
+STATES = ("unconfigured", "inactive", "active")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _stay_on_this_machine() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        yield
+
+
+@pytest.fixture(scope="module")
+def shared_detector(_stay_on_this_machine: None) -> Iterator[DetectorProcess]:
+    with detector_process(*as_arguments(PARAMETERS)) as detector:
+        yield detector
+
+
+@pytest.fixture
+def detector(shared_detector: DetectorProcess) -> DetectorProcess:
+    """A running process, unconfigured, its parameters as at the start."""
+    shared_detector.reset()
+    return shared_detector
+
+
+@pytest.fixture
+def active(detector: DetectorProcess) -> DetectorProcess:
+    detector.bring_to("active")
+    return detector
+
+
+# The whole way of a frame
+
+
+def test_a_camera_and_the_detector_find_the_shapes_where_they_are(detector: DetectorProcess) -> None:
+    truths: dict[int, Sighting] = {}
+
+    def take_truth(message: Detection2DArray) -> None:
+        truths[stamp_ns(message.header)] = Sighting.now(message)
+
+    observer, messages = detector.observer, detector.detections
+    subscription = observer.create_subscription(Detection2DArray, "/camera/truth", take_truth, 10)
+    parameters = {"width": 320, "height": 240, "seed": 5, "frame_id": "lens"}
+    remap = f"image_raw:={NODE}/image_raw"
+    command = [entry_point("camera"), "--ros-args", "-r", remap, *as_arguments(parameters)]
+    with ChildProcess("camera", command, environment(detector.domain)) as camera:
+        detector.bring_to("active")
+        observer.wait_for(lambda: len(messages) >= 60, "60 messages")
+        assert {message.header.frame_id for message in messages} == {"lens"}
+        assert recall(map(Sighting.now, messages), truths) > 0.95
+        assert detector.transition("deactivate")
+        last_ns = stamp_ns(messages[-1].header)
+        assert detector.transition("activate")
+        observer.wait_for(lambda: stamp_ns(messages[-1].header) > last_ns, "messages once active again")
+        assert camera.stop(signal.SIGINT) == 0
+    observer.destroy_subscription(subscription)
+
+
+@pytest.mark.parametrize("padding", [0, 13])
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "mono8", "rgba8", "bgra8"])
+def test_every_encoding_is_understood(active: DetectorProcess, encoding: str, padding: int) -> None:
+    found = Sighting.now(active.detect(scene_image(7, encoding=encoding, padding=padding)))
+    truth = scene_truth(7)
+    # Without their colours some shapes hardly differ from what is behind them.
+    enough = len(truth.scores) // 2 if encoding == "mono8" else len(truth.scores) - 1
+    assert found.found_of(truth) >= enough
+
+
+def test_a_picture_without_shapes_gives_an_empty_message(active: DetectorProcess) -> None:
+    image = scene_image()
+    image.data[:] = type(image.data)("B", bytes([114]) * len(image.data))
+    assert active.detect(image).detections == []
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        pytest.param({"encoding": "yuv422"}, "yuv422", id="encoding"),
+        pytest.param({"step": 7}, "step", id="step"),
+        pytest.param({"height": 4000}, "bytes", id="height"),
+        pytest.param({"width": 0}, "width", id="empty"),
+    ],
+)
+def test_an_unreadable_image_is_counted_and_the_next_one_detected(
+    active: DetectorProcess, change: dict[str, object], reason: str
+) -> None:
+    active.look()
+    rejected = int(active.status()["frames rejected"])
+    image = scene_image()
+    for field, value in change.items():
+        setattr(image, field, value)
+    active.publish(image)
+    status = active.status()
+    assert int(status["frames rejected"]) == rejected + 1
+    assert reason in status["message"]
+    assert len(active.look().scores) > 0
+
+
+def test_the_annotated_image_has_the_header_of_its_source_and_boxes_drawn(active: DetectorProcess) -> None:
+    drawn: list[Image] = []
+    topic = f"{NODE}/image"
+    subscription = active.observer.create_subscription(Image, topic, drawn.append, QoSProfile(depth=1))
+    active.observer.wait_for(lambda: active.observer.count_publishers(topic) == 1, "the publisher of images")
+    source = scene_image()
+    found = Sighting.now(active.detect(source))
+    active.observer.wait_for(lambda: bool(drawn), "an annotated image")
+    active.observer.destroy_subscription(subscription)
+    assert drawn[0].header == source.header
+    changed = (picture(drawn[0]).pixels != picture(source).pixels).any(axis=2)
+    for x1, y1, _, y2 in np.rint(found.boxes_xyxy).astype(int):
+        left_side = changed[y1 + 3 : y2 - 3, max(x1 - 1, 0) : x1 + 2]
+        assert left_side.any(axis=1).mean() > 0.9
+
+
+def test_labels_reach_a_late_subscriber(active: DetectorProcess) -> None:
+    assert active.node.set_parameters(confidence_threshold=0.5) == ""
+    labels = active.late_label_info()
+    assert [(entry.class_id, entry.class_name) for entry in labels.class_map] == list(enumerate(CLASS_NAMES))
+    assert labels.threshold == 0.5
+
+
+# Parameters while active
+
+
+def test_a_raised_threshold_is_obeyed_by_the_next_frame(active: DetectorProcess) -> None:
+    scores = active.look().scores
+    middle = float(np.mean([min(scores), max(scores)]))
+    assert active.node.set_parameters(confidence_threshold=middle) == ""
+    assert active.look().scores == tuple(score for score in scores if score > middle)
+
+
+@pytest.mark.parametrize("classes", [["circle", "star"], ["0", "3"]], ids=["names", "indices"])
+def test_a_class_filter_is_obeyed_by_the_next_frame(active: DetectorProcess, classes: list[str]) -> None:
+    everything = set(active.look().class_names)
+    assert everything > {"circle", "star"}
+    assert active.node.set_parameters(classes=classes) == ""
+    assert set(active.look().class_names) == {"circle", "star"}
+    assert active.node.set_parameters(classes=[]) == ""
+    assert set(active.look().class_names) == everything
+
+
+def test_a_limit_on_detections_is_obeyed_by_the_next_frame(active: DetectorProcess) -> None:
+    best = active.look()
+    assert active.node.set_parameters(max_detections=2) == ""
+    assert active.look().scores == best.scores[:2]
+
+
+def test_agnostic_suppression_is_obeyed_by_the_next_frame(active: DetectorProcess) -> None:
+    assert active.node.set_parameters(confidence_threshold=0.001, iou_threshold=0.3) == ""
+    assert _largest_overlap(active.look()) > 0.3
+    assert active.node.set_parameters(agnostic_nms=True) == ""
+    assert _largest_overlap(active.look()) <= 0.3 + 1e-3
+
+
+def _largest_overlap(found: Sighting) -> float:
+    ious = pairwise_iou(found.boxes_xyxy, found.boxes_xyxy)
+    return float(np.triu(ious, k=1).max(initial=0))
+
+
+def test_a_class_that_the_model_does_not_have_is_refused_with_a_suggestion(active: DetectorProcess) -> None:
+    refusal = active.node.set_parameters(classes=["cirlce"])
+    assert "cirlce" in refusal
+    assert "Did you mean 'circle'?" in refusal
+    assert active.node.parameter("classes") == []
+    assert len(active.look().scores) > 0
+
+
+def test_another_image_size_is_swapped_in_while_active(active: DetectorProcess) -> None:
+    assert active.node.set_parameters(image_size=416) == ""
+    assert active.look().found_of(scene_truth()) >= len(scene_truth().scores) - 1
+    refusal = active.node.set_parameters(image_size=417)
+    assert "image_size" in refusal
+    assert active.node.parameter("image_size") == 416
+    assert active.node.state() == "active"
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_a_value_of_a_type_that_does_not_exist_is_refused(detector: DetectorProcess, state: str) -> None:
+    detector.bring_to(state)
+    (result,) = detector.set_one_by_one([Parameter(name="iou_threshold", value=ParameterValue(type=42))])
+    assert not result.successful
+    assert result.reason
+    assert detector.node.state() == state
+
+
+# States
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_diagnostics_tell_the_state_and_the_balance_of_frames(detector: DetectorProcess, state: str) -> None:
+    detector.bring_to("active")
+    detector.look()
+    detector.bring_to(state)
+    status = detector.status()
+    assert status["state"] == state
+    assert is_balanced(status)
+    assert int(status["frames detected"]) >= 1
+
+
+@pytest.mark.parametrize(
+    ("state", "refused"),
+    [
+        ("unconfigured", ("activate", "deactivate", "cleanup")),
+        ("inactive", ("configure", "deactivate")),
+        ("active", ("configure", "activate", "cleanup")),
+    ],
+)
+def test_a_transition_that_is_not_possible_is_refused(
+    detector: DetectorProcess, state: str, refused: tuple[str, ...]
+) -> None:
+    detector.bring_to(state)
+    for label in refused:
+        assert not detector.transition(label)
+    for transition_id in (0, 10, 99, 255):  # none, a private one, two that do not exist
+        assert not detector.transition(transition_id=transition_id)
+    assert detector.node.state() == state
+
+
+def test_missing_weights_are_named_with_the_remedy_and_may_be_given_then(detector: DetectorProcess) -> None:
+    assert detector.node.set_parameters(weights="/nowhere/shapes.safetensors") == ""
+    detector.bring_to("inactive")
+    assert not detector.transition("activate")
+    problem = detector.status()["last problem"]
+    assert "/nowhere/shapes.safetensors" in problem
+    assert "check the path" in problem
+    assert detector.node.state() == "inactive"
+    assert detector.node.set_parameters(weights=WEIGHTS) == ""
+    assert detector.transition("activate")
+    assert len(detector.look().scores) > 0
+
+
+def test_activate_names_a_class_that_the_model_does_not_have(detector: DetectorProcess) -> None:
+    assert detector.node.set_parameters(classes=["squaer"]) == ""
+    detector.bring_to("inactive")
+    assert not detector.transition("activate")
+    assert "Did you mean 'square'?" in detector.status()["last problem"]
+
+
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("state", STATES)
+def test_a_signal_ends_the_process_cleanly(state: str, signal_number: signal.Signals) -> None:
+    with detector_process(*as_arguments(PARAMETERS)) as detector:
+        detector.bring_to(state)
+        if state == "active":
+            detector.look()
+        assert detector.process.stop(signal_number, timeout_s=5.0) == 0
+    assert "Traceback" not in detector.process.output
+
+
+# Parameter files as people write them
+
+
+@pytest.mark.parametrize(
+    ("classes", "meant", "found"),
+    [
+        ("[]", [], CLASS_NAMES),
+        ("[0, 2]", ["0", "2"], ("circle", "triangle")),
+        ("[circle]", ["circle"], ("circle",)),
+    ],
+)
+def test_a_parameter_file_is_taken_as_it_is_meant(
+    tmp_path: Path, classes: str, meant: list[str], found: tuple[str, ...]
+) -> None:
+    text = f"weights: {WEIGHTS}\nimage_size: 320\nconfidence_threshold: 1\ndevice: 0\nclasses: {classes}"
+    with detector_process(*parameter_file(tmp_path, text)) as detector:
+        detector.bring_to("inactive")
+        assert detector.node.parameter("confidence_threshold") == 1.0
+        assert detector.node.parameter("classes") == meant
+        if not torch.cuda.is_available():
+            assert not detector.transition("activate")
+            problem = detector.status()["last problem"]
+            assert "cuda:0" in problem
+            assert "cpu" in problem
+        assert detector.node.set_parameters(device="cpu", confidence_threshold=0.25) == ""
+        detector.bring_to("active")
+        assert set(detector.look().class_names) == set(found)
+
+
+def test_every_mistake_in_a_parameter_file_is_named_and_can_be_mended(tmp_path: Path) -> None:
+    lines = ["confidance_threshold: 0.5", "iou_threshold: 1.5", "max_detections: many", "precision: half"]
+    text = "\n".join([*lines, "image_size: 321"])
+    with detector_process(*parameter_file(tmp_path, text)) as detector:
+        assert not detector.transition("configure")
+        told = detector.status()["last problem"]
+        for word in (
+            "confidance_threshold",
+            "Did you mean 'confidence_threshold'?",
+            "iou_threshold: 1.5",
+            "max_detections: 'many'",
+            "precision: 'half'",
+            "image_size: 321",
+        ):
+            assert word in told
+            assert word in detector.process.output
+        mended = {"iou_threshold": 0.5, "max_detections": 10, "precision": "auto"}
+        assert detector.node.set_parameters(confidence_threshold=0.5, **mended, **PARAMETERS) == ""
+        detector.bring_to("active")
+        assert len(detector.look().scores) > 0
+
+
+def test_a_parameter_file_that_cannot_be_parsed_fails_configure(tmp_path: Path) -> None:
+    with detector_process(*parameter_file(tmp_path, "classes: [circle, 0.5")) as detector:
+        for _ in range(2):
+            assert not detector.transition("configure")
+        assert "parameter file" in detector.status()["last problem"]
+        assert "line" in detector.process.output
+        assert detector.node.state() == "unconfigured"
+        assert detector.process.stop(signal.SIGTERM) == 0
