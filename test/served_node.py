@@ -90,14 +90,15 @@ class Preparations:
 class ServedNode:
     """A `DetectorNode` spun in a thread, and what a client needs to try it; a context manager."""
 
-    def __init__(self, prepare: Prepare, *, parameters: Sequence[str] = ()) -> None:
+    def __init__(
+        self, prepare: Prepare, *, parameters: Sequence[str] = (), arguments: Sequence[str] = ()
+    ) -> None:
+        """`parameters` are `name:=value`; `arguments` are further words of the command line."""
         self._context = rclpy.Context()
         rclpy.init(context=self._context, args=[])
         assignments = [word for parameter in parameters for word in ("-p", parameter)]
-        arguments = ["--ros-args", *assignments] if assignments else []
-        self.node = DetectorNode(
-            prepare=prepare, context=self._context, cli_args=arguments, arguments=arguments
-        )
+        words = [*arguments, *(["--ros-args", *assignments] if assignments else [])]
+        self.node = DetectorNode(prepare=prepare, context=self._context, cli_args=words, arguments=words)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._stopping = False

@@ -13,6 +13,7 @@ from yolov5_lifecycle.model import Model, WeightsError
 from yolov5_lifecycle.safetensors_file import read_safetensors
 
 MAX_FILE_BYTES = 2 << 30
+_IRREGULAR = "expected a regular file, found a folder, pipe or device"
 _READERS = {".safetensors": read_safetensors, ".pt": read_checkpoint, ".pth": read_checkpoint}
 
 
@@ -65,17 +66,21 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
 def _read_once(path: Path) -> bytes:
     """All bytes of a regular file; what is checked and what is used cannot differ."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        with open(path, "rb", opener=_open_without_waiting) as file:  # noqa: PTH123 - Path.open has no opener
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise WeightsError(_IRREGULAR)
+            if status.st_size > MAX_FILE_BYTES:
+                raise WeightsError(f"the file has {status.st_size} bytes; at most {MAX_FILE_BYTES} are read")
+            return file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError:
         raise WeightsError("there is no such file: check the path for a missing '/' or a typo") from None
-    except (OSError, ValueError) as error:
-        raise WeightsError(
-            f"the file cannot be opened ({getattr(error, 'strerror', None) or error})"
-        ) from None
-    with os.fdopen(descriptor, "rb") as file:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise WeightsError("expected a regular file, found a folder, pipe or device")
-        if status.st_size > MAX_FILE_BYTES:
-            raise WeightsError(f"the file has {status.st_size} bytes; at most {MAX_FILE_BYTES} are read")
-        return file.read(MAX_FILE_BYTES + 1)
+    except IsADirectoryError:
+        raise WeightsError(_IRREGULAR) from None
+    except OSError as error:
+        raise WeightsError(f"the file cannot be read ({error.strerror})") from None
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    """A pipe without a writer would hold a plain open for ever."""
+    return os.open(path, flags | os.O_NONBLOCK)
