@@ -65,8 +65,10 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
 
 def _read_once(path: Path) -> bytes:
     """All bytes of a regular file; what is checked and what is used cannot differ."""
+    if "\0" in str(path):
+        raise WeightsError("a path holds no NUL character: correct it")
     try:
-        with open(path, "rb", opener=_open_without_waiting) as file:  # noqa: PTH123 - Path.open has no opener
+        with open(path, "rb", opener=_open_without_waiting) as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
                 raise WeightsError(_IRREGULAR)
