@@ -68,6 +68,12 @@ def test_the_box_is_drawn_where_it_is() -> None:
     assert not drawn[190:].any()
 
 
+def test_a_box_that_ends_at_the_edge_is_closed() -> None:
+    drawn = annotate(black(100, 100), one(0, 0, 100, 100, class_id=2), NAMES)
+    for x, y in [(99, 50), (50, 99), (0, 50)]:
+        assert tuple(drawn[y, x]) == class_colour(2, "rgb"), (x, y)
+
+
 def test_colours_are_drawn_in_the_order_of_the_picture() -> None:
     detections = one(50, 100, 200, 180, class_id=1)
     in_rgb = annotate(black(240, 320, "rgb"), detections, NAMES)

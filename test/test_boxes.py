@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -72,6 +72,7 @@ selections = st.builds(
 )
 
 
+@settings(deadline=None)
 @given(raw=st.lists(rows, max_size=15).map(lambda listed: raw_rows(*listed, classes=3)), selection=selections)
 def test_the_selection_is_that_of_the_slow_one(raw: NDArray[np.float32], selection: Selection) -> None:
     before = raw.copy()
@@ -132,6 +133,12 @@ def test_boxes_of_two_classes_suppress_each_other_only_when_agnostic(
     assert [class_id for _, _, class_id in found(raw, agnostic_nms=agnostic_nms)] == class_ids
 
 
+@pytest.mark.parametrize("size", [(100, 4), (4, 100)], ids=["wide", "high"])
+def test_boxes_of_many_classes_stay_apart_whatever_their_shape(size: Row) -> None:
+    raw = raw_rows(*[(0, 0, *size, 0.9, *np.eye(50)[class_id]) for class_id in range(50)], classes=50)
+    assert len(found(raw, iou_threshold=0.0)) == 50
+
+
 def test_a_better_box_of_an_unwanted_class_suppresses_nothing() -> None:
     raw = raw_rows((10, 10, 10, 10, 0.9, 1.0, 0.0), (10, 10, 10, 10, 0.8, 0.0, 1.0))
     kept = found(raw, classes=frozenset({1}), agnostic_nms=True)
@@ -158,6 +165,7 @@ def test_only_the_best_candidates_enter_the_suppression() -> None:
     assert len(found(raw[:-1])) == 2
 
 
+@settings(deadline=None)
 @given(
     seed=st.integers(0, 100),
     places=st.integers(1, 300),
@@ -178,12 +186,18 @@ def test_a_limit_gives_the_beginning_of_what_no_limit_gives(seed: int, places: i
     np.testing.assert_array_equal(kept, everything[:limit])
 
 
-def test_many_classes_far_apart_keep_the_precision_of_the_boxes() -> None:
-    boxes_xyxy = np.array([[0, 0, 639.5, 639.5], [0, 0, 639.5, 639.5], [0.25, 0, 639.75, 639.5]], np.float32)
-    scores = np.array([0.9, 0.8, 0.7], np.float32)
-    groups = np.array([9_999, 9_998, 9_999])
-    for iou_threshold, kept in ((639.25 / 639.75 - 1e-5, [0, 1]), (639.25 / 639.75 + 1e-5, [0, 1, 2])):
-        indices = suppress(boxes_xyxy, scores, groups=groups, iou_threshold=iou_threshold, limit=9)
+@pytest.mark.parametrize("shift_px", [0.0625, 0.1, 0.3, 1.3])
+def test_a_high_class_id_does_not_blur_the_boxes(shift_px: float) -> None:
+    boxes_xyxy = np.array([[0, 0, 99, 99], [0, 0, 99, 99], [shift_px, 0, 99 + shift_px, 99]], np.float32)
+    iou = (99 - shift_px) / (99 + shift_px)
+    for iou_threshold, kept in ((iou - 1e-5, [0, 1]), (iou + 1e-5, [0, 1, 2])):
+        indices = suppress(
+            boxes_xyxy,
+            np.array([0.9, 0.8, 0.7], np.float32),
+            groups=np.array([9_999, 9_998, 9_999]),
+            iou_threshold=iou_threshold,
+            limit=9,
+        )
         assert indices.tolist() == kept
 
 

@@ -146,6 +146,7 @@ def test_an_empty_buffer_is_refused() -> None:
 numbers = st.integers(-1, 20) | st.integers(-(2**63), 2**64)
 
 
+@settings(deadline=None)
 @given(
     size=st.integers(0, 300),
     encoding=st.sampled_from([*ENCODINGS, "16UC1"]),
@@ -216,6 +217,12 @@ def test_the_rotation_a_jpeg_asks_for_is_not_made() -> None:
     segment = b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif
     data = compressed(".jpg")
     assert decode_compressed(data[:2] + segment + data[2:]).size_hw == (40, 60)
+
+
+def test_a_jpeg_may_have_fill_bytes_and_a_table_before_its_frame_header() -> None:
+    data = compressed(".jpg")
+    table = b"\xff\xc4" + (19).to_bytes(2, "big") + b"\x03" + bytes(16)  # an empty Huffman table
+    assert decode_compressed(data[:2] + table + b"\xff\xff" + data[2:]).size_hw == (40, 60)
 
 
 def claiming(data: bytes, height: int, width: int) -> bytes:

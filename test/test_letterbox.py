@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -20,6 +20,7 @@ def random_pixels(source_hw: tuple[int, int]) -> NDArray[np.uint8]:
     return np.random.default_rng(0).integers(0, 256, (*source_hw, 3), np.uint8)
 
 
+@settings(deadline=None)
 @given(source_hw=sizes_hw, stride=strides, steps=st.integers(1, 20), rectangular=st.booleans())
 def test_numbers_are_those_of_yolov5(
     source_hw: tuple[int, int], stride: int, steps: int, rectangular: bool
@@ -40,6 +41,7 @@ def test_numbers_are_those_of_yolov5(
     assert (right, bottom) == (round(padding_w / 2 + 0.1), round(padding_h / 2 + 0.1))
 
 
+@settings(deadline=None)
 @given(source_hw=sizes_hw, stride=strides)
 def test_the_frame_is_a_multiple_of_the_stride_and_as_long_as_asked(
     source_hw: tuple[int, int], stride: int
@@ -81,6 +83,7 @@ def test_a_read_only_view_with_padded_rows_gives_the_same_frame_and_stays_as_it_
     np.testing.assert_array_equal(padded, before)
 
 
+@settings(deadline=None)
 @given(source_hw=sizes_hw, rectangular=st.booleans(), data=st.data())
 def test_undo_is_the_inverse_of_the_way_pixels_go(
     source_hw: tuple[int, int], rectangular: bool, data: st.DataObject
@@ -111,6 +114,7 @@ def test_a_shape_in_the_frame_is_found_where_it_is_in_the_picture(source_hw: tup
     np.testing.assert_allclose(letterbox.undo(found), [[x1, y1, x2, y2]], atol=tolerance_px)
 
 
+@settings(deadline=None)
 @given(
     source_hw=sizes_hw,
     corners=st.lists(st.tuples(*[st.floats(-1e4, 1e4, width=32)] * 4), max_size=5),

@@ -123,3 +123,5 @@ def test_predictions_of_half_layers_are_decoded_in_full_precision() -> None:
         raw = network(pixels.half())
     assert raw.dtype == torch.float32
     torch.testing.assert_close(raw, expected, rtol=0.02, atol=0.1)
+    centres = raw[..., :2]
+    assert (centres != centres.half()).any()

@@ -84,10 +84,10 @@ def suppress(
 
 
 def _apart(boxes_xyxy: NDArray[np.float32], groups: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Corner and size (n, 4), each group moved so far that boxes of two groups cannot touch."""
+    """Corner and size (n, 4), each group moved so far that boxes of two groups cannot overlap."""
     boxes = boxes_xyxy.astype(np.float64)
     if len(boxes):
-        boxes[:, 0::2] += (groups * (np.ptp(boxes[:, 0::2]) + 1.0))[:, None]
+        boxes[:, 0::2] += (groups * np.ptp(boxes[:, 0::2]))[:, None]
     boxes[:, 2:] -= boxes[:, :2]
     return boxes
 
