@@ -178,10 +178,10 @@ def test_a_limit_on_detections_is_obeyed_by_the_next_frame(active: DetectorProce
 
 
 def test_agnostic_suppression_is_obeyed_by_the_next_frame(active: DetectorProcess) -> None:
-    assert active.node.set_parameters(confidence_threshold=0.001, iou_threshold=0.3) == ""
-    assert _largest_overlap(active.look()) > 0.3
+    assert active.node.set_parameters(confidence_threshold=0.0001, iou_threshold=0.0) == ""
+    assert _largest_overlap(active.look()) > 0.05
     assert active.node.set_parameters(agnostic_nms=True) == ""
-    assert _largest_overlap(active.look()) <= 0.3 + 1e-3
+    assert _largest_overlap(active.look()) < 0.01
 
 
 def _largest_overlap(found: Sighting) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import textwrap
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,9 @@ class ChildProcess:
 
     def __init__(self, name: str, command: Sequence[str], environment: Mapping[str, str]) -> None:
         self.name = name
+        self._heard = threading.Condition()
         self._lines: deque[str] = deque(maxlen=_KEPT_LINES)
+        self._is_silent = False
         self._process = subprocess.Popen(
             list(command),
             env=dict(environment),
@@ -48,7 +51,8 @@ class ChildProcess:
     @property
     def output(self) -> str:
         """What the process has said so far, on either stream."""
-        return "".join(tuple(self._lines))
+        with self._heard:
+            return "".join(self._lines)
 
     @property
     def process_id(self) -> int:
@@ -62,6 +66,13 @@ class ChildProcess:
             raise ProcessError(
                 f"the {self.name} ended with exit code {code}. Its last words:\n{self.last_words}"
             )
+
+    def wait_for_output(self, text: str, timeout_s: float) -> None:
+        """Wait until `text` was said; raises ProcessError when it takes longer or the process has ended."""
+        with self._heard:
+            self._heard.wait_for(lambda: self._is_silent or text in "".join(self._lines), timeout_s)
+        if text not in self.output:
+            raise ProcessError(f"the {self.name} did not say '{text}', its last words:\n{self.last_words}")
 
     def wait(self, timeout_s: float) -> int:
         """The exit code once the process has ended; raises ProcessError when it lives longer."""
@@ -82,12 +93,18 @@ class ChildProcess:
     def _read(self) -> None:
         assert self._process.stdout is not None
         with self._process.stdout as stream:
-            self._lines.extend(stream)
+            for line in stream:
+                with self._heard:
+                    self._lines.append(line)
+                    self._heard.notify_all()
+        with self._heard:
+            self._is_silent = True
+            self._heard.notify_all()
 
     @property
     def last_words(self) -> str:
         """The last lines of the output, indented."""
-        return "".join(f"  {line}" for line in tuple(self._lines)[-15:]) or "  (none)"
+        return textwrap.indent("\n".join(self.output.splitlines()[-15:]) or "(none)", "  ")
 
 
 def entry_point(name: str) -> str:
