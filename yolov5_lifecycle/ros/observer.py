@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
-PATIENCE_S = 20.0
+PATIENCE_S = 30.0
 """For one answer: an activate loads a model, maybe on a slow machine."""
 _FIRST_ANSWER_S = 1.0
 
