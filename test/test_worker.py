@@ -169,3 +169,17 @@ def test_rest_ends_when_the_frame_in_work_does_although_frames_go_on(line: Line)
 
 def test_rest_without_work_returns_at_once(line: Line) -> None:
     assert line.worker.rest(0.0)
+
+
+def test_close_tells_of_a_thread_that_was_given_up(line: Line) -> None:
+    line.worker.start(line.process)
+    line.hold(1)
+    assert not line.worker.close(0.01)
+    line.gate.set()
+
+
+def test_close_ends_the_thread(line: Line) -> None:
+    line.worker.start(line.process)
+    line.feed(1)
+    assert line.worker.close(PATIENCE_S)
+    assert not {thread.ident for thread in threading.enumerate()} & line.threads

@@ -42,6 +42,7 @@ class Worker(Generic[Frame]):
         self._delivering = False
         self._jobs_done = 0
         self._closed = False
+        self._given_up: list[threading.Thread] = []
         self._thread = self._new_thread()
         self._thread.start()
 
@@ -82,6 +83,7 @@ class Worker(Generic[Frame]):
             if not rested:
                 self._counter.finish(Outcome.FAILED)
                 self._busy = False
+                self._given_up.append(self._thread)
                 self._thread = self._new_thread()
                 self._thread.start()
             return rested
@@ -93,13 +95,13 @@ class Worker(Generic[Frame]):
             return self._changed.wait_for(lambda: not self._busy or self._jobs_done > jobs_done, timeout_s)
 
     def close(self, timeout_s: float) -> bool:
-        """Stop and end the thread; True when it ended in time."""
-        rested = self.stop(timeout_s)
+        """Stop and end the thread; True when it and all that were given up have ended."""
+        self.stop(timeout_s)
         with self._changed:
             self._closed = True
             self._changed.notify_all()
         self._thread.join(timeout_s)
-        return rested
+        return not any(thread.is_alive() for thread in (self._thread, *self._given_up))
 
     def balance(self) -> FrameBalance:
         """A consistent snapshot of all counts."""
@@ -135,7 +137,7 @@ class Worker(Generic[Frame]):
             deliver()
         except ImageError as unreadable:
             outcome, error = Outcome.REJECTED, unreadable
-        except Exception as failure:
+        except Exception as failure:  # noqa: BLE001 - counted and reported; the next frame is served
             outcome, error = Outcome.FAILED, failure
         if self._finish(outcome):
             self._report(outcome, error)

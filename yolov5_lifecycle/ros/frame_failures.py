@@ -9,6 +9,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from yolov5_lifecycle.frame_balance import Outcome
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 
 MAX_CONSECUTIVE_FAILURES = 10
 _RECENT_S = 2.0
@@ -17,12 +18,17 @@ _RECENT_S = 2.0
 class FrameFailures:
     """Says failures in the log once in a while, and calls `on_too_many(reason)` after so many in a row.
 
+    `on_device_lost(reason)` is called when no further frame can succeed. Both run in the executor.
+
     Keeps texts only: an exception would keep the model alive through its traceback.
     """
 
-    def __init__(self, node: Node, *, on_too_many: Callable[[str], None]) -> None:
+    def __init__(
+        self, node: Node, *, on_too_many: Callable[[str], None], on_device_lost: Callable[[str], None]
+    ) -> None:
         self._node = node
         self._on_too_many = on_too_many
+        self._on_device_lost = on_device_lost
         self._consecutive = 0
         self._rejection = ""
         self._rejected_s = float("-inf")
@@ -40,9 +46,14 @@ class FrameFailures:
         reason = f"{type(error).__name__}: {error}"
         self._node.get_logger().error(f"inference failed: {reason}", throttle_duration_sec=5.0)
         self._node.get_logger().debug("".join(traceback.format_exception(error)))
-        executor = self._node.executor
-        if self._consecutive == MAX_CONSECUTIVE_FAILURES and executor is not None:
-            executor.create_task(self._on_too_many, reason)
+        if isinstance(error, DeviceLostError):
+            self._tell(self._on_device_lost, reason)
+        elif self._consecutive == MAX_CONSECUTIVE_FAILURES:
+            self._tell(self._on_too_many, reason)
+
+    def _tell(self, what: Callable[[str], None], reason: str) -> None:
+        if (executor := self._node.executor) is not None:
+            executor.create_task(what, reason)
 
     def recent_rejection(self) -> str:
         """Why the last image was rejected, if that was just now."""

@@ -40,7 +40,7 @@ def logged(transition: Transition) -> Transition:
     def guarded(node: DetectorNode, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             return transition(node, state)
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - logged with its traceback, answered with ERROR
             node.report(f"unexpected {type(error).__name__} in {transition.__name__}: {error}")
             node.get_logger().error(traceback.format_exc())
             return ERROR
@@ -57,6 +57,8 @@ class DetectorNode(LifecycleNode):
     `prepare` makes a model from settings; tests pass one of their own. `arguments` are the words of the
     command line. `parameter_file_error` says why a parameter file could not be read at all; configure refuses
     until the process is started with a good one.
+
+    `device_lost` becomes true when only a new process can detect again.
     """
 
     def __init__(
@@ -78,7 +80,8 @@ class DetectorNode(LifecycleNode):
         self._detection: Detection | None = None
         self._preparation: Preparation | None = None
         self._is_loading = False
-        self._failures = FrameFailures(self, on_too_many=self._give_up)
+        self.device_lost = False
+        self._failures = FrameFailures(self, on_too_many=self._give_up, on_device_lost=self._lose_device)
         self._worker: Worker[ReceivedFrame] = Worker(
             on_failure=self._failures.failed, on_success=self._failures.succeeded
         )
@@ -103,11 +106,6 @@ class DetectorNode(LifecycleNode):
         # rclpy offers the state through a service alone.
         return str(self._state_machine.current_state[1])
 
-    @property
-    def is_loading(self) -> bool:
-        """Whether a model is being prepared in a thread, which nothing can interrupt."""
-        return self._loader.is_busy
-
     def report(self, problem: str) -> None:
         """Tell the log now, and diagnostics until the next success."""
         self._problem = problem
@@ -123,13 +121,13 @@ class DetectorNode(LifecycleNode):
             self.trigger_activate()
 
     def close(self) -> bool:
-        """Shut down from any state and release everything; False when a hung inference was left behind."""
+        """Shut down from any state and release everything; False when a thread had to be left at its work."""
         if self.state_label in ("unconfigured", "inactive", "active"):
             self.trigger_shutdown()
         self._loader.close()
-        rested = self._worker.close(REST_TIMEOUT_S)
+        ended = self._worker.close(REST_TIMEOUT_S)
         self.destroy_node()
-        return rested
+        return ended and not self._loader.is_busy
 
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -251,6 +249,11 @@ class DetectorNode(LifecycleNode):
             self.report(
                 f"deactivated after {MAX_CONSECUTIVE_FAILURES} failed frames in a row, the last: {reason}"
             )
+
+    def _lose_device(self, reason: str) -> None:
+        self.report(f"the device is lost to this process, which ends: {reason}")
+        self._diagnostics.publish()
+        self.device_lost = True
 
     def _status(self) -> Status:
         detection = self._detection

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,9 +43,11 @@ class PreparedModel:
         return not self.settings.differing(settings, Change.RELOAD)
 
     def close(self) -> None:
-        """Free the model and give its memory back to the system."""
+        """Free the model and give its memory back to the system.
+
+        No cycle holds a network, so no garbage collection is needed; one would stop every thread for 0.15 s.
+        """
         self.detector.close()
-        gc.collect()
         give_back_memory()
 
 

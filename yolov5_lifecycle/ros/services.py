@@ -32,7 +32,7 @@ def _answering(node: Node, service: Service, handler: Handler) -> Handler:
         try:
             answered = handler(request, response)
             return await answered if inspect.isawaitable(answered) else answered
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - logged, and the caller gets an answer
             node.get_logger().error(
                 f"{service.srv_name}: request refused: {type(error).__name__}: {str(error)[:300]}",
                 throttle_duration_sec=1.0,

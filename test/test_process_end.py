@@ -1,0 +1,67 @@
+"""How the detector's process ends when its model misbehaves."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+from detector_process import environment, scene_image
+from sensor_msgs.msg import Image
+from vision_msgs.msg import Detection2DArray
+
+from yolov5_lifecycle.ros.child_process import ChildProcess
+from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.domain import own_domain
+from yolov5_lifecycle.ros.observer import Observer
+
+SCRIPT = Path(__file__).with_name("faulty_detector.py")
+
+
+@contextmanager
+def faulty_detector(fault: str) -> Iterator[tuple[ChildProcess, Observer]]:
+    """A detector that starts by itself and has `fault`."""
+    command = [sys.executable, str(SCRIPT), fault, "--ros-args", "-p", "autostart:=true"]
+    with (
+        own_domain() as domain,
+        ChildProcess("detector", command, environment(domain)) as process,
+        closing(Observer("client", domain=domain)) as observer,
+    ):
+        yield process, observer
+
+
+def send_until(observer: Observer, is_done: Callable[[], bool], what: str) -> None:
+    """Publish pictures to the node until `is_done()`."""
+    observer.create_subscription(Detection2DArray, "/yolov5/detections", lambda _: None, 10)
+    publisher = observer.create_publisher(Image, "/yolov5/image_raw", 1)
+
+    def is_over() -> bool:
+        publisher.publish(scene_image())
+        return is_done()
+
+    observer.wait_for(is_over, what)
+
+
+def test_a_lost_device_ends_the_process_with_its_own_code() -> None:
+    with faulty_detector("lose_device") as (process, observer):
+        send_until(observer, lambda: "fallen off the bus" in process.output, "the fault")
+        assert process.wait(10) == EXIT_DEVICE_LOST
+
+
+@pytest.mark.parametrize(
+    ("fault", "sign"),
+    [("hang", "hanging"), ("load_slowly", "configured with")],
+    ids=["inference", "loading"],
+)
+def test_a_signal_ends_the_process_in_time_whatever_hangs(fault: str, sign: str) -> None:
+    with faulty_detector(fault) as (process, observer):
+        if fault == "hang":
+            send_until(observer, lambda: sign in process.output, "the model")
+        observer.wait_for(lambda: sign in process.output, sign)
+        begun_s = time.monotonic()
+        assert process.stop(signal.SIGTERM, timeout_s=10) == 0
+        assert time.monotonic() - begun_s < 5
