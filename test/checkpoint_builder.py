@@ -10,12 +10,31 @@ from types import ModuleType
 from typing import Any
 
 import torch
-from random_model import CLASS_NAMES, TINY, random_network
+from random_model import CLASS_NAMES, random_network
 from torch import nn
 
 from yolov5_lifecycle import network as own
 from yolov5_lifecycle.architecture import Architecture, Layer
 
+SMALL = Architecture(
+    depth_multiple=0.33,
+    width_multiple=0.125,
+    classes=len(CLASS_NAMES),
+    anchors_px=(((10, 13), (16, 30)), ((30, 61), (62, 45))),
+    strides=(4, 8),
+    layers=(
+        Layer((-1,), 1, "Conv", (64, 6, 2)),
+        Layer((-1,), 1, "Conv", (64, 3, 2)),
+        Layer((-1,), 3, "C3", (64,)),
+        Layer((-1,), 1, "Conv", (64, 3, 2)),
+        Layer((-1,), 1, "SPPF", (64, 5)),
+        Layer((-1,), 1, "Upsample"),
+        Layer((-1, 2), 1, "Concat"),
+        Layer((-1,), 1, "C3", (64, 0)),
+        Layer((7, 4), 1, "Detect"),
+    ),
+)
+"""One layer of each kind: quick to write and to read."""
 _CLASSES: dict[str, type] = {}
 _OFFICIAL_NAMES: dict[type, str] = {
     own.Conv: "models.common.Conv",
@@ -66,7 +85,7 @@ def _importable(classes: dict[str, type]) -> Iterator[None]:
 
 
 def official_model(
-    architecture: Architecture = TINY,
+    architecture: Architecture = SMALL,
     names: object = CLASS_NAMES,
     *,
     seed: int = 0,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from checkpoint_builder import foreign, official_model, saved, stripped
+from checkpoint_builder import SMALL, foreign, official_model, saved, stripped
 from random_model import CLASS_NAMES, TINY, random_network
 
 from yolov5_lifecycle.architecture import SIZES, Architecture, Layer
@@ -51,7 +51,7 @@ P2 = dataclasses.replace(
 )
 
 
-def read(architecture: Architecture = TINY, **options: Any) -> Model:
+def read(architecture: Architecture = SMALL, **options: Any) -> Model:
     return read_checkpoint(saved(stripped(official_model(architecture, **options))))
 
 
@@ -63,7 +63,7 @@ def names_of(classes: int) -> list[str]:
 @pytest.mark.parametrize("kind", ["models.yolo.Model", "models.yolo.DetectionModel"])
 def test_the_tensors_are_those_that_were_saved(kind: str, half: bool) -> None:
     model = read(kind=kind, half=half)
-    expected = random_network(0)
+    expected = random_network(0, SMALL)
     state_dict = (expected.half() if half else expected).float().state_dict()
     assert model.state_dict.keys() == state_dict.keys()
     for key, tensor in model.state_dict.items():
@@ -77,14 +77,14 @@ def test_the_tensors_are_those_that_were_saved(kind: str, half: bool) -> None:
         pytest.param(TINY, id="n layout"),
         pytest.param(TINY_N6, id="P6 layout"),
         pytest.param(P2, id="P2 head"),
-        pytest.param(dataclasses.replace(TINY, depth_multiple=0.67), id="deeper"),
-        pytest.param(dataclasses.replace(TINY, width_multiple=0.1), id="odd width"),
+        pytest.param(dataclasses.replace(SMALL, depth_multiple=0.67), id="deeper"),
+        pytest.param(dataclasses.replace(SMALL, width_multiple=0.1), id="odd width"),
         pytest.param(
-            dataclasses.replace(TINY, anchors_px=tuple(level[:2] for level in TINY.anchors_px)),
-            id="two anchors a level",
+            dataclasses.replace(SMALL, anchors_px=tuple(level[:1] for level in SMALL.anchors_px)),
+            id="one anchor a level",
         ),
         pytest.param(
-            dataclasses.replace(TINY, anchors_px=(((7.5, 9.25),) * 3,) * 3), id="anchors that were evolved"
+            dataclasses.replace(SMALL, anchors_px=(((7.5, 9.25),) * 2,) * 2), id="anchors that were evolved"
         ),
     ],
 )
@@ -106,7 +106,7 @@ def _without_anchors(architecture: Architecture) -> Architecture:
 
 @pytest.mark.parametrize("classes", [1, 2, 80, 365])
 def test_any_number_of_classes_is_read(classes: int) -> None:
-    model = read(dataclasses.replace(TINY, classes=classes), names=names_of(classes))
+    model = read(dataclasses.replace(SMALL, classes=classes), names=names_of(classes))
     assert model.architecture.classes == classes
     assert model.class_names == tuple(names_of(classes))
 
@@ -154,13 +154,13 @@ def training_checkpoint(*, ema: Any) -> dict[str, Any]:
 def test_of_a_training_checkpoint_the_averaged_model_is_read() -> None:
     model = read_checkpoint(saved(training_checkpoint(ema=official_model(seed=2, half=False))))
     key = "model.0.conv.weight"
-    assert torch.equal(model.state_dict[key], random_network(2).state_dict()[key])
+    assert torch.equal(model.state_dict[key], random_network(2, SMALL).state_dict()[key])
 
 
 def test_of_a_training_checkpoint_without_an_averaged_model_the_model_is_read() -> None:
     model = read_checkpoint(saved(training_checkpoint(ema=None)))
     key = "model.0.conv.weight"
-    assert torch.equal(model.state_dict[key], random_network(1).state_dict()[key])
+    assert torch.equal(model.state_dict[key], random_network(1, SMALL).state_dict()[key])
 
 
 def test_options_may_be_a_namespace() -> None:
