@@ -59,6 +59,20 @@ def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("half", "precision"),
+        ("conf_thres", "confidence_threshold"),
+        ("imgsz", "image_size"),
+        ("model", "weights"),
+    ],
+)
+def test_a_name_from_elsewhere_is_answered_with_ours(name: str, meant: str) -> None:
+    with pytest.raises(SettingsError, match=rf"{name}: there is no such parameter. Did you mean '{meant}'\?"):
+        validated({name: 1})
+
+
+@pytest.mark.parametrize(
     ("values", "problem"),
     [
         pytest.param({"device": "cpu", "precision": "fp16"}, "fp16.*device is 'cpu'", id="half-on-cpu"),

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from yolov5_lifecycle.architecture import SIZES
-from yolov5_lifecycle.suggestion import did_you_mean
+from yolov5_lifecycle.suggestion import did_you_mean, nearest
 
 
 class Change(Enum):
@@ -64,7 +64,7 @@ class Settings(BaseModel):
         ge=64,
         le=4096,
         multiple_of=32,
-        description="Longer side of the network's picture in pixels, a multiple of the model's largest stride.",
+        description="Longer side of the network's picture in pixels: a multiple of the largest stride.",
     )
     confidence_threshold: Annotated[float, Change.LIVE] = Field(
         0.25, ge=0, le=1, description="Detections with a lower score are dropped."
@@ -273,9 +273,33 @@ def _field_problem(details: ErrorDetails) -> Problem:
     )
 
 
+# What the same thing is called in YOLOv5's own scripts and in other nodes.
+_ELSEWHERE = {
+    "half": "precision",
+    "conf": "confidence_threshold",
+    "conf_thres": "confidence_threshold",
+    "threshold": "confidence_threshold",
+    "iou": "iou_threshold",
+    "iou_thres": "iou_threshold",
+    "nms_threshold": "iou_threshold",
+    "imgsz": "image_size",
+    "imgsz_height": "image_size",
+    "imgsz_width": "image_size",
+    "max_det": "max_detections",
+    "model": "weights",
+    "model_path": "weights",
+}
+
+
+def meant_setting(name: str) -> str | None:
+    """The setting that somebody who wrote `name` probably meant."""
+    return _ELSEWHERE.get(name) or nearest(name, _BY_NAME)
+
+
 def unknown_setting(name: str) -> Problem:
     """The problem of a name that is no setting."""
-    return Problem(name, f"there is no such parameter.{did_you_mean(name, _BY_NAME)}")
+    meant = meant_setting(name)
+    return Problem(name, "there is no such parameter." + (f" Did you mean '{meant}'?" if meant else ""))
 
 
 def _shown(value: object) -> str:
