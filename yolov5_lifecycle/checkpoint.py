@@ -20,12 +20,18 @@ from yolov5_lifecycle.model import (
     whole_number,
 )
 from yolov5_lifecycle.module_settings import check_settings
+from yolov5_lifecycle.pickle_program import check_program
 from yolov5_lifecycle.pickled_module import StandIn, load_pickled, modules_of, tensors_of
-from yolov5_lifecycle.yaml_architecture import MAX_LEVELS, architecture_of, layer_kind
+from yolov5_lifecycle.pickled_names import stand_in_names
+from yolov5_lifecycle.yaml_architecture import (
+    MAX_ANCHORS,
+    MAX_LEVELS,
+    MAX_STRIDE,
+    architecture_of,
+    layer_kind,
+)
 
 _DTYPES = frozenset({torch.float32, torch.float16, torch.bfloat16, torch.float64, torch.int64, torch.int32})
-_MAX_STRIDE = 1024
-_MAX_ANCHORS = 32
 
 
 def read_checkpoint(data: bytes) -> Model:
@@ -35,9 +41,11 @@ def read_checkpoint(data: bytes) -> Model:
     for real. Raises WeightsError.
     """
     archive = read_archive(data)
-    claimed = _root(load_pickled(archive, device="meta"))
+    names = stand_in_names(archive.pickle)
+    check_program(archive.pickle, names)
+    claimed = _root(load_pickled(archive, names, device="meta"))
     _check_sizes(dict(tensors_of(modules_of(claimed))), len(data))
-    modules = modules_of(_root(load_pickled(archive, device="cpu")))
+    modules = modules_of(_root(load_pickled(archive, names, device="cpu")))
     tensors = dict(tensors_of(modules))
     _check_sizes(tensors, len(data))
     return _model(modules, tensors)
@@ -120,8 +128,8 @@ def _strides(stride: object) -> tuple[int, ...]:
     if not isinstance(stride, Tensor) or stride.dim() != 1 or not 1 <= stride.numel() <= MAX_LEVELS:
         raise WeightsError(f"expected the strides of 1 to {MAX_LEVELS} levels, found {shown(stride)}")
     values = stride.tolist()
-    if not all(value in range(1, _MAX_STRIDE + 1) for value in values):
-        raise WeightsError(f"expected strides from 1 to {_MAX_STRIDE}, found {shown(values)}")
+    if not all(value in range(1, MAX_STRIDE + 1) for value in values):
+        raise WeightsError(f"expected strides from 1 to {MAX_STRIDE}, found {shown(values)}")
     return tuple(map(int, values))
 
 
@@ -132,8 +140,8 @@ def _anchors_px(anchors: Tensor | None, strides: tuple[int, ...]) -> AnchorsPx:
         raise WeightsError(
             f"expected anchors (width, height) for {len(strides)} levels, found the shape {shape}"
         )
-    if not 1 <= shape[1] <= _MAX_ANCHORS:
-        raise WeightsError(f"expected 1 to {_MAX_ANCHORS} anchors on each level, found {shape[1]}")
+    if not 1 <= shape[1] <= MAX_ANCHORS:
+        raise WeightsError(f"expected 1 to {MAX_ANCHORS} anchors on each level, found {shape[1]}")
     scale = torch.tensor(strides, dtype=torch.float64).view(-1, 1, 1)
     return tuple(
         tuple((float(width), float(height)) for width, height in level)

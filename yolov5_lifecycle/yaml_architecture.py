@@ -16,6 +16,8 @@ MAX_REPEATS = 100
 MAX_BOTTLENECKS = 300
 """Of all C3 layers together; the largest official network, x6, has 56."""
 MAX_LEVELS = 8
+MAX_STRIDE = 1024
+MAX_ANCHORS = 32
 
 _FOREIGN_KINDS = {
     **dict.fromkeys(("Focus", "BottleneckCSP", "SPP"), "of YOLOv5 before 6.0: train it again with v6 or v7"),
