@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import pickletools
 import re
 
-from yolov5_lifecycle.model import WeightsError, first_line, shown
+from yolov5_lifecycle.model import WeightsError, shown
+from yolov5_lifecycle.pickle_operations import operations
 
 TENSOR_MAKERS = frozenset({"torch._utils._rebuild_parameter", "torch._utils._rebuild_tensor_v2"})
 SETS = frozenset({"__builtin__.set", "builtins.set"})
@@ -43,14 +43,7 @@ def stand_in_names(pickle: bytes) -> list[str]:
 
     Raises WeightsError if one of them is foreign to YOLOv5.
     """
-    try:
-        names = {
-            str(argument).replace(" ", ".", 1)
-            for operation, argument, _ in pickletools.genops(pickle)
-            if operation.name == "GLOBAL"
-        }
-    except (ValueError, LookupError) as error:
-        raise WeightsError(f"its pickle is damaged or cut short ({first_line(error)})") from None
+    names = {str(argument).replace(" ", ".", 1) for name, argument in operations(pickle) if name == "GLOBAL"}
     _refuse_foreign(names)
     return sorted(names - _TORCH_NAMES)
 
