@@ -32,6 +32,7 @@ RANKS = [
         "frame_balance",
         "rate",
         "memory",
+        "setting",
         "scene",
     },
     {"network", "boxes", "class_filter", "settings", "image_encoding", "picture_source"},

@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from yolov5_lifecycle.settings import SETTINGS, Change, Setting, Settings, SettingsError, validated
+from yolov5_lifecycle.setting import Change, Setting
+from yolov5_lifecycle.settings import SETTINGS, Settings, SettingsError, validated
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,10 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from yolov5_lifecycle.setting import Change, Setting
 from yolov5_lifecycle.settings import (
     SETTINGS,
-    Change,
     Problem,
-    Setting,
     Settings,
     SettingsError,
     meant_setting,
