@@ -7,10 +7,10 @@ tuples as a key take for ever to hash, and `_codecs.encode(data, "hex")` doubles
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Union
+from typing import Union
 
 from yolov5_lifecycle.model import WeightsError, first_line, shown
-from yolov5_lifecycle.pickle_operations import operations
+from yolov5_lifecycle.pickle_operations import Operation, operations
 from yolov5_lifecycle.pickled_names import (
     ENCODE,
     ORDERED_DICT,
@@ -24,7 +24,7 @@ MAX_CALLS = 100_000
 _MAX_ITEMS = 64
 
 _SCALARS = ("NONE", "NEWFALSE", "NEWTRUE", "BININT", "BININT1", "BININT2", "BINFLOAT", "LONG1")
-_CONTAINERS = {"EMPTY_LIST": "list", "EMPTY_DICT": "dict", "EMPTY_SET": "set"}
+_CONTAINERS = {"EMPTY_LIST": "list", "EMPTY_DICT": "dict"}
 _TUPLES = {"EMPTY_TUPLE": 0, "TUPLE1": 1, "TUPLE2": 2, "TUPLE3": 3}
 
 
@@ -33,7 +33,7 @@ def check_program(pickle: bytes, stand_ins: Iterable[str]) -> None:
     program = _Program(frozenset(stand_ins))
     try:
         for operation in operations(pickle):
-            program.step(operation.name, operation.argument)
+            program.step(operation)
     except LookupError as error:
         raise WeightsError(f"its pickle is damaged ({first_line(error)})") from None
 
@@ -71,6 +71,7 @@ class _Program:
         self._memo: dict[int, _Value] = {}
         self._calls = 0
         self._actions: Mapping[str, Callable[[], None]] = {
+            "PROTO": lambda: None,
             "MARK": self._mark,
             "TUPLE": lambda: self._push(tuple(self._pop_to_mark())),
             "APPEND": lambda: self._fill_list(self._pop(1)),
@@ -84,32 +85,24 @@ class _Program:
             "STOP": lambda: self._pop(1).clear(),
         }
 
-    def step(self, name: str, argument: Any) -> None:
+    def step(self, operation: Operation) -> None:
+        name = operation.name
         if name in _SCALARS:
             self._push(_SCALAR)
         elif name in ("BINUNICODE", "SHORT_BINSTRING"):
-            self._push(argument)
+            self._push(operation.text)
+        elif name == "GLOBAL":
+            self._push(_Thing(operation.text))
         elif name in _CONTAINERS:
             self._push(_Thing(_CONTAINERS[name]))
         elif name in _TUPLES:
             self._push(tuple(self._pop(_TUPLES[name])))
         elif name in ("BINPUT", "LONG_BINPUT"):
-            self._memo[argument] = self._stack[-1]
+            self._memo[operation.number] = self._stack[-1]
         elif name in ("BINGET", "LONG_BINGET"):
-            self._push(self._memo[argument])
-        elif name in ("PROTO", "GLOBAL"):
-            self._protocol(argument) if name == "PROTO" else self._name(argument)
-        elif name in self._actions:
-            self._actions[name]()
+            self._push(self._memo[operation.number])
         else:
-            raise WeightsError(f"its pickle uses {name}, as torch never does: do not trust it")
-
-    def _protocol(self, protocol: int) -> None:
-        if protocol != 2:
-            raise WeightsError(f"its pickle is of protocol {protocol}; torch.save writes protocol 2")
-
-    def _name(self, module_and_name: str) -> None:
-        self._push(_Thing(module_and_name.replace(" ", ".", 1)))
+            self._actions[name]()
 
     def _mark(self) -> None:
         self._below.append(self._stack)

@@ -43,7 +43,7 @@ def stand_in_names(pickle: bytes) -> list[str]:
 
     Raises WeightsError if one of them is foreign to YOLOv5.
     """
-    names = {str(argument).replace(" ", ".", 1) for name, argument in operations(pickle) if name == "GLOBAL"}
+    names = {operation.text for operation in operations(pickle) if operation.name == "GLOBAL"}
     _refuse_foreign(names)
     return sorted(names - _TORCH_NAMES)
 
