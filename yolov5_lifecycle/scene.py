@@ -20,10 +20,12 @@ _SUBPIXEL_BITS = 4
 
 @dataclass(frozen=True)
 class Truth:
-    """What a picture shows: tight boxes_xyxy float32 (n, 4) in pixels, clipped to the picture; class_ids int64 (n,)."""
+    """What a picture shows, a shape each row."""
 
     boxes_xyxy: NDArray[np.float32]
+    """(n, 4) tight around each shape, in pixels, clipped to the picture."""
     class_ids: NDArray[np.int64]
+    """(n,) indices into CLASS_NAMES."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +42,17 @@ class Shape:
         """Corners (k, 2) in pixels; (0, 0) is the outer corner of the first pixel."""
         corners = _CORNERS[self.class_id]
         angles = self.angle + np.arange(corners) * (2 * math.pi / corners)
-        radii = np.full(corners, self.radius)
+        radii = np.full(corners, self.radius, np.float64)
         if CLASS_NAMES[self.class_id] == "star":
             radii[1::2] *= _STAR_INNER_RADIUS
-        return np.stack((np.cos(angles), np.sin(angles)), axis=1) * radii[:, None] + self.centre_xy
+        corners_xy = np.stack((np.cos(angles), np.sin(angles)), axis=1) * radii[:, None] + self.centre_xy
+        return np.asarray(corners_xy, np.float64)
 
     def draw(self, pixels: NDArray[np.uint8]) -> None:
-        """Fill the shape into `pixels` (H, W, 3), in place, with smooth edges."""
+        """Fill the shape into `pixels` (H, W, 3), in place.
+
+        OpenCV smooths the edges outwards: about 0.7 pixels beyond the outline, a faint rest up to 3.
+        """
         # OpenCV counts from pixel centres, outlines from pixel corners.
         corners = np.rint((self.outline() - 0.5) * 2**_SUBPIXEL_BITS).astype(np.int32)
         cv2.fillPoly(pixels, [corners], self.colour, cv2.LINE_AA, _SUBPIXEL_BITS)
@@ -97,7 +103,7 @@ class Scene:
 
 
 def cluttered_background(rng: np.random.Generator, size_hw: tuple[int, int]) -> NDArray[np.uint8]:
-    """A picture (H, W, 3) in RGB of things that are none of the classes: gradients, texture, bars, curves, letters."""
+    """A picture (H, W, 3) in RGB of what is none of the classes: texture, bars, curves, letters."""
     pixels = _smooth_noise(rng, size_hw)
     side = min(size_hw)
     for _ in range(rng.integers(0, 16)):
@@ -127,7 +133,7 @@ def _smooth_noise(rng: np.random.Generator, size_hw: tuple[int, int]) -> NDArray
     fine = rng.normal(0, rng.uniform(0, 25), (height // rng.integers(2, 9), width // rng.integers(2, 9), 1))
     pixels = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
     pixels += cv2.resize(fine.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)[..., None]
-    return np.clip(pixels, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(pixels, 0, 255), np.uint8)
 
 
 def _draw_bar(
@@ -193,7 +199,7 @@ def _contrasting_colour(rng: np.random.Generator, behind: NDArray[np.uint8]) -> 
 
 
 def _random_shape(rng: np.random.Generator, pixels: NDArray[np.uint8]) -> Shape:
-    """A shape at most a seventh of whose diameter is outside on each side, coloured to be seen where it is."""
+    """A shape, at most a seventh of its diameter outside on each side, coloured to be seen where it is."""
     height, width = pixels.shape[:2]
     radius = min(height, width) * math.exp(rng.uniform(math.log(0.045), math.log(0.31)))
     x, y = rng.uniform(0.72 * radius, np.array((width, height)) - 0.72 * radius).tolist()
