@@ -35,12 +35,13 @@ PACKAGE := $(VENV)/.package
 INTERFACES_BUILD := build/vision_msgs-$(SET)
 TYPED := $(wildcard yolov5_lifecycle test tools benchmark launch requirements)
 
-.PHONY: help install demo test lint clean
+.PHONY: help install demo test lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make test     the test suite          (SET=apt: with the numpy and OpenCV of Ubuntu 24.04, in .venv-apt)'
 	@echo 'make lint     ruff and mypy --strict'
 	@echo 'make install  what the others do first: .venv with the pinned packages, vision_msgs and this package'
+	@echo 'make docs     writes what is derived from the settings: YAML file, schema, reference page'
 	@echo 'make clean    removes everything that make has made, .venv included'
 	@echo 'Variables: PYTHON=python3.12  SET=apt  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"'
 
@@ -57,6 +58,9 @@ lint: $(PACKAGE)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy --strict $(TYPED)
+
+docs: $(PACKAGE)
+	$(VENV)/bin/python -m tools.settings_documents
 
 clean:
 	rm -rf .venv .venv-apt build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

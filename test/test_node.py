@@ -487,3 +487,10 @@ def test_a_rate_limit_skips_and_counts_the_frames_between(served: ServedNode) ->
     counts = served.counts()
     assert counts["skipped"] > 0
     assert counts["received"] == sum(counts.values()) - counts["received"]
+
+
+def test_the_compressed_topic_follows_the_remapped_raw_one(prepare: Preparations) -> None:
+    arguments = ["--ros-args", "-r", "~/image_raw:=/front/image"]
+    with ServedNode(prepare, parameters=["image_transport:=compressed"], arguments=arguments) as served:
+        served.bring_to("active")
+        assert served.values()["image topic"] == "/front/image/compressed"

@@ -20,8 +20,11 @@ GOOD_INPUT = InputStatus(
     publishers=1,
     best_effort_publishers=1,
     silent_s=0.1,
+    received_lately=30,
+    lost_lately=1,
     lost=3,
 )
+_IDLE = "idle (lazy): nobody listens to ~/detections or ~/image, so no images are taken"
 GOOD = Status(
     state="active",
     problem="",
@@ -42,7 +45,8 @@ def _with_input(**changes: Any) -> Status:
     ("status", "hint"),
     [
         pytest.param(GOOD, "", id="all-is-well"),
-        pytest.param(dataclasses.replace(GOOD, input=None), "nobody listens", id="lazy"),
+        pytest.param(dataclasses.replace(GOOD, input=None), "", id="lazy-is-no-trouble"),
+        pytest.param(_with_input(lost_lately=10), "10 of 40 images were lost", id="losses"),
         pytest.param(
             _with_input(publishers=0), "nobody publishes images on /yolov5/image_raw", id="no-camera"
         ),
@@ -68,6 +72,7 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
     ("status", "message"),
     [
         pytest.param(GOOD, "detecting", id="detecting"),
+        pytest.param(dataclasses.replace(GOOD, input=None), _IDLE, id="lazy"),
         pytest.param(dataclasses.replace(GOOD, state="inactive"), "inactive", id="state"),
         pytest.param(dataclasses.replace(GOOD, problem="no weights"), "no weights", id="problem-first"),
     ],

@@ -144,7 +144,7 @@ def _draw_bar(
     colour: tuple[int, ...],
 ) -> None:
     length = side * rng.uniform(0.1, 0.9)
-    size = (length, length * rng.uniform(0.03, 0.3))
+    size = (length, length * rng.uniform(0.03, 0.22))
     corners = cv2.boxPoints(((float(centre[0]), float(centre[1])), size, rng.uniform(0, 180)))
     cv2.fillPoly(pixels, [np.int32(corners)], colour, cv2.LINE_AA)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -65,7 +66,9 @@ def _initialise(args: list[str]) -> str:
     except RuntimeError as error:
         if _PARAMETER_FILE_FLAG not in args:
             raise
-        problem = str(error).partition("Error: ")[2] or str(error)
+        problem = re.sub(
+            r".*'--params-file (.*)'. Error: (.*?), at /.*", r"\1: \2", str(error), flags=re.DOTALL
+        )
     rclpy.init(args=_without_parameter_files(args), signal_handler_options=SignalHandlerOptions.NO)
     return f"the parameter file cannot be read: {problem}. Correct the file and start again."
 

@@ -14,8 +14,9 @@ from sensor_msgs.msg import CompressedImage, Image
 Transport = Literal["raw", "compressed"]
 Reliability = Literal["auto", "best_effort", "reliable"]
 
+_RAW = "~/image_raw"
 _TOPICS: dict[Transport, tuple[str, type]] = {
-    "raw": ("~/image_raw", Image),
+    "raw": (_RAW, Image),
     "compressed": ("~/image_raw/compressed", CompressedImage),
 }
 
@@ -30,13 +31,18 @@ class ReceivedFrame:
 
 @dataclass(frozen=True)
 class InputStatus:
-    """The subscription as seen now: who publishes, and how long no frame has come."""
+    """The subscription as seen now: who publishes, and how long no frame has come.
+
+    `lately` is since the last look; `lost` counts since activation.
+    """
 
     topic: str
     reliability: ReliabilityPolicy
     publishers: int
     best_effort_publishers: int
     silent_s: float
+    received_lately: int
+    lost_lately: int
     lost: int
 
 
@@ -60,11 +66,15 @@ class ImageInput:
         self._node = node
         self._on_frame = on_frame
         self._wanted = reliability
-        self._topic, self._message_type = _TOPICS[transport]
+        topic, self._message_type = _TOPICS[transport]
+        # Every transport follows where the raw topic was remapped to, as with image_transport.
+        self._topic = node.resolve_topic_name(_RAW) + topic.removeprefix(_RAW)
         self._single_publisher = False
         self._sequence_number: int | None = None
         self._last_frame_s = time.monotonic()
         self.lost = lost
+        self._received = 0
+        self._seen = (0, lost)  # received and lost at the last look
         offers = self._offers()
         self._reliability = _common(offers) if reliability == "auto" else _POLICIES[reliability]
         self._subscription = self._subscribe()
@@ -72,12 +82,16 @@ class ImageInput:
     def look(self) -> InputStatus:
         """Look at the publishers again; with `auto`, subscribe anew when they offer another reliability."""
         offers = self._offers()
+        received, lost = self._received - self._seen[0], self.lost - self._seen[1]
+        self._seen = (self._received, self.lost)
         if self._wanted == "auto" and _common(offers) is not self._reliability:
             self._reliability = _common(offers)
             self._node.destroy_subscription(self._subscription)
             self._subscription = self._subscribe()
         return InputStatus(
             topic=self._node.resolve_topic_name(self._topic),
+            received_lately=received,
+            lost_lately=lost,
             reliability=self._reliability,
             publishers=len(offers),
             best_effort_publishers=offers.count(ReliabilityPolicy.BEST_EFFORT),
@@ -105,6 +119,7 @@ class ImageInput:
             self.lost += number - self._sequence_number - 1
         self._sequence_number = number
         self._last_frame_s = time.monotonic()
+        self._received += 1
         self._on_frame(ReceivedFrame(message, self._last_frame_s))
 
 

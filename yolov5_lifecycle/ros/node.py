@@ -95,6 +95,8 @@ class DetectorNode(LifecycleNode):
         )
         self._diagnostics = Diagnostics(self, self._status)
         harden(self, {"change_state": self._change_state} | self._reconfiguration.handlers())
+        name = self.get_fully_qualified_name()
+        self.get_logger().info(f"unconfigured; go on with: ros2 lifecycle set {name} configure")
 
     @property
     def default_callback_group(self) -> CallbackGroup:

@@ -73,7 +73,7 @@ class SettingsParameters:
             self._declare(setting, override)
         for name in overrides:
             if not name.startswith(FOREIGN_PREFIXES):
-                self._bad_overrides[name] = unknown_setting(name)
+                self._bad_overrides[name] = _unknown_override(name, node.get_fully_qualified_name())
         node.add_pre_set_parameters_callback(
             lambda parameters: [coerced(parameter) for parameter in parameters]
         )
@@ -159,6 +159,13 @@ class SettingsParameters:
 def refusal(problems: Iterable[Problem]) -> SetParametersResult:
     """The answer to a change that would cause `problems`."""
     return SetParametersResult(successful=False, reason=" ".join(map(str, problems)))
+
+
+def _unknown_override(name: str, node_name: str) -> Problem:
+    problem = unknown_setting(name)
+    return Problem(
+        name, f"{problem.message} Set the right one, or drop this one: ros2 param delete {node_name} {name}"
+    )
 
 
 def names_on_command_line(arguments: Sequence[str]) -> set[str]:

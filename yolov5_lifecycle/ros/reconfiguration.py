@@ -56,7 +56,7 @@ class Reconfiguration:
         parameters = [Parameter.from_parameter_msg(message) for message in request.parameters]
         for parameter in parameters:
             result = await self._set([parameter])
-            if not result.successful and len(parameters) > 1 and not self.parameters.problems_of(parameters):
+            if self.parameters.problems_of([parameter]) and not self.parameters.problems_of(parameters):
                 result.reason += _TOGETHER
             response.results.append(result)
         return response

@@ -12,6 +12,8 @@ from yolov5_lifecycle.ros.image_input import InputStatus
 from yolov5_lifecycle.ros.preparation import PreparedModel
 from yolov5_lifecycle.settings import Settings
 
+MANY_LOST = 4
+"""One image lost for so many received is worth a word."""
 SILENCE_S = 2.0
 """An active camera that sends nothing for longer than this is worth a word."""
 
@@ -32,10 +34,8 @@ class Status:
     @property
     def hint(self) -> str:
         """Why nothing comes out of an active node, or nothing when all is well."""
-        if self.state != "active" or self.settings is None:
+        if self.state != "active" or self.input is None:
             return ""
-        if self.input is None:
-            return "lazy: nobody listens to ~/detections or ~/image, so no images are taken"
         if self.input.publishers == 0:
             return f"nobody publishes images on {self.input.topic}: start the camera or remap the topic"
         if self.input.reliability is ReliabilityPolicy.RELIABLE and self.input.best_effort_publishers:
@@ -46,6 +46,12 @@ class Status:
         if self.input.silent_s > SILENCE_S:
             silent_s = f"{self.input.silent_s:.0f} s"
             return f"no image on {self.input.topic} for {silent_s}, though somebody publishes there"
+        if self.input.lost_lately > self.input.received_lately / MANY_LOST:
+            lost, received = self.input.lost_lately, self.input.received_lately
+            return (
+                f"{lost} of {lost + received} images were lost on the way in the last second: "
+                "give the camera's process the profile config/shm.xml"
+            )
         if self.recently_rejected:
             return f"images are rejected: {self.recently_rejected}"
         return ""
@@ -53,6 +59,8 @@ class Status:
     @property
     def message(self) -> str:
         """One line for a person."""
+        if self.state == "active" and self.input is None and not self.problem:
+            return "idle (lazy): nobody listens to ~/detections or ~/image, so no images are taken"
         return self.problem or self.hint or ("detecting" if self.state == "active" else self.state)
 
     def values(self) -> dict[str, str]:
