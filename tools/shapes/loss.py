@@ -19,8 +19,6 @@ from yolov5_lifecycle.architecture import Architecture
 # then have to answer for a shape.
 _LARGEST_RATIO = 2.5
 _LEVEL_BALANCE = (4.0, 1.0, 0.4)  # objectness of the fine levels is harder to learn
-# With plain cross entropy a threshold of 0.25 accepts what is a shape only one time in four.
-_FALSE_ALARM_WEIGHT = 4.0
 _BOX_GAIN, _OBJECTNESS_GAIN, _CLASS_GAIN = 0.05, 0.4, 0.1
 
 
@@ -56,17 +54,16 @@ def detection_loss(logits: list[Tensor], targets: Tensor, architecture: Architec
             total = total + _BOX_GAIN * (1 - overlap).mean()
             total = total + _CLASS_GAIN * functional.binary_cross_entropy_with_logits(answers[:, 5:], wanted)
             objectness[where] = overlap.detach().clamp(min=0).to(level.dtype)
-        weight = torch.where(objectness > 0, 1.0, _FALSE_ALARM_WEIGHT)
-        unsure = functional.binary_cross_entropy_with_logits(level[..., 4], objectness, weight)
-        total = total + _OBJECTNESS_GAIN * balance * unsure
+        missed = functional.binary_cross_entropy_with_logits(level[..., 4], objectness)
+        total = total + _OBJECTNESS_GAIN * balance * missed
     return total
 
 
 def match(targets: Tensor, anchors_wh: Tensor, *, stride: int, grid_hw: tuple[int, int]) -> Matches:
     """Which cells and anchors of one level answer for which target, (n, 6) as for `detection_loss`.
 
-    Every anchor, `anchors_wh` (a, 2) in grid cells, with sides within _LARGEST_RATIO of the target's; the
-    cell with the centre and its two nearest neighbours, as xy = 2 sigma - 0.5 reaches half a cell beyond.
+    Every anchor, `anchors_wh` (a, 2) in grid cells, with sides within _LARGEST_RATIO of the target's; the cell
+    with the centre and its two nearest neighbours, as xy = 2 sigma - 0.5 reaches half a cell beyond.
     """
     boxes = targets[:, 2:] / stride
     ratio = boxes[:, None, 2:] / anchors_wh[None]  # (n, a, 2)

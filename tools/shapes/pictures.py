@@ -15,7 +15,7 @@ from yolov5_lifecycle.letterbox import PADDING_VALUE
 from yolov5_lifecycle.scene import Truth, random_scene
 
 # (height, width) of the pictures of a batch, how many, and how often such a batch comes: equal work each.
-_BATCHES = (((256, 320), 16, 0.65), ((192, 256), 27, 0.05), ((480, 640), 4, 0.3))
+_BATCHES = (((256, 320), 16, 0.75), ((192, 256), 27, 0.05), ((480, 640), 4, 0.2))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from yolov5_lifecycle.safetensors_file import write_safetensors
 from yolov5_lifecycle.scene import CLASS_NAMES
 
 SEED = 20_250_101
-STEPS = 6_000
+STEPS = 4_500
 ARCHITECTURE = Architecture(
     depth_multiple=0.33,
     width_multiple=0.125,
