@@ -62,8 +62,8 @@ def detection_loss(logits: list[Tensor], targets: Tensor, architecture: Architec
 def match(targets: Tensor, anchors_wh: Tensor, *, stride: int, grid_hw: tuple[int, int]) -> Matches:
     """Which cells and anchors of one level answer for which target, (n, 6) as for `detection_loss`.
 
-    Every anchor, `anchors_wh` (a, 2) in grid cells, with sides within _LARGEST_RATIO of the target's; the cell
-    with the centre and its two nearest neighbours, as xy = 2 sigma - 0.5 reaches half a cell beyond.
+    Every anchor, `anchors_wh` (a, 2) in grid cells, with sides within _LARGEST_RATIO of the target's; the
+    cell with the centre and its two nearest neighbours, as xy = 2 sigma - 0.5 reaches half a cell beyond.
     """
     boxes = targets[:, 2:] / stride
     ratio = boxes[:, None, 2:] / anchors_wh[None]  # (n, a, 2)
