@@ -69,7 +69,7 @@ class ImageInput:
         topic, self._message_type = _TOPICS[transport]
         # Every transport follows where the raw topic was remapped to, as with image_transport.
         self._topic = node.resolve_topic_name(_RAW) + topic.removeprefix(_RAW)
-        self._single_publisher = False
+        self._single_publisher = True
         self._sequence_number: int | None = None
         self._last_frame_s = time.monotonic()
         self.lost = lost
@@ -103,14 +103,13 @@ class ImageInput:
         self._node.destroy_subscription(self._subscription)
 
     def _subscribe(self) -> Any:
-        self._sequence_number = None
         qos = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=self._reliability)
         return self._node.create_subscription(self._message_type, self._topic, self._take, qos)
 
     def _offers(self) -> list[ReliabilityPolicy]:
         """The reliability that each publisher of the topic offers."""
         publishers = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
-        self._single_publisher = len(publishers) == 1
+        self._single_publisher = len(publishers) <= 1  # none: not discovered yet
         return [info.qos_profile.reliability for info in publishers]
 
     def _take(self, message: Image | CompressedImage, info: dict[str, int]) -> None:
