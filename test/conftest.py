@@ -7,8 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from yolov5_lifecycle.ros.domain import isolated, own_domain
+
+# A busy machine is no failure of an example.
+settings.register_profile("suite", deadline=None)
+settings.load_profile("suite")
 
 REPOSITORY = Path(__file__).parents[1]
 

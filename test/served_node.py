@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 from array import array
@@ -103,6 +104,8 @@ class ServedNode:
         self, prepare: Prepare, *, parameters: Sequence[str] = (), arguments: Sequence[str] = ()
     ) -> None:
         """`parameters` are `name:=value`; `arguments` are further words of the command line."""
+        # Nodes of earlier tests hold themselves in cycles, and with them their place in the ROS graph.
+        gc.collect()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, args=[])
         assignments = [word for parameter in parameters for word in ("-p", parameter)]
