@@ -22,7 +22,7 @@ from yolov5_lifecycle.picture_source import SourceError, open_source
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.messages import picture
 from yolov5_lifecycle.ros.observer import Observer
-from yolov5_lifecycle.ros.sighting import Sighting
+from yolov5_lifecycle.ros.sighting import Sighting, stamp_ns
 from yolov5_lifecycle.scene import CLASS_NAMES, Scene
 
 GREYS = (10, 90, 170, 250)
@@ -166,23 +166,29 @@ def observer(ros_domain: int) -> Iterator[Observer]:
 
 
 def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer, ros_domain: int) -> None:
-    images: list[Image] = []
-    truths: list[Detection2DArray] = []
-    observer.create_subscription(Image, "/image_raw", images.append, QoSProfile(depth=10))
-    observer.create_subscription(Detection2DArray, "/camera/truth", truths.append, QoSProfile(depth=10))
+    images: dict[int, Image] = {}
+    truths: dict[int, Sighting] = {}
+
+    def take_image(message: Image) -> None:
+        images[stamp_ns(message.header)] = message
+
+    def take_truth(message: Detection2DArray) -> None:
+        truths[stamp_ns(message.header)] = Sighting.now(message)
+
+    observer.create_subscription(Image, "/image_raw", take_image, QoSProfile(depth=10))
+    observer.create_subscription(Detection2DArray, "/camera/truth", take_truth, QoSProfile(depth=10))
     parameters = {"width": 160, "height": 120, "seed": 4, "encoding": "bgr8", "frame_id": "lens"}
     with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
-        observer.wait_for(lambda: len(images) >= 5 and len(truths) >= len(images), "images and truths")
+        observer.wait_for(lambda: len(images.keys() & truths.keys()) >= 5, "images and their truths")
         assert camera.stop(signal.SIGTERM) == 0
-    true_of = {(truth.header.stamp.sec, truth.header.stamp.nanosec): truth for truth in truths}
     scene = Scene(4, (120, 160))
-    pictures = [picture(image).pixels[..., ::-1] for image in images]
-    first = next(index for index in range(1000) if (scene.frame(index)[0] == pictures[0]).all())
-    for index, (image, pixels) in enumerate(zip(images[:5], pictures, strict=False), first):
-        expected, truth = scene.frame(index)
+    index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
+    stamps = sorted(images.keys() & truths.keys())
+    indices = [index_of[picture(images[stamp]).pixels[..., ::-1].tobytes()] for stamp in stamps]
+    assert indices == sorted(set(indices))
+    for stamp, index in zip(stamps, indices, strict=True):
+        image, told, truth = images[stamp], truths[stamp], scene.frame(index)[1]
         assert (image.encoding, image.step, image.header.frame_id) == ("bgr8", 480, "lens")
-        assert (pixels == expected).all()
-        told = Sighting.now(true_of[image.header.stamp.sec, image.header.stamp.nanosec])
         assert told.class_names == tuple(CLASS_NAMES[class_id] for class_id in truth.class_ids)
         assert np.allclose(told.boxes_xyxy, truth.boxes_xyxy, atol=1e-3)
 

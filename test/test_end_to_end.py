@@ -77,6 +77,7 @@ def test_a_camera_and_the_detector_find_the_shapes_where_they_are(detector: Dete
     remap = f"image_raw:={NODE}/image_raw"
     command = [entry_point("camera"), "--ros-args", "-r", remap, *as_arguments(parameters)]
     with ChildProcess("camera", command, environment(detector.domain)) as camera:
+        observer.wait_for(lambda: bool(truths), "the camera's truth")
         detector.bring_to("active")
         observer.wait_for(lambda: len(messages) >= 60, "60 messages")
         assert {message.header.frame_id for message in messages} == {"lens"}

@@ -64,7 +64,8 @@ class Demonstration:
 
     def run(self) -> tuple[list[Phase], Picture]:
         """All phases in turn, and an annotated picture; raises DemonstrationError or NoAnswerError."""
-        self._tell("waiting for the detector")
+        self._tell("waiting for the camera and the detector")
+        self._observer.wait_for(lambda: bool(self._truths), "messages on /camera/truth")
         self._detector.wait_until_reachable()
         self._expect_state("unconfigured")
         self._transition("configure", "inactive")
