@@ -32,7 +32,8 @@ from yolov5_lifecycle.ros.messages import image_message
 from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 from yolov5_lifecycle.ros.sighting import Sighting, stamp_ns
 from yolov5_lifecycle.scene import CLASS_NAMES, Scene
-from yolov5_lifecycle.settings import SETTINGS, Change
+from yolov5_lifecycle.setting import Change
+from yolov5_lifecycle.settings import SETTINGS
 
 NODE = "/yolov5"
 WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"

@@ -5,10 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 
+import cv2
 import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CompressedImage, Image
 from served_node import Preparations, ServedNode, class_ids_of, image, prediction
 
 STATES = ("unconfigured", "inactive", "active")
@@ -448,3 +451,39 @@ def test_diagnostics_come_in_every_state(served: ServedNode) -> None:
     assert values["state"] == "active"
     assert values["runtime"] == "scripted"
     assert values["sha256"] == "0" * 64
+
+
+def test_a_compressed_camera_is_understood(served: ServedNode) -> None:
+    served.bring_to("active")
+    assert served.set(image_transport="compressed") == (True, "")
+    done, data = cv2.imencode(".jpg", np.full((48, 64, 3), 114, np.uint8))
+    assert done
+    message = CompressedImage(format="jpeg", data=data.tobytes())
+    publisher = served.client.create_publisher(CompressedImage, "/yolov5/image_raw/compressed", 1)
+
+    def is_detected() -> bool:
+        publisher.publish(message)
+        return bool(served.detections)
+
+    served.wait_for(is_detected, "a detection")
+    assert class_ids_of(served.detections[-1]) == ["cat"]
+
+
+def test_the_subscription_takes_the_reliability_that_the_cameras_offer(served: ServedNode) -> None:
+    served.bring_to("active")
+    served.detect()
+    served.wait_for(lambda: served.values()["image reliability"] == "reliable", "a reliable subscription")
+    best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    served.client.create_publisher(Image, "/yolov5/image_raw", best_effort)
+    served.wait_for(lambda: served.values()["image reliability"] == "best_effort", "best effort")
+    assert class_ids_of(served.detect()) == ["cat"]
+
+
+def test_a_rate_limit_skips_and_counts_the_frames_between(served: ServedNode) -> None:
+    served.bring_to("active")
+    assert served.set(max_rate=1.0) == (True, "")
+    served.detect()
+    served.detect()
+    counts = served.counts()
+    assert counts["skipped"] > 0
+    assert counts["received"] == sum(counts.values()) - counts["received"]

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from yolov5_lifecycle.settings import SETTINGS, Setting
+from yolov5_lifecycle.setting import Setting
+from yolov5_lifecycle.settings import SETTINGS
 
 REPOSITORY = Path(__file__).parents[1]
 SOURCES = sorted(

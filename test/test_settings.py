@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from yolov5_lifecycle.settings import SETTINGS, Change, Setting, Settings, SettingsError, validated
+from yolov5_lifecycle.setting import Change, Setting
+from yolov5_lifecycle.settings import SETTINGS, Settings, SettingsError, validated
 
 
 @pytest.mark.parametrize(
@@ -56,6 +57,20 @@ def test_every_broken_field_is_reported_at_once() -> None:
 def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
     with pytest.raises(SettingsError, match=r"confidence_treshold: .*Did you mean 'confidence_threshold'"):
         validated({"confidence_treshold": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("half", "precision"),
+        ("conf_thres", "confidence_threshold"),
+        ("imgsz", "image_size"),
+        ("model", "weights"),
+    ],
+)
+def test_a_name_from_elsewhere_is_answered_with_ours(name: str, meant: str) -> None:
+    with pytest.raises(SettingsError, match=rf"{name}: there is no such parameter. Did you mean '{meant}'\?"):
+        validated({name: 1})
 
 
 @pytest.mark.parametrize(

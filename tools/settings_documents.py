@@ -10,7 +10,8 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from yolov5_lifecycle.settings import SETTINGS, Change, Setting
+from yolov5_lifecycle.setting import Change, Setting
+from yolov5_lifecycle.settings import SETTINGS
 
 REPOSITORY = Path(__file__).parents[1]
 _JSON_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", tuple: "array"}

@@ -12,15 +12,24 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
 from safetensors.torch import load, save
 
 from yolov5_lifecycle.architecture import AnchorsPx, Architecture
-from yolov5_lifecycle.model import MAX_CLASSES, Model, WeightsError, check_class_names, checked_model
-from yolov5_lifecycle.yaml_architecture import architecture_of
+from yolov5_lifecycle.model import (
+    MAX_CLASSES,
+    Model,
+    WeightsError,
+    check_class_names,
+    checked_model,
+    first_line,
+    shown,
+    whole_number,
+)
+from yolov5_lifecycle.yaml_architecture import MAX_ANCHORS, MAX_LEVELS, MAX_STRIDE, architecture_of
 
 FORMAT = "yolov5_lifecycle 1"
 MAX_HEADER_BYTES = 16 << 20
+_DTYPES = ("F16", "BF16", "F32", "F64", "I32", "I64")
 
 
 def write_safetensors(model: Model, path: Path) -> None:
@@ -35,7 +44,7 @@ def write_safetensors(model: Model, path: Path) -> None:
 
 
 def _repeatable(data: bytes) -> bytes:
-    """The same file, its metadata sorted: safetensors shuffles it, and equal models shall have equal digests."""
+    """The same file with sorted metadata: safetensors shuffles it, but equal models have equal digests."""
     end = 8 + struct.unpack("<Q", data[:8])[0]
     header = json.loads(data[8:end])
     header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
@@ -71,28 +80,19 @@ def _write_whole(path: Path, data: bytes) -> None:
 
 def read_safetensors(data: bytes) -> Model:
     """The model in the bytes of a file that `write_safetensors` wrote; raises WeightsError."""
-    metadata = _metadata(data)
-    if metadata.get("format") != FORMAT:
+    header = _header(data)
+    metadata = header.pop("__metadata__", None)
+    if not isinstance(metadata, dict) or metadata.get("format") != FORMAT:
         raise WeightsError(
             "this .safetensors file was not made by this package, so it does not tell the architecture: "
             "convert the original .pt with `convert IN.pt OUT.safetensors`"
         )
-    try:
-        tensors = load(data)
-    except (SafetensorError, ValueError, KeyError, OverflowError) as error:
-        raise WeightsError(f"the file is damaged or cut short ({str(error)[:200]}): copy it again") from None
     architecture = _architecture(_json(metadata, "architecture"))
-    return checked_model(
-        architecture, check_class_names(_json(metadata, "class_names"), architecture.classes), tensors
-    )
+    class_names = check_class_names(_json(metadata, "class_names"), architecture.classes)
+    return checked_model(architecture, class_names, _tensors(data, header))
 
 
-def _smallest(tensor: torch.Tensor) -> torch.Tensor:
-    half = tensor.half() if tensor.dtype is torch.float32 else tensor
-    return half if torch.equal(half.to(tensor.dtype), tensor) else tensor
-
-
-def _metadata(data: bytes) -> Mapping[str, Any]:
+def _header(data: bytes) -> dict[str, Any]:
     if len(data) < 8:
         raise WeightsError(f"expected a .safetensors file, found {len(data)} bytes")
     (header_bytes,) = struct.unpack("<Q", data[:8])
@@ -102,8 +102,29 @@ def _metadata(data: bytes) -> Mapping[str, Any]:
         header = json.loads(data[8 : 8 + header_bytes])
     except (ValueError, RecursionError):
         raise WeightsError("this is no .safetensors file: its header is no JSON") from None
-    metadata = header.get("__metadata__", {}) if isinstance(header, dict) else {}
-    return metadata if isinstance(metadata, dict) else {}
+    if not isinstance(header, dict):
+        raise WeightsError(f"this is no .safetensors file: its header is {shown(header)}")
+    return header
+
+
+def _tensors(data: bytes, header: Mapping[str, Any]) -> Mapping[str, torch.Tensor]:
+    for key, entry in header.items():
+        dtype = entry.get("dtype") if isinstance(entry, dict) else None
+        if dtype not in _DTYPES:
+            raise WeightsError(
+                f"the tensor {shown(key)} holds {shown(dtype)}, expected one of {', '.join(_DTYPES)}"
+            )
+    try:
+        return load(data)
+    except Exception as error:  # noqa: BLE001 - whatever a hostile file provokes is a refusal
+        raise WeightsError(
+            f"the file is damaged, or cut short ({first_line(error)}): copy it again"
+        ) from None
+
+
+def _smallest(tensor: torch.Tensor) -> torch.Tensor:
+    half = tensor.half() if tensor.dtype is torch.float32 else tensor
+    return half if torch.equal(half.to(tensor.dtype), tensor) else tensor
 
 
 def _json(metadata: Mapping[str, Any], key: str) -> Any:
@@ -119,22 +140,26 @@ def _architecture(described: Any) -> Architecture:
     """An Architecture from its JSON, with the checks that a checkpoint's yaml has to pass."""
     try:
         rows = [
-            [list(sources), repeats, kind, _yaml_arguments(kind, args)]
+            [sources, repeats, kind, _yaml_arguments(kind, args)]
             for sources, repeats, kind, args in described["layers"]
         ]
-        classes, strides = described["classes"], tuple(described["strides"])
+        strides = tuple(
+            whole_number(stride, "a stride", 1, MAX_STRIDE)
+            for stride in described["strides"][: MAX_LEVELS + 1]
+        )
         anchors_px: AnchorsPx = tuple(
             tuple((float(width), float(height)) for width, height in level)
             for level in described["anchors_px"]
         )
-    except (TypeError, ValueError, KeyError) as error:
-        raise WeightsError(f"the metadata entry architecture is damaged ({str(error)[:80]})") from None
-    if not isinstance(classes, int) or not 1 <= classes <= MAX_CLASSES:
-        raise WeightsError(f"the model has {str(classes)[:40]} classes, expected 1 to {MAX_CLASSES}")
-    if not all(isinstance(stride, int) and 1 <= stride <= 1024 for stride in strides) or not strides:
-        raise WeightsError(f"the strides {str(strides)[:80]} are not whole numbers from 1 to 1024")
-    if len(anchors_px) != len(strides) or len({len(level) for level in anchors_px}) != 1:
-        raise WeightsError("expected as many anchors on each level, and as many levels as strides")
+        classes = whole_number(described["classes"], "the number of classes", 1, MAX_CLASSES)
+    except WeightsError:
+        raise
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise WeightsError(f"the metadata entry architecture is damaged ({first_line(error)})") from None
+    counts = {len(level) for level in anchors_px}
+    if not 1 <= len(anchors_px) == len(strides) <= MAX_LEVELS or len(counts) != 1:
+        raise WeightsError("expected a stride and equally many anchors for each of 1 to 8 levels")
+    whole_number(counts.pop(), "the anchors of a level", 1, MAX_ANCHORS)
     yaml = described | {"backbone": rows, "head": []}
     return architecture_of(yaml, classes=classes, anchors_px=anchors_px, strides=strides)
 
@@ -142,4 +167,4 @@ def _architecture(described: Any) -> Architecture:
 def _yaml_arguments(kind: str, args: list[Any]) -> list[Any]:
     """What a yaml row says where a `Layer` of this kind says nothing."""
     implied: dict[str, list[Any]] = {"Upsample": [None, 2, "nearest"], "Concat": [1]}
-    return implied.get(kind, list(args))
+    return implied.get(kind, args)

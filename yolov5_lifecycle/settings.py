@@ -6,26 +6,14 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal
 
-from annotated_types import Ge, Le, MultipleOf
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
-from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from yolov5_lifecycle.architecture import SIZES
-from yolov5_lifecycle.suggestion import did_you_mean
-
-
-class Change(Enum):
-    """When a change of a setting takes effect while the node is active."""
-
-    LIVE = "live: obeyed from the next frame"
-    RELOAD = "reload: the model is prepared again and swapped between two frames"
-    RESUBSCRIBE = "resubscribe: the image subscription is made anew"
-    READ_ONLY = "read only: decided when the process starts"
-
+from yolov5_lifecycle.setting import Change, Setting, described
+from yolov5_lifecycle.suggestion import did_you_mean, nearest
 
 ModelSize = Literal["n", "s", "m", "l", "x", "n6", "s6", "m6", "l6", "x6"]
 
@@ -66,7 +54,7 @@ class Settings(BaseModel):
         ge=64,
         le=4096,
         multiple_of=32,
-        description="Longer side of the network's picture in pixels, a multiple of the model's largest stride.",
+        description="Longer side of the network's picture in pixels: a multiple of the largest stride.",
     )
     confidence_threshold: Annotated[float, Change.LIVE] = Field(
         0.25, ge=0, le=1, description="Detections with a lower score are dropped."
@@ -149,60 +137,7 @@ class Settings(BaseModel):
         return hashlib.sha256(json.dumps(self.model_dump(), sort_keys=True).encode()).hexdigest()[:12]
 
 
-@dataclass(frozen=True)
-class Setting:
-    """One row of the settings table, derived from a field of `Settings`."""
-
-    name: str
-    type: type
-    """bool, int, float, str, or tuple for a list of strings."""
-    default: object
-    description: str
-    change: Change
-    minimum: float | None
-    maximum: float | None
-    step: float | None
-    choices: tuple[str, ...]
-
-    @property
-    def allowed(self) -> str:
-        """The rule as a reader wants it, for messages and documents."""
-        if self.choices:
-            return "one of " + ", ".join(self.choices)
-        if self.minimum is not None and self.maximum is not None:
-            multiple = f", a multiple of {self.step:g}" if self.step else ""
-            return f"{_TYPE_WORDS[self.type]} from {self.minimum:g} to {self.maximum:g}{multiple}"
-        return _TYPE_WORDS[self.type]
-
-
-_TYPE_WORDS = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "a text",
-    tuple: "a list of texts",
-}
-
-
-def _setting(name: str, field: FieldInfo) -> Setting:
-    limits = {type(rule): rule for rule in field.metadata}
-    annotation = field.annotation
-    choices = get_args(annotation) if get_origin(annotation) is Literal else ()
-    assert field.description is not None
-    return Setting(
-        name=name,
-        type=str if choices else (get_origin(annotation) or annotation),  # type: ignore[arg-type]
-        default=field.default,
-        description=field.description,
-        change=next(mark for mark in field.metadata if isinstance(mark, Change)),
-        minimum=limits[Ge].ge if Ge in limits else None,
-        maximum=limits[Le].le if Le in limits else None,
-        step=limits[MultipleOf].multiple_of if MultipleOf in limits else None,
-        choices=choices,
-    )
-
-
-SETTINGS: tuple[Setting, ...] = tuple(_setting(name, field) for name, field in Settings.model_fields.items())
+SETTINGS: tuple[Setting, ...] = tuple(described(name, field) for name, field in Settings.model_fields.items())
 _BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 
@@ -275,9 +210,33 @@ def _field_problem(details: ErrorDetails) -> Problem:
     )
 
 
+# What the same thing is called in YOLOv5's own scripts and in other nodes.
+_ELSEWHERE = {
+    "half": "precision",
+    "conf": "confidence_threshold",
+    "conf_thres": "confidence_threshold",
+    "threshold": "confidence_threshold",
+    "iou": "iou_threshold",
+    "iou_thres": "iou_threshold",
+    "nms_threshold": "iou_threshold",
+    "imgsz": "image_size",
+    "imgsz_height": "image_size",
+    "imgsz_width": "image_size",
+    "max_det": "max_detections",
+    "model": "weights",
+    "model_path": "weights",
+}
+
+
+def meant_setting(name: str) -> str | None:
+    """The setting that somebody who wrote `name` probably meant."""
+    return _ELSEWHERE.get(name) or nearest(name, _BY_NAME)
+
+
 def unknown_setting(name: str) -> Problem:
     """The problem of a name that is no setting."""
-    return Problem(name, f"there is no such parameter.{did_you_mean(name, _BY_NAME)}")
+    meant = meant_setting(name)
+    return Problem(name, "there is no such parameter." + (f" Did you mean '{meant}'?" if meant else ""))
 
 
 def _shown(value: object) -> str:

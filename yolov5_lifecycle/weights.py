@@ -5,16 +5,21 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from yolov5_lifecycle.checkpoint import read_checkpoint
-from yolov5_lifecycle.model import Model, WeightsError
+from yolov5_lifecycle.model import Model, WeightsError, shown
 from yolov5_lifecycle.safetensors_file import read_safetensors
 
 MAX_FILE_BYTES = 2 << 30
 _IRREGULAR = "expected a regular file, found a folder, pipe or device"
-_READERS = {".safetensors": read_safetensors, ".pt": read_checkpoint, ".pth": read_checkpoint}
+_READERS: dict[str, Callable[[bytes], Model]] = {
+    ".safetensors": read_safetensors,
+    ".pt": read_checkpoint,
+    ".pth": read_checkpoint,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,44 +34,60 @@ class WeightsFile:
 def find_weights(*, weights: str, weights_dir: Path, model_size: str) -> Path:
     """The file that `weights` names, or the one of `model_size` in `weights_dir`: .safetensors before .pt.
 
-    Raises WeightsError when there is none.
+    A leading ~ is the home folder. Raises WeightsError when there is none.
     """
     if weights:
-        return Path(weights).expanduser()
-    tried = [weights_dir / f"yolov5{model_size}{suffix}" for suffix in (".safetensors", ".pt")]
+        return _expanded(Path(weights))
+    folder = _expanded(weights_dir)
+    tried = [folder / f"yolov5{model_size}{suffix}" for suffix in (".safetensors", ".pt")]
     for path in tried:
-        if path.exists():
+        if os.path.lexists(path):
             return path
     raise WeightsError(
         f"no weights for model_size '{model_size}': neither {tried[0]} nor {tried[1]} is there. "
-        "Put the file into that folder, or set the parameter `weights` to its path."
+        "Put one of them into that folder, or set the parameter `weights` to a path; "
+        "the command `convert` makes a .safetensors of a .pt."
     )
 
 
 def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
     """Read the file at `path` once and make its model; with `sha256`, only if its bytes have that digest.
 
-    Raises WeightsError with the path in its message.
+    The path in the result has its links resolved. Raises WeightsError with the path in its message.
     """
     try:
-        reader = _READERS.get(path.suffix.lower())
-        if reader is None:
-            raise WeightsError(
-                f"expected a file that ends in {', '.join(_READERS)}, found '{path.suffix[:40]}'"
-            )
+        reader = _reader(path)
         data = _read_once(path)
         digest = hashlib.sha256(data).hexdigest()
         if sha256 and digest != sha256.lower():
             raise WeightsError(f"its sha256 is {digest}, expected {sha256.lower()}: this is another file")
-        return WeightsFile(path, digest, reader(data))
+        return WeightsFile(Path(os.path.realpath(path)), digest, reader(data))
     except WeightsError as error:
         raise WeightsError(f"{path}: {error}.") from None
+    except MemoryError:
+        raise WeightsError(f"{path}: there is not enough memory to read it; free some.") from None
+
+
+def _expanded(path: Path) -> Path:
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        raise WeightsError(f"{path}: there is no such home folder; write the path in full.") from None
+
+
+def _reader(path: Path) -> Callable[[bytes], Model]:
+    if "\0" in str(path):
+        raise WeightsError("a path holds no NUL character: correct it")
+    if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises where a folder above cannot be read
+        raise WeightsError(f"{_IRREGULAR}: name the file itself")
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise WeightsError(f"expected a file that ends in {', '.join(_READERS)}, found {shown(path.suffix)}")
+    return reader
 
 
 def _read_once(path: Path) -> bytes:
     """All bytes of a regular file; what is checked and what is used cannot differ."""
-    if "\0" in str(path):
-        raise WeightsError("a path holds no NUL character: correct it")
     try:
         with open(path, "rb", opener=_open_without_waiting) as file:
             status = os.fstat(file.fileno())
@@ -74,13 +95,14 @@ def _read_once(path: Path) -> bytes:
                 raise WeightsError(_IRREGULAR)
             if status.st_size > MAX_FILE_BYTES:
                 raise WeightsError(f"the file has {status.st_size} bytes; at most {MAX_FILE_BYTES} are read")
-            return file.read(MAX_FILE_BYTES + 1)
+            data = file.read(status.st_size + 1)
     except FileNotFoundError:
         raise WeightsError("there is no such file: check the path for a missing '/' or a typo") from None
-    except IsADirectoryError:
-        raise WeightsError(_IRREGULAR) from None
     except OSError as error:
         raise WeightsError(f"the file cannot be read ({error.strerror})") from None
+    if len(data) != status.st_size:
+        raise WeightsError("the file changed while it was read: try again when it is complete")
+    return data
 
 
 def _open_without_waiting(path: str, flags: int) -> int:

@@ -4,15 +4,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any
 
-from yolov5_lifecycle.architecture import AnchorsPx, Architecture, Layer, LayerKind
-from yolov5_lifecycle.model import WeightsError
+from yolov5_lifecycle.architecture import LAYER_KINDS, AnchorsPx, Architecture, Layer, LayerKind
+from yolov5_lifecycle.model import WeightsError, shown, whole_number
 
 MAX_LAYERS = 200
 MAX_CHANNELS = 8192
 MAX_REPEATS = 100
-_BEFORE_V6 = ("Focus", "BottleneckCSP", "SPP")
+MAX_BOTTLENECKS = 300
+"""Of all C3 layers together; the largest official network, x6, has 56."""
+MAX_LEVELS = 8
+MAX_STRIDE = 1024
+MAX_ANCHORS = 32
+
+_FOREIGN_KINDS = {
+    **dict.fromkeys(("Focus", "BottleneckCSP", "SPP"), "of YOLOv5 before 6.0: train it again with v6 or v7"),
+    **dict.fromkeys(("Segment", "Classify"), "no detection head; only detection models are supported"),
+    **dict.fromkeys(
+        ("IDetect", "IAuxDetect", "IBin", "MP", "SPPCSPC", "SPPFCSPC", "RepConv"),
+        "of another project, named YOLOv7; only YOLOv5 (v6 or v7) is supported",
+    ),
+    **dict.fromkeys(
+        ("C3TR", "C3SPP", "C3Ghost", "C3x", "GhostConv", "GhostBottleneck", "DWConv", "CrossConv"),
+        "a variant of YOLOv5's building blocks that is not supported",
+    ),
+}
+_FIXED_ARGUMENTS: dict[LayerKind, list[list[object]]] = {
+    "Upsample": [[None, 2, "nearest"], ["None", 2, "nearest"]],
+    "Concat": [[1]],
+}
 
 
 def architecture_of(
@@ -20,16 +42,16 @@ def architecture_of(
 ) -> Architecture:
     """The rows of `backbone` and `head` and the multiples, everything checked; raises WeightsError."""
     if not isinstance(yaml, dict):
-        raise WeightsError(f"the model's yaml is a {type(yaml).__name__}, not a dict")
-    rows = [*_rows(yaml.get("backbone")), *_rows(yaml.get("head"))]
-    if len(rows) > MAX_LAYERS:
-        raise WeightsError(f"the model has {len(rows)} layers; at most {MAX_LAYERS} are read")
+        raise WeightsError(f"expected a dict as the model's yaml, found {shown(yaml)}")
+    rows = [*_rows(yaml, "backbone"), *_rows(yaml, "head")]
+    if not 1 <= len(rows) <= MAX_LAYERS:
+        raise WeightsError(f"expected 1 to {MAX_LAYERS} layers, found {len(rows)}")
     layers = tuple(_layer(row, index) for index, row in enumerate(rows))
-    kinds = [layer.kind for layer in layers]
-    if kinds.count("Detect") != 1 or kinds[-1] != "Detect" or len(layers[-1].sources) != len(strides):
-        raise WeightsError("expected one Detect layer, the last, with a source for each of its levels")
+    depth_multiple = _multiple(yaml, "depth_multiple")
+    _check_repeats(layers, depth_multiple)
+    _check_strides(layers, strides)
     return Architecture(
-        depth_multiple=_multiple(yaml, "depth_multiple"),
+        depth_multiple=depth_multiple,
         width_multiple=_multiple(yaml, "width_multiple"),
         classes=classes,
         anchors_px=anchors_px,
@@ -38,89 +60,116 @@ def architecture_of(
     )
 
 
-def _rows(rows: object) -> Sequence[object]:
-    if not isinstance(rows, list):
-        raise WeightsError("the model's yaml has no list of backbone and head layers")
+def layer_kind(name: str, where: str) -> LayerKind:
+    """The kind that a module called `name` is of; raises WeightsError, telling what it is instead."""
+    name = name.removeprefix("nn.")
+    for kind in LAYER_KINDS:
+        if kind == name:
+            return kind
+    why = _FOREIGN_KINDS.get(name, f"not supported; supported are {', '.join(LAYER_KINDS)}")
+    raise WeightsError(f"{where} is a {shown(name)}, {why}")
+
+
+def layer_sources(sources: object, index: int) -> tuple[int, ...]:
+    """Numbers of earlier layers; a negative one counts back, and only -1 stays as it is."""
+    listed = list(sources) if isinstance(sources, (list, tuple)) else [sources]
+    if not 1 <= len(listed) <= 16:
+        raise WeightsError(f"layer {index} reads {len(listed)} layers, expected 1 to 16")
+    numbers = [
+        whole_number(source, f"the input of layer {index}", -max(index, 1), index - 1) for source in listed
+    ]
+    return tuple(number if number >= -1 else index + number for number in numbers)
+
+
+def _rows(yaml: dict[Any, Any], part: str) -> Sequence[object]:
+    rows = yaml.get(part)
+    if not isinstance(rows, (list, tuple)):
+        raise WeightsError(f"expected a list of layers as {part} of the model's yaml, found {shown(rows)}")
     return rows
 
 
 def _multiple(yaml: dict[Any, Any], key: str) -> float:
     value = yaml.get(key)
     if not isinstance(value, (int, float)) or not math.isfinite(value) or not 0.01 <= value <= 10:
-        raise WeightsError(f"{key} is {str(value)[:40]}, expected a number from 0.01 to 10")
+        raise WeightsError(f"expected a {key} from 0.01 to 10, found {shown(value)}")
     return float(value)
 
 
 def _layer(row: object, index: int) -> Layer:
     if not isinstance(row, (list, tuple)) or len(row) != 4 or not isinstance(row[3], (list, tuple)):
-        raise WeightsError(f"layer {index} is not [from, number, module, arguments]")
+        raise WeightsError(f"expected [from, number, module, arguments] as layer {index}, found {shown(row)}")
     sources, repeats, module, arguments = row
-    kind = _kind(str(module), index)
-    return Layer(
-        sources=_sources(sources, index),
-        repeats=_whole(repeats, f"layer {index} repeats", 1, MAX_REPEATS),
+    kind = layer_kind(module if isinstance(module, str) else shown(module), f"layer {index}")
+    layer = Layer(
+        sources=layer_sources(sources, index),
+        repeats=whole_number(repeats, f"the number of layer {index}", 1, MAX_REPEATS),
         kind=kind,
         args=_arguments(kind, list(arguments), index),
     )
-
-
-def _kind(module: str, index: int) -> LayerKind:
-    name = module.removeprefix("nn.").removeprefix("models.common.")
-    kinds: dict[str, LayerKind] = {
-        "Conv": "Conv", "C3": "C3", "SPPF": "SPPF", "Upsample": "Upsample", "Concat": "Concat", "Detect":
-        "Detect"
-    }  # fmt: skip
-    if name in kinds:
-        return kinds[name]
-    if name in _BEFORE_V6:
-        raise WeightsError(f"layer {index} is a {name}, of YOLOv5 before 6.0: train it again with v6 or v7")
-    if name in ("Segment", "Classify"):
-        raise WeightsError(f"this is a {name.lower()} model; only detection models are supported")
-    raise WeightsError(
-        f"layer {index} is a {name[:40]}, which is not supported; supported: {', '.join(kinds)}"
-    )
-
-
-def _sources(sources: object, index: int) -> tuple[int, ...]:
-    """Row numbers of earlier layers; a negative one counts back and only -1 stays as it is."""
-    listed = list(sources) if isinstance(sources, (list, tuple)) else [sources]
-    numbers = [_whole(source, f"layer {index} input", -MAX_LAYERS, index - 1) for source in listed]
-    absolute = tuple(number if number >= -1 else index + number for number in numbers)
-    if not 1 <= len(absolute) <= 16 or any(number < -1 for number in absolute):
-        raise WeightsError(f"layer {index} reads layers {str(listed)[:80]}, which do not exist")
-    return absolute
+    if len(layer.sources) > {"Concat": 16, "Detect": MAX_LEVELS}.get(kind, 1):
+        raise WeightsError(f"layer {index}, a {kind}, reads too many layers: {shown(layer.sources)}")
+    return layer
 
 
 def _arguments(kind: LayerKind, arguments: list[object], index: int) -> tuple[int, ...]:
+    """What `Layer.args` keeps of a row's arguments; Detect's are told by its own attributes."""
     if kind == "Detect":
         return ()
-    if (
-        kind == "Upsample"
-        and len(arguments) == 3
-        and arguments[0] in (None, "None")
-        and arguments[1:] == [2, "nearest"]
-    ):
-        return ()
-    if kind == "Concat" and arguments == [1]:
-        return ()
-    if kind == "C3" and 1 <= len(arguments) <= 2:
-        channels = _whole(arguments[0], f"layer {index} channels", 1, MAX_CHANNELS)
-        return (channels, *(int(bool(shortcut)) for shortcut in arguments[1:]))
-    if kind == "SPPF" and len(arguments) == 2 and arguments[1] in (3, 5, 7, 9, 11, 13):
-        return (_whole(arguments[0], f"layer {index} channels", 1, MAX_CHANNELS), int(str(arguments[1])))
-    if kind == "Conv" and 1 <= len(arguments) <= 4:
-        channels, kernel, stride, *padding = [
-            _whole(argument, f"layer {index} argument", 0, MAX_CHANNELS)
-            for argument in [*arguments, 1, 1][: max(len(arguments), 3)]
-        ]
-        if 1 <= kernel <= 15 and 1 <= stride <= 8 and channels and padding in ([], [(kernel - 1) // 2]):
+    if not all(isinstance(argument, (str, int, float, type(None))) for argument in arguments):
+        raise _unsupported(kind, arguments, index)
+    if kind in _FIXED_ARGUMENTS:
+        if arguments in _FIXED_ARGUMENTS[kind]:
+            return ()
+        raise _unsupported(kind, arguments, index)
+    channels = whole_number([*arguments, None][0], f"the channels of layer {index}", 1, MAX_CHANNELS)
+    rest = arguments[1:]
+    if kind == "C3" and rest in ([], [True], [False]):
+        return (channels, *(int(shortcut == 1) for shortcut in rest))
+    if kind == "SPPF" and len(rest) <= 1:
+        return (channels, _kernel([*rest, 5][0], index))
+    if kind == "Conv" and len(rest) <= 3:
+        kernel, stride, *padding = rest + [1, 1][len(rest) :]
+        kernel, stride = _kernel(kernel, index), whole_number(stride, f"the stride of layer {index}", 1, 8)
+        # An even kernel at stride 1 would shrink its input by one.
+        if padding in ([], [None], [(kernel - 1) // 2]) and (kernel % 2 or stride > 1):
             return (channels, kernel, stride)
-    raise WeightsError(
-        f"layer {index}, a {kind}, has the arguments {str(arguments)[:80]}, which are not supported"
-    )
+    raise _unsupported(kind, arguments, index)
 
 
-def _whole(value: object, what: str, least: int, most: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise WeightsError(f"{what}: expected a whole number from {least} to {most}, found {str(value)[:40]}")
-    return value
+def _kernel(value: object, index: int) -> int:
+    return whole_number(value, f"the kernel of layer {index}", 1, 15)
+
+
+def _unsupported(kind: LayerKind, arguments: list[object], index: int) -> WeightsError:
+    return WeightsError(f"layer {index}, a {kind}, has the arguments {shown(arguments)}: not supported")
+
+
+def _check_repeats(layers: tuple[Layer, ...], depth_multiple: float) -> None:
+    """C3 repeats its bottlenecks; no other kind is repeated."""
+    bottlenecks = 0
+    for index, layer in enumerate(layers):
+        repeats = max(round(layer.repeats * depth_multiple), 1) if layer.repeats > 1 else 1
+        if layer.kind == "C3":
+            bottlenecks += repeats
+        elif repeats > 1:
+            raise WeightsError(f"layer {index}, a {layer.kind}, is repeated {repeats} times: not supported")
+    if bottlenecks > MAX_BOTTLENECKS:
+        raise WeightsError(f"it has {bottlenecks} bottlenecks, at most {MAX_BOTTLENECKS} are built")
+
+
+def _check_strides(layers: tuple[Layer, ...], strides: tuple[int, ...]) -> None:
+    """What is concatenated has one size, and the Detect layer, the last, gets the strides that it claims."""
+    kinds = [layer.kind for layer in layers]
+    if kinds.count("Detect") != 1 or kinds[-1] != "Detect":
+        raise WeightsError(f"expected one Detect layer, the last, found {kinds.count('Detect')}")
+    reductions: list[Fraction] = []
+    for index, layer in enumerate(layers):
+        inputs = [(reductions or [Fraction(1)])[source] for source in layer.sources]
+        if layer.kind == "Detect":
+            if inputs != list(strides):
+                found = [str(reduction) for reduction in inputs]
+                raise WeightsError(f"the strides are {shown(strides)}, but its layers make {shown(found)}")
+        elif len(set(inputs)) > 1:
+            raise WeightsError(f"layer {index}, a Concat, joins layers of different sizes")
+        factor = {"Conv": Fraction(layer.args[-1] if layer.args else 1), "Upsample": Fraction(1, 2)}
+        reductions.append(inputs[0] * factor.get(layer.kind, Fraction(1)))

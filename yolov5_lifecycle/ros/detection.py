@@ -12,7 +12,8 @@ from yolov5_lifecycle.ros.image_input import ImageInput, InputStatus, ReceivedFr
 from yolov5_lifecycle.ros.outputs import Outputs
 from yolov5_lifecycle.ros.pipeline import Pipeline, selection
 from yolov5_lifecycle.ros.preparation import PreparedModel
-from yolov5_lifecycle.settings import Change, Settings
+from yolov5_lifecycle.setting import Change
+from yolov5_lifecycle.settings import Settings
 from yolov5_lifecycle.worker import Worker
 
 REST_TIMEOUT_S = 3.0

@@ -10,17 +10,16 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from yolov5_lifecycle.setting import Change, Setting
 from yolov5_lifecycle.settings import (
     SETTINGS,
-    Change,
     Problem,
-    Setting,
     Settings,
     SettingsError,
+    meant_setting,
     unknown_setting,
     validated,
 )
-from yolov5_lifecycle.suggestion import nearest
 
 Review = Callable[[Settings], list[Problem]]
 Commit = Callable[[Settings], None]
@@ -151,9 +150,7 @@ class SettingsParameters:
             if parameter.name in self._sources:
                 self._sources[parameter.name] = Source.RUN_TIME
             self._bad_overrides.pop(parameter.name, None)
-            for unknown in [
-                name for name in self._bad_overrides if nearest(name, _BY_NAME) == parameter.name
-            ]:
+            for unknown in [name for name in self._bad_overrides if meant_setting(name) == parameter.name]:
                 del self._bad_overrides[unknown]
         if not self.problems():  # else configure will name them
             self._commit(self.settings())

@@ -10,7 +10,8 @@ from ament_index_python.packages import PackageNotFoundError, get_package_share_
 
 from yolov5_lifecycle.detector import Detector, load_detector
 from yolov5_lifecycle.memory import give_back_memory
-from yolov5_lifecycle.settings import Change, Settings
+from yolov5_lifecycle.setting import Change
+from yolov5_lifecycle.settings import Settings
 from yolov5_lifecycle.weights import find_weights, load_weights
 
 _PACKAGE_SCHEME = "package://"

@@ -15,7 +15,8 @@ from yolov5_lifecycle.ros.parameters import SettingsParameters, refusal
 from yolov5_lifecycle.ros.pipeline import model_problems
 from yolov5_lifecycle.ros.preparation import PreparedModel
 from yolov5_lifecycle.ros.services import Handler
-from yolov5_lifecycle.settings import Change, Problem, Settings
+from yolov5_lifecycle.setting import Change
+from yolov5_lifecycle.settings import Problem, Settings
 
 _TOGETHER = (
     " All parameters of this request would be valid together: send them through set_parameters_atomically, "

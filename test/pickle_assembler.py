@@ -1,0 +1,96 @@
+"""Pickles and archives put together by hand, as no honest program writes them."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+from collections.abc import Mapping, Sequence
+
+START = b"\x80\x02"
+EMPTY_DICT, EMPTY_LIST, EMPTY_TUPLE = b"}", b"]", b")"
+MARK, TUPLE, APPEND, SETITEM, BUILD, NEWOBJ, REDUCE, PERSID, STOP = (
+    b"(", b"t", b"a", b"s", b"b", b"\x81", b"R", b"Q", b".",
+)  # fmt: skip
+
+
+def name(module: str, attribute: str) -> bytes:
+    return f"c{module}\n{attribute}\n".encode()
+
+
+def text(value: str) -> bytes:
+    encoded = value.encode()
+    return b"X" + struct.pack("<I", len(encoded)) + encoded
+
+
+def number(value: int) -> bytes:
+    size = (value.bit_length() + 8) // 8
+    return b"\x8a" + bytes([size]) + value.to_bytes(size, "little", signed=True)
+
+
+def put(index: int) -> bytes:
+    return b"r" + struct.pack("<I", index)
+
+
+def get(index: int) -> bytes:
+    return b"j" + struct.pack("<I", index)
+
+
+def items(*values: bytes) -> bytes:
+    """A tuple."""
+    return MARK + b"".join(values) + TUPLE
+
+
+def call(function: bytes, *arguments: bytes) -> bytes:
+    return function + items(*arguments) + REDUCE
+
+
+def mapping(entries: Mapping[str, bytes]) -> bytes:
+    return EMPTY_DICT + b"".join(text(key) + value + SETITEM for key, value in entries.items())
+
+
+def instance(module: str, cls: str, state: Mapping[str, bytes]) -> bytes:
+    return name(module, cls) + EMPTY_TUPLE + NEWOBJ + mapping(state) + BUILD
+
+
+def storage(numel: int = 4, *, kind: str = "FloatStorage", key: str = "0") -> bytes:
+    return items(text("storage"), name("torch", kind), text(key), text("cpu"), number(numel)) + PERSID
+
+
+def tensor(size: Sequence[int] = (4,), stride: Sequence[int] = (1,), *, stored: bytes | None = None) -> bytes:
+    return call(
+        name("torch._utils", "_rebuild_tensor_v2"),
+        stored or storage(),
+        number(0),
+        items(*map(number, size)),
+        items(*map(number, stride)),
+        b"\x89",
+        call(name("collections", "OrderedDict")),
+    )
+
+
+def model(parameter: bytes) -> bytes:
+    """The value of a checkpoint whose model has one parameter."""
+    group = {"_parameters": mapping({"weight": parameter})}
+    return mapping({"model": instance("models.yolo", "Model", group)})
+
+
+def archive(
+    value: bytes,
+    *,
+    storages: Sequence[bytes] = (bytes(16),),
+    more: Sequence[tuple[str, bytes]] = (),
+    compression: int = zipfile.ZIP_STORED,
+    start: bytes = START,
+) -> bytes:
+    """A checkpoint whose data.pkl leaves `value` on the stack."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", compression) as zipped:
+        zipped.writestr("archive/data.pkl", start + value + STOP)
+        zipped.writestr("archive/byteorder", "little")
+        zipped.writestr("archive/version", "3\n")
+        for index, content in enumerate(storages):
+            zipped.writestr(f"archive/data/{index}", content)
+        for path, content in more:
+            zipped.writestr(path, content)
+    return file.getvalue()

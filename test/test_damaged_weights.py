@@ -1,0 +1,133 @@
+"""Property: however a weights file is damaged, it is refused, or gives a model of the same shape."""
+
+from __future__ import annotations
+
+import functools
+import io
+import zipfile
+from collections.abc import Callable
+
+import hostile_archives
+import hostile_safetensors
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from yolov5_lifecycle.checkpoint import read_checkpoint
+from yolov5_lifecycle.model import Model, WeightsError
+from yolov5_lifecycle.network import Network
+from yolov5_lifecycle.safetensors_file import read_safetensors
+
+_FEW = settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
+)
+_PLACE = st.floats(0, 1, exclude_max=True)
+_SPLICES = st.lists(st.tuples(_PLACE, st.integers(0, 16), st.binary(max_size=16)), min_size=1, max_size=4)
+Splices = list[tuple[float, int, bytes]]
+
+
+@functools.cache
+def checkpoint() -> bytes:
+    return hostile_archives.valid()
+
+
+@functools.cache
+def safetensors() -> bytes:
+    return hostile_safetensors.valid()
+
+
+def spliced(data: bytes, splices: Splices) -> bytes:
+    """`data` with some bytes at some places (parts of its length) replaced by others."""
+    for place, removed, added in splices:
+        start = int(place * len(data))
+        data = data[:start] + added + data[start + removed :]
+    return data
+
+
+def with_pickle(change: Callable[[bytes], bytes]) -> bytes:
+    """The checkpoint with another data.pkl in an archive that is whole, so that the pickle is looked at."""
+    file = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(checkpoint())) as old,
+        zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as new,
+    ):
+        for name in old.namelist():
+            content = old.read(name)
+            new.writestr(name, change(content) if name.endswith("/data.pkl") else content)
+    return file.getvalue()
+
+
+def outcome(read: Callable[[bytes], Model], data: bytes) -> Model | WeightsError:
+    try:
+        return read(data)
+    except WeightsError as error:
+        return error
+
+
+def check(read: Callable[[bytes], Model], data: bytes) -> None:
+    """Either a refusal of one line, or a model that is whole."""
+    model = outcome(read, data)
+    if isinstance(model, WeightsError):
+        assert str(model).isprintable()
+        return
+    network = Network(model.architecture).eval()
+    network.load_state_dict(model.state_dict, strict=True)
+    assert len(model.class_names) == model.architecture.classes
+    assert all(bool(torch.isfinite(tensor).all()) for tensor in model.state_dict.values())
+    side = max(model.architecture.strides)
+    assert network(torch.zeros(1, 3, side, side)).shape[2] == 5 + model.architecture.classes
+
+
+@_FEW
+@given(_SPLICES)
+def test_a_damaged_checkpoint_is_refused_or_whole(splices: Splices) -> None:
+    check(read_checkpoint, spliced(checkpoint(), splices))
+
+
+@_FEW
+@given(_SPLICES)
+def test_a_checkpoint_with_a_damaged_pickle_is_refused_or_whole(splices: Splices) -> None:
+    check(read_checkpoint, with_pickle(lambda pickle: spliced(pickle, splices)))
+
+
+@_FEW
+@given(st.integers(0, 1 << 20), st.integers(0, 255))
+def test_a_checkpoint_with_one_other_byte_in_its_pickle_is_refused_or_whole(place: int, byte: int) -> None:
+    def change(pickle: bytes) -> bytes:
+        index = place % len(pickle)
+        return pickle[:index] + bytes([byte]) + pickle[index + 1 :]
+
+    check(read_checkpoint, with_pickle(change))
+
+
+@_FEW
+@given(_SPLICES)
+def test_a_damaged_safetensors_file_is_refused_or_whole(splices: Splices) -> None:
+    check(read_safetensors, spliced(safetensors(), splices))
+
+
+@_FEW
+@given(st.integers(0, 1 << 20), st.integers(0, 255))
+def test_a_safetensors_file_with_one_other_byte_in_its_header_is_refused_or_whole(
+    place: int, byte: int
+) -> None:
+    data = bytearray(safetensors())
+    data[place % (8 + int.from_bytes(data[:8], "little"))] = byte
+    check(read_safetensors, bytes(data))
+
+
+@pytest.mark.parametrize("read", [read_checkpoint, read_safetensors])
+@settings(max_examples=40, derandomize=True)
+@given(data=st.binary(max_size=64))
+def test_random_bytes_are_refused(read: Callable[[bytes], Model], data: bytes) -> None:
+    with pytest.raises(WeightsError):
+        read(data)
+
+
+@pytest.mark.parametrize("size", range(0, 64, 7))
+def test_a_file_cut_after_a_few_bytes_is_refused(size: int) -> None:
+    with pytest.raises(WeightsError):
+        read_checkpoint(checkpoint()[:size])
+    with pytest.raises(WeightsError):
+        read_safetensors(safetensors()[:size])

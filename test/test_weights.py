@@ -1,0 +1,183 @@
+"""Which weights file is taken, and what is said of one that cannot be."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from random_model import CLASS_NAMES, random_model
+
+from yolov5_lifecycle.model import WeightsError
+from yolov5_lifecycle.safetensors_file import write_safetensors
+from yolov5_lifecycle.weights import MAX_FILE_BYTES, find_weights, load_weights
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("weights") / "good.safetensors"
+    write_safetensors(random_model(), path)
+    return path
+
+
+def refusal(path: Path, **options: str) -> str:
+    with pytest.raises(WeightsError) as refused:
+        load_weights(path, **options)
+    return str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("present", "chosen"),
+    [
+        pytest.param(["yolov5s.pt"], "yolov5s.pt", id="only pt"),
+        pytest.param(["yolov5s.safetensors"], "yolov5s.safetensors", id="only safetensors"),
+        pytest.param(["yolov5s.pt", "yolov5s.safetensors"], "yolov5s.safetensors", id="both"),
+        pytest.param(["yolov5s.pt", "yolov5n.safetensors"], "yolov5s.pt", id="another size beside it"),
+    ],
+)
+def test_without_a_path_the_file_of_the_size_is_taken(
+    tmp_path: Path, present: list[str], chosen: str
+) -> None:
+    for name in present:
+        (tmp_path / name).touch()
+    assert find_weights(weights="", weights_dir=tmp_path, model_size="s") == tmp_path / chosen
+
+
+def test_a_path_wins_over_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "yolov5n.pt").touch()
+    found = find_weights(weights="/elsewhere/mine.pt", weights_dir=tmp_path, model_size="n")
+    assert found == Path("/elsewhere/mine.pt")
+
+
+def test_a_tilde_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "yolov5n.pt").touch()
+    options = {"model_size": "n"}
+    assert find_weights(weights="~/a.pt", weights_dir=Path("/"), **options) == tmp_path / "a.pt"
+    assert find_weights(weights="", weights_dir=Path("~"), **options) == tmp_path / "yolov5n.pt"
+
+
+@pytest.mark.parametrize(
+    ("weights", "folder"), [("~nobody-of-that-name/a.pt", "/"), ("", "~nobody-of-that-name")], ids=str
+)
+def test_a_home_folder_that_does_not_exist_is_refused(weights: str, folder: str) -> None:
+    with pytest.raises(WeightsError, match="no such home folder"):
+        find_weights(weights=weights, weights_dir=Path(folder), model_size="n")
+
+
+def test_when_nothing_is_found_both_paths_and_the_remedy_are_named(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError) as refused:
+        find_weights(weights="", weights_dir=tmp_path, model_size="m6")
+    message = str(refused.value)
+    for part in (tmp_path / "yolov5m6.safetensors", tmp_path / "yolov5m6.pt", "`weights`", "`convert`"):
+        assert str(part) in message
+
+
+def test_a_link_to_nowhere_is_found_and_then_told(tmp_path: Path) -> None:
+    (tmp_path / "yolov5n.pt").symlink_to(tmp_path / "gone.pt")
+    path = find_weights(weights="", weights_dir=tmp_path, model_size="n")
+    assert path == tmp_path / "yolov5n.pt"
+    assert "no such file" in refusal(path)
+
+
+def test_a_file_is_what_its_bytes_say(good: Path) -> None:
+    loaded = load_weights(good)
+    assert loaded.path == good
+    assert loaded.sha256 == hashlib.sha256(good.read_bytes()).hexdigest()
+    assert loaded.model.class_names == CLASS_NAMES
+
+
+def test_a_link_is_followed_and_its_target_told(good: Path, tmp_path: Path) -> None:
+    link = tmp_path / "link.safetensors"
+    link.symlink_to(good)
+    assert load_weights(link).path == good
+
+
+def test_the_suffix_may_be_written_large(good: Path, tmp_path: Path) -> None:
+    large = tmp_path / "GOOD.SAFETENSORS"
+    large.write_bytes(good.read_bytes())
+    assert load_weights(large).model.class_names == CLASS_NAMES
+
+
+@pytest.mark.parametrize("write", [str.lower, str.upper], ids=["lower", "upper"])
+def test_the_right_digest_is_accepted_in_any_case(good: Path, write: Callable[[str], str]) -> None:
+    digest = load_weights(good).sha256
+    assert load_weights(good, sha256=write(digest)).sha256 == digest
+
+
+@pytest.mark.parametrize("digest", ["0" * 64, "0", "no digest"], ids=["another", "short", "no hex"])
+def test_another_digest_is_refused_with_both(good: Path, digest: str) -> None:
+    message = refusal(good, sha256=digest)
+    assert digest in message
+    assert hashlib.sha256(good.read_bytes()).hexdigest() in message
+
+
+def test_the_digest_is_checked_before_anything_is_read_out_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "broken.pt"
+    path.write_bytes(b"PK\x03\x04 and nothing that could be read")
+    assert "sha256" in refusal(path, sha256="0" * 64)
+
+
+def _loop(path: Path) -> None:
+    path.symlink_to(path)
+
+
+def _link_to_pipe(path: Path) -> None:
+    os.mkfifo(path.with_name("pipe"))
+    path.symlink_to(path.with_name("pipe"))
+
+
+def _too_large(path: Path) -> None:
+    path.touch()
+    os.truncate(path, MAX_FILE_BYTES + 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "message"),
+    [
+        pytest.param("a.pt", lambda path: None, "no such file", id="missing"),
+        pytest.param("no/a.pt", lambda path: None, "no such file", id="folder missing"),
+        pytest.param("a.pt", Path.mkdir, "expected a regular file, found a folder", id="folder"),
+        pytest.param("a.pt", os.mkfifo, "expected a regular file", id="pipe"),
+        pytest.param("a.pt", _link_to_pipe, "expected a regular file", id="link to a pipe"),
+        pytest.param("a.pt", lambda path: path.symlink_to("/dev/zero"), "expected a regular", id="endless"),
+        pytest.param("a.pt", lambda path: path.symlink_to("/proc/version"), "changed while", id="no size"),
+        pytest.param("a.pt", _loop, "cannot be read (Too many levels", id="link to itself"),
+        pytest.param("a.pt", _too_large, "at most 2147483648 are read", id="too large"),
+        pytest.param("a.pt/b.pt", lambda path: path.parent.touch(), "Not a directory", id="file as folder"),
+        pytest.param(f"{'a' * 300}.pt", lambda path: None, "File name too long", id="name too long"),
+        pytest.param("a\0.pt", lambda path: None, "no NUL character", id="NUL"),
+        pytest.param("a.pt", Path.touch, "the file is empty", id="empty pt"),
+        pytest.param("a.pth", Path.touch, "the file is empty", id="empty pth"),
+        pytest.param("a.safetensors", Path.touch, "found 0 bytes", id="empty safetensors"),
+        pytest.param("a.onnx", Path.touch, "ends in .safetensors, .pt, .pth, found '.onnx'", id="suffix"),
+        pytest.param("a", Path.touch, "ends in .safetensors, .pt, .pth, found ''", id="no suffix"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_refused(
+    tmp_path: Path, name: str, make: Callable[[Path], None], message: str
+) -> None:
+    path = tmp_path / name
+    make(path)
+    told = refusal(path)
+    assert told.startswith(f"{path}: ")
+    assert told.endswith(".")
+    assert message in told
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_a_file_without_permission_is_refused(good: Path, tmp_path: Path) -> None:
+    secret = tmp_path / "secret.safetensors"
+    secret.write_bytes(good.read_bytes())
+    secret.chmod(0)
+    assert "Permission denied" in refusal(secret)
+
+
+def test_a_refused_file_leaves_no_file_open(good: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.pt")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    refusal(tmp_path / "pipe.pt")
+    refusal(good, sha256="0" * 64)
+    assert len(list(Path("/proc/self/fd").iterdir())) == before

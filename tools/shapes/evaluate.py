@@ -1,0 +1,132 @@
+"""How well a model finds shapes: `python -m tools.shapes.evaluate weights/shapes.safetensors`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.boxes import Selection
+from yolov5_lifecycle.detections import Detections
+from yolov5_lifecycle.detector import Detector, load_detector
+from yolov5_lifecycle.images import Picture
+from yolov5_lifecycle.scene import CLASS_NAMES, Scene, Truth, random_scene
+from yolov5_lifecycle.weights import load_weights
+
+UNSEEN_SEED = 999_331
+"""Training seeds its generators with pairs of numbers, so no single number repeats one of its pictures."""
+PICTURES = 300
+_SMALLEST_IOU = 0.5
+
+LabelledPicture = tuple[NDArray[np.uint8], Truth]
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Detections and shapes of many pictures, matched one to one within each class at IoU >= 0.5.
+
+    `scores` are those of the right detections (n,) and `class_ids` their classes; `wrong` counts the other
+    detections, `missed` the shapes without a detection.
+    """
+
+    scores: NDArray[np.float32]
+    class_ids: NDArray[np.int64]
+    wrong: int
+    missed: int
+
+    @property
+    def precision(self) -> float:
+        """Share of the detections that are right; 1 without detections."""
+        return _share(len(self.scores), self.wrong)
+
+    @property
+    def recall(self) -> float:
+        """Share of the shapes that were found; 1 without shapes."""
+        return _share(len(self.scores), self.missed)
+
+
+def tally(answers: Iterable[tuple[Detections, Truth]]) -> Tally:
+    """Compare what was detected in pictures with what they show."""
+    scores: list[float] = []
+    class_ids: list[int] = []
+    wrong = missed = 0
+    for detections, truth in answers:
+        right = right_detections(detections, truth)
+        scores += detections.scores[right].tolist()
+        class_ids += detections.class_ids[right].tolist()
+        wrong += len(detections) - len(right)
+        missed += len(truth.class_ids) - len(right)
+    return Tally(np.array(scores, np.float32), np.array(class_ids, np.int64), wrong, missed)
+
+
+def right_detections(detections: Detections, truth: Truth) -> list[int]:
+    """Rows of `detections`, best first, that each find a shape which no better one has found."""
+    right = []
+    unfound = iou(detections.boxes_xyxy, truth.boxes_xyxy)
+    unfound[detections.class_ids[:, None] != truth.class_ids] = 0
+    for row in range(len(unfound)):
+        if unfound.shape[1] and unfound[row].max() >= _SMALLEST_IOU:
+            unfound[:, unfound[row].argmax()] = 0
+            right.append(row)
+    return right
+
+
+def iou(boxes_xyxy: NDArray[np.float32], others_xyxy: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Intersection over union (n, m) of boxes (n, 4) with others (m, 4)."""
+    upper = np.minimum(boxes_xyxy[:, None, 2:], others_xyxy[None, :, 2:])
+    lower = np.maximum(boxes_xyxy[:, None, :2], others_xyxy[None, :, :2])
+    shared = np.clip(upper - lower, 0, None).prod(axis=2)
+    areas = (boxes_xyxy[:, 2:] - boxes_xyxy[:, :2]).prod(axis=1)
+    other_areas = (others_xyxy[:, 2:] - others_xyxy[:, :2]).prod(axis=1)
+    overlap: NDArray[np.float32] = shared / (areas[:, None] + other_areas - shared)
+    return overlap
+
+
+def evaluate(detector: Detector, pictures: Iterable[LabelledPicture]) -> Tally:
+    """Run `detector` with the default thresholds over RGB pictures whose truth is known."""
+    return tally((detector.detect(Picture(pixels, "rgb"), Selection()), truth) for pixels, truth in pictures)
+
+
+def stills(seed: int, count: int, size_hw: tuple[int, int]) -> Iterator[LabelledPicture]:
+    """`count` random scenes."""
+    rng = np.random.default_rng(seed)
+    return (random_scene(rng, size_hw) for _ in range(count))
+
+
+def moving(seed: int, count: int, size_hw: tuple[int, int]) -> Iterator[LabelledPicture]:
+    """Frames of `count` moving scenes, one each."""
+    return (Scene(seed + number, size_hw).frame(37 * number) for number in range(count))
+
+
+def _share(right: int, other: int) -> float:
+    return right / (right + other) if right + other else 1.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("weights", type=Path)
+    parser.add_argument("--seed", type=int, default=UNSEEN_SEED)
+    arguments = parser.parse_args()
+    model = load_weights(arguments.weights).model
+    print("| pictures | image_size | precision | recall | circles with score > 0.6 |\n|---|---|---|---|---|")
+    for kind, pictures, size_hw, image_size in (
+        ("stills", stills, (256, 320), 320),
+        ("stills", stills, (480, 640), 640),
+        ("moving", moving, (480, 640), 640),
+        ("moving", moving, (480, 640), 320),
+        ("moving", moving, (240, 320), 320),
+    ):
+        detector = load_detector(model, image_size=image_size)
+        result = evaluate(detector, pictures(arguments.seed, PICTURES, size_hw))
+        circles = result.scores[result.class_ids == CLASS_NAMES.index("circle")]
+        sure = float((circles > 0.6).mean()) if len(circles) else 0.0
+        name = f"{kind} {size_hw[1]}x{size_hw[0]}"
+        print(f"| {name} | {image_size} | {result.precision:.4f} | {result.recall:.4f} | {sure:.4f} |")
+
+
+if __name__ == "__main__":
+    main()

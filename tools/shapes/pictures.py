@@ -1,0 +1,99 @@
+"""Training pictures: synthetic scenes, spoilt the way cameras and transports spoil pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from yolov5_lifecycle.letterbox import PADDING_VALUE
+from yolov5_lifecycle.scene import Truth, random_scene
+
+# (height, width) of the pictures of a batch, how many, and how often such a batch comes: equal work each.
+_BATCHES = (((256, 320), 16, 0.75), ((192, 256), 27, 0.05), ((480, 640), 4, 0.2))
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Pictures of one size and the shapes in them."""
+
+    pixels: Tensor
+    """uint8 (B, 3, H, W), RGB."""
+    targets: Tensor
+    """float32 (n, 6): number of picture, class, cx, cy, w, h in pixels."""
+
+
+class Batches(Dataset[Batch]):
+    """Batch number i is a pure function of (seed, i)."""
+
+    def __init__(self, seed: int, count: int) -> None:
+        self.seed = seed
+        self.count = count
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, index: int) -> Batch:
+        rng = np.random.default_rng((self.seed, index))
+        size_hw, count, _ = _BATCHES[rng.choice(len(_BATCHES), p=[share for *_, share in _BATCHES])]
+        pictures = [spoilt_scene(rng, size_hw) for _ in range(count)]
+        pixels = np.stack([pixels for pixels, _ in pictures]).transpose(0, 3, 1, 2)
+        targets = np.concatenate([_targets(number, truth) for number, (_, truth) in enumerate(pictures)])
+        return Batch(torch.from_numpy(np.ascontiguousarray(pixels)), torch.from_numpy(targets))
+
+
+def spoilt_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[NDArray[np.uint8], Truth]:
+    """A random scene as a camera might deliver it and the letterbox might pass it on."""
+    if rng.random() < 0.2:
+        pixels, truth = _shrunk_scene(rng, size_hw)
+    else:
+        pixels, truth = random_scene(rng, size_hw)
+    return spoil(rng, pixels), truth
+
+
+def spoil(rng: np.random.Generator, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Less colour, other light, blur, noise, JPEG artefacts at random; `pixels` (H, W, 3) stay the same."""
+    if rng.random() < 0.3:
+        grey = cv2.cvtColor(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+        colour = rng.uniform(0.2, 1.0)
+        pixels = cv2.addWeighted(pixels, colour, grey, 1 - colour, 0)
+    if rng.random() < 0.5:
+        gain = rng.uniform(0.5, 1.2)
+        pixels = cv2.convertScaleAbs(pixels, alpha=gain, beta=rng.uniform(0, 255 * max(1 - gain, 0)))
+    if rng.random() < 0.3:
+        pixels = cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.4, 1.2))
+    if rng.random() < 0.4:
+        noise = np.empty(pixels.shape, np.int16)
+        cv2.setRNGSeed(int(rng.integers(0, 2**31)))
+        cv2.randn(noise, 0, rng.uniform(2, 18))
+        pixels = cv2.add(pixels, noise, dtype=cv2.CV_8U)
+    if rng.random() < 0.15:
+        _, jpeg = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(40, 95))])
+        pixels = cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
+    return pixels
+
+
+def _shrunk_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[NDArray[np.uint8], Truth]:
+    """A scene drawn larger, scaled down without smoothing as by the letterbox, with bands above, below."""
+    height, width = size_hw
+    band = int(rng.integers(0, height // 12))
+    scale = rng.uniform(1.2, 2.0)
+    large_hw = (round((height - 2 * band) * scale), round(width * scale))
+    pixels, truth = random_scene(rng, large_hw)
+    small = cv2.resize(pixels, (width, height - 2 * band), interpolation=cv2.INTER_LINEAR)
+    small = cv2.copyMakeBorder(small, band, band, 0, 0, cv2.BORDER_CONSTANT, value=(PADDING_VALUE,) * 3)
+    scale_xy = (width / large_hw[1], (height - 2 * band) / large_hw[0])
+    boxes = truth.boxes_xyxy * np.array(scale_xy * 2) + np.array((0, band, 0, band))
+    return np.asarray(small, np.uint8), Truth(boxes.astype(np.float32), truth.class_ids)
+
+
+def _targets(number: int, truth: Truth) -> NDArray[np.float32]:
+    x1, y1, x2, y2 = truth.boxes_xyxy.T
+    numbers = np.full(len(x1), number)
+    columns = (numbers, truth.class_ids, (x1 + x2) / 2, (y1 + y2) / 2, x2 - x1, y2 - y1)
+    return np.stack(columns, axis=1).astype(np.float32)

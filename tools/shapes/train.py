@@ -1,0 +1,132 @@
+"""Trains the embedded model: `python -m tools.shapes.train --out weights/shapes.safetensors`."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import math
+import time
+from pathlib import Path
+
+import cv2
+import torch
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.utils.data import DataLoader
+
+from tools.shapes.loss import detection_loss
+from tools.shapes.pictures import Batch, Batches
+from yolov5_lifecycle.architecture import Architecture
+from yolov5_lifecycle.model import Model, checked_model
+from yolov5_lifecycle.network import Detect, Network
+from yolov5_lifecycle.safetensors_file import write_safetensors
+from yolov5_lifecycle.scene import CLASS_NAMES
+
+SEED = 20_250_101
+STEPS = 4_500
+ARCHITECTURE = Architecture(
+    depth_multiple=0.33,
+    width_multiple=0.125,
+    classes=len(CLASS_NAMES),
+    # The boxes of regular shapes are nearly square, so only the size of an anchor matters.
+    anchors_px=(
+        ((18, 18), (25, 25), (36, 36)),
+        ((50, 50), (70, 70), (100, 100)),
+        ((140, 140), (200, 200), (280, 280)),
+    ),
+    strides=(8, 16, 32),
+)
+_PEAK_LEARNING_RATE = 3e-3
+_log = logging.getLogger("train")
+
+
+def train(*, seed: int, steps: int) -> Network:
+    """A network trained on `steps` batches, in evaluation mode; repeatable on one machine."""
+    torch.manual_seed(seed)
+    # The operations are too small to share: beside other processes two threads wait longer than they work.
+    torch.set_num_threads(1)
+    network = _fresh_network()
+    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(0.998), use_buffers=True)
+    optimizer = _optimizer(network)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, _PEAK_LEARNING_RATE, total_steps=steps, pct_start=0.05, final_div_factor=100
+    )
+    started = time.monotonic()
+    recent = 0.0
+    for step, batch in enumerate(_batches(seed, steps), start=1):
+        loss = _loss(network, batch)
+        optimizer.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 10.0)
+        optimizer.step()
+        schedule.step()
+        average.update_parameters(network)
+        recent = loss.item() if step == 1 else 0.98 * recent + 0.02 * loss.item()
+        if step % 50 == 0:
+            _log.info("step %d of %d, loss %.4f, %.0f s", step, steps, recent, time.monotonic() - started)
+    averaged = average.module
+    assert isinstance(averaged, Network)
+    return averaged.eval()
+
+
+def _fresh_network() -> Network:
+    """Random weights; the scores start at what a picture with a few shapes has on average."""
+    network = Network(ARCHITECTURE)
+    detect = network.model[-1]
+    assert isinstance(detect, Detect)
+    for convolution, stride in zip(detect.m, detect.strides, strict=True):
+        assert isinstance(convolution, nn.Conv2d)
+        assert convolution.bias is not None
+        bias = convolution.bias.detach().view(detect.anchors_per_cell, detect.outputs)
+        bias[:, 4] = math.log(8 / (640 / stride) ** 2)
+        bias[:, 5:] = math.log(1 / (len(CLASS_NAMES) - 1))
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing from its overloads
+    return network
+
+
+def _optimizer(network: Network) -> torch.optim.Optimizer:
+    """AdamW that decays the convolutions alone."""
+    kernels = [parameter for parameter in network.parameters() if parameter.ndim > 1]
+    others = [parameter for parameter in network.parameters() if parameter.ndim == 1]
+    groups = [{"params": kernels, "weight_decay": 0.02}, {"params": others, "weight_decay": 0.0}]
+    return torch.optim.AdamW(groups, lr=_PEAK_LEARNING_RATE)
+
+
+def _batches(seed: int, steps: int) -> DataLoader[Batch]:
+    """Batches drawn in another process, in order."""
+    return DataLoader(
+        Batches(seed, steps),
+        batch_size=None,
+        num_workers=1,
+        prefetch_factor=8,
+        worker_init_fn=lambda _: cv2.setNumThreads(1),
+    )
+
+
+def _loss(network: Network, batch: Batch) -> Tensor:
+    pixels = batch.pixels.to(memory_format=torch.channels_last).float() / 255
+    return detection_loss(network.heads(pixels), batch.targets, network.architecture)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="the .safetensors file to write")
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--steps", type=int, default=STEPS)
+    arguments = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    network = train(seed=arguments.seed, steps=arguments.steps)
+    write_safetensors(model_of(network), arguments.out)
+
+
+def model_of(network: Network) -> Model:
+    """`network` and the class names, its numbers rounded to what fp16 can store."""
+    tensors = {
+        key: tensor.half().float() if tensor.is_floating_point() else tensor
+        for key, tensor in network.state_dict().items()
+    }
+    return checked_model(network.architecture, CLASS_NAMES, tensors)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""One setting as users meet it: derived from a field, shown in descriptors, files and messages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal, get_args, get_origin
+
+from annotated_types import Ge, Le, MultipleOf
+from pydantic.fields import FieldInfo
+
+
+class Change(Enum):
+    """When a change of a setting takes effect while the node is active."""
+
+    LIVE = "live: obeyed from the next frame"
+    RELOAD = "reload: the model is prepared again and swapped between two frames"
+    RESUBSCRIBE = "resubscribe: the image subscription is made anew"
+    READ_ONLY = "read only: decided when the process starts"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One row of the settings table, derived from a field of `Settings`."""
+
+    name: str
+    type: type
+    """bool, int, float, str, or tuple for a list of strings."""
+    default: object
+    description: str
+    change: Change
+    minimum: float | None
+    maximum: float | None
+    step: float | None
+    choices: tuple[str, ...]
+
+    @property
+    def allowed(self) -> str:
+        """The rule as a reader wants it, for messages and documents."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        if self.minimum is not None and self.maximum is not None:
+            multiple = f", a multiple of {self.step:g}" if self.step else ""
+            return f"{_TYPE_WORDS[self.type]} from {self.minimum:g} to {self.maximum:g}{multiple}"
+        return _TYPE_WORDS[self.type]
+
+
+_TYPE_WORDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    tuple: "a list of texts",
+}
+
+
+def described(name: str, field: FieldInfo) -> Setting:
+    """The row of a field, whose annotation carries its `Change` and whose description is text."""
+    limits = {type(rule): rule for rule in field.metadata}
+    annotation = field.annotation
+    choices = get_args(annotation) if get_origin(annotation) is Literal else ()
+    assert field.description is not None
+    return Setting(
+        name=name,
+        type=str if choices else (get_origin(annotation) or annotation),  # type: ignore[arg-type]
+        default=field.default,
+        description=field.description,
+        change=next(mark for mark in field.metadata if isinstance(mark, Change)),
+        minimum=limits[Ge].ge if Ge in limits else None,
+        maximum=limits[Le].le if Le in limits else None,
+        step=limits[MultipleOf].multiple_of if MultipleOf in limits else None,
+        choices=choices,
+    )
