@@ -38,7 +38,8 @@ from yolov5_lifecycle.settings import SETTINGS
 NODE = "/yolov5"
 WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"
 PARAMETERS: dict[str, object] = {"weights": WEIGHTS, "image_size": 320, "device": "cpu"}
-SCENE = Scene(3, (240, 320))
+SEED = 8
+SCENE = Scene(SEED, (240, 320))
 _ANSWER_S = 2.0
 _STEPS = {
     ("unconfigured", "inactive"): "configure",

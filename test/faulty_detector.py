@@ -43,4 +43,4 @@ def prepare(settings: Settings) -> PreparedModel:
 
 
 if __name__ == "__main__":
-    sys.exit(main(["detector", *sys.argv[2:]], prepare=prepare))
+    main(["detector", *sys.argv[2:]], prepare=prepare)

@@ -73,16 +73,26 @@ def laughing(value: Callable[[bytes], bytes]) -> bytes:
     return archive(mapping({"unused": unused}) + value(get(12)))
 
 
+def storage_called(key: bytes) -> bytes:
+    return items(text("storage"), name("torch", "FloatStorage"), key, text("cpu"), number(4)) + asm.PERSID
+
+
 def doubled(times: int) -> bytes:
-    encoded = text("x" * 200)
+    encoded = call(name("_codecs", "encode"), text("x" * 200), text("latin1"))
     for _ in range(times):
         encoded = call(name("_codecs", "encode"), encoded, text("hex"))
     return archive(mapping({"model": encoded}))
 
 
 def many(item: bytes, count: int) -> bytes:
-    """A list of `count` times `item`, after a list of 10,000 texts with the number 1 in the memo."""
-    long_list = asm.EMPTY_LIST + put(1) + asm.MARK + b"".join(text(str(i)) for i in range(10_000)) + b"e"
+    """A list of `count` times `item`, after a list of 10,000 texts of two letters, number 1 in the memo."""
+    long_list = (
+        asm.EMPTY_LIST
+        + put(1)
+        + asm.MARK
+        + b"".join(text(f"{chr(1000 + index)}x") for index in range(10_000))
+        + b"e"
+    )
     return archive(asm.EMPTY_LIST + long_list + asm.APPEND + asm.MARK + item * count + b"e")
 
 
@@ -125,7 +135,7 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         "expected a YOLOv5 model",
     ),
     "billion laughs as the storage": (
-        lambda: laughing(lambda laughs: text("model") + items(text("storage"), laughs) + b"Qs"),
+        lambda: laughing(lambda laughs: text("model") + storage_called(laughs) + asm.SETITEM),
         "refers to a storage",
     ),
     "a text doubled 40 times": (lambda: doubled(40), "calls '_codecs.encode'"),

@@ -34,6 +34,15 @@ PATIENCE_S = 20.0
 CLASS_NAMES = ("cat", "dog")
 
 
+_SERVICES = {
+    "change_state": ChangeState,
+    "get_state": GetState,
+    "get_parameters": GetParameters,
+    "set_parameters": SetParameters,
+    "set_parameters_atomically": SetParametersAtomically,
+}
+
+
 class ScriptedRuntime:
     """Predicts what the test says: `run` may be replaced at any time, and raise, wait or answer nonsense."""
 
@@ -110,12 +119,18 @@ class ServedNode:
         self.detections: list[Detection2DArray] = []
         self.diagnostics: list[DiagnosticArray] = []
         self._sent = 0
+        # Made before the node is served: endpoints of one participant that two threads make at the same time
+        # do not always find each other.
+        self._services = {
+            name: self.client.create_client(service_type, f"/yolov5/{name}")
+            for name, service_type in _SERVICES.items()
+        }
         self.images = self.client.create_publisher(Image, "/yolov5/image_raw", 1)
+        self.client.create_subscription(Detection2DArray, "/yolov5/detections", self.detections.append, 10)
+        self.client.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
 
     def __enter__(self) -> ServedNode:
         self._thread.start()
-        self.client.create_subscription(Detection2DArray, "/yolov5/detections", self.detections.append, 10)
-        self.client.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -142,20 +157,20 @@ class ServedNode:
             assert time.monotonic() < deadline_s, f"waited in vain for {what}"
             self._client_executor.spin_once(timeout_sec=0.02)
 
-    def begin(self, service_type: Any, name: str, request: Any) -> Any:
+    def begin(self, service: str, request: Any) -> Any:
         """Send a request; the future of its response."""
-        client = self.client.create_client(service_type, f"/yolov5/{name}")
-        self.wait_for(client.service_is_ready, f"the service {name}")
+        client = self._services[service]
+        self.wait_for(client.service_is_ready, f"the service {service}")
         return client.call_async(request)
 
-    def call(self, service_type: Any, name: str, request: Any) -> Any:
-        future = self.begin(service_type, name, request)
-        self.wait_for(future.done, f"an answer of {name}")
+    def call(self, service: str, request: Any) -> Any:
+        future = self.begin(service, request)
+        self.wait_for(future.done, f"an answer of {service}")
         return future.result()
 
     def begin_transition(self, label: str, transition_id: int = 0) -> Any:
         transition = Transition(id=transition_id, label=label)
-        return self.begin(ChangeState, "change_state", ChangeState.Request(transition=transition))
+        return self.begin("change_state", ChangeState.Request(transition=transition))
 
     def transition(self, label: str, transition_id: int = 0) -> bool:
         future = self.begin_transition(label, transition_id)
@@ -175,12 +190,12 @@ class ServedNode:
         assert self.state() == state
 
     def state(self) -> str:
-        return str(self.call(GetState, "get_state", GetState.Request()).current_state.label)
+        return str(self.call("get_state", GetState.Request()).current_state.label)
 
     def begin_set(self, **values: Any) -> Any:
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
-        return self.begin(SetParametersAtomically, "set_parameters_atomically", request)
+        return self.begin("set_parameters_atomically", request)
 
     def set(self, **values: Any) -> tuple[bool, str]:
         """Set all together; whether it was done, and the reason if not."""
@@ -191,10 +206,10 @@ class ServedNode:
 
     def set_one_by_one(self, messages: Sequence[Any]) -> list[Any]:
         request = SetParameters.Request(parameters=list(messages))
-        return list(self.call(SetParameters, "set_parameters", request).results)
+        return list(self.call("set_parameters", request).results)
 
     def get(self, name: str) -> Any:
-        (value,) = self.call(GetParameters, "get_parameters", GetParameters.Request(names=[name])).values
+        (value,) = self.call("get_parameters", GetParameters.Request(names=[name])).values
         return Parameter.from_parameter_msg(ParameterMessage(name=name, value=value)).value
 
     def publish(self, message: Image | None = None) -> None:

@@ -92,10 +92,13 @@ class Detect(nn.Module):
         super().__init__()
         self.strides = architecture.strides
         self.outputs = architecture.classes + 5
-        anchors_px = torch.tensor(architecture.anchors_px, dtype=torch.float32)
-        strides_px = torch.tensor(architecture.strides, dtype=torch.float32)
-        self.anchors_per_cell = anchors_px.shape[1]
-        self.register_buffer("anchors", anchors_px / strides_px.view(-1, 1, 1))
+        self.anchors_per_cell = len(architecture.anchors_px[0])
+        # In numbers of Python's: arithmetic on the meta device would import torch._dynamo, for seconds.
+        anchors = [
+            [(width / stride, height / stride) for width, height in level]
+            for level, stride in zip(architecture.anchors_px, architecture.strides, strict=True)
+        ]
+        self.register_buffer("anchors", torch.tensor(anchors, dtype=torch.float32))
         self.m = nn.ModuleList(
             nn.Conv2d(channels, self.outputs * self.anchors_per_cell, 1) for channels in channels_in
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from rclpy.node import Node
 from rclpy.task import Future as RosFuture
@@ -18,17 +18,10 @@ class Background:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="background")
-        self._last: Future[Any] | None = None
-
-    @property
-    def is_busy(self) -> bool:
-        return self._last is not None and not self._last.done()
 
     def submit(self, work: Callable[[], Result]) -> Future[Result]:
         """Queue `work`; the future has its result or exception."""
-        future = self._thread.submit(work)
-        self._last = future
-        return future
+        return self._thread.submit(work)
 
     async def finish(self, future: Future[Result]) -> Future[Result]:
         """Wait in a callback of the executor until `future` is done; returns it."""

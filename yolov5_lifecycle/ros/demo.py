@@ -22,6 +22,7 @@ from yolov5_lifecycle.ros.sighting import objects_per_class
 from yolov5_lifecycle.scene import CLASS_NAMES
 
 OUTPUT = Path("build/demo")
+SEED = 8
 _END_S = 10.0
 
 
@@ -109,7 +110,8 @@ def _processes(domain: int) -> Iterator[tuple[ChildProcess, ChildProcess]]:
     )
     os.environ.clear()
     os.environ.update(environment)
-    camera_command = [entry_point("camera"), "--ros-args", "-r", "image_raw:=/yolov5/image_raw"]
+    camera_arguments = ["--ros-args", "-p", f"seed:={SEED}", "-r", "image_raw:=/yolov5/image_raw"]
+    camera_command = [entry_point("camera"), *camera_arguments]
     parameter_file = str(_project_file("config/demo.yaml"))
     detector_command = [entry_point("detector"), "--ros-args", "--params-file", parameter_file]
     with ExitStack() as stack:

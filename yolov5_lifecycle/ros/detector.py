@@ -6,6 +6,7 @@ import gc
 import os
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -17,17 +18,23 @@ from yolov5_lifecycle.ros.process import spin, stop_event
 
 _PARAMETER_FILE_FLAG = "--params-file"
 
-
 EXIT_DEVICE_LOST = 3
 """The GPU has given this process up; start a new one."""
 
 
-def main(args: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
-    """Spin the node until a signal or its shutdown, then release everything: exit code 0.
+def main(args: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> NoReturn:
+    """Spin the node until a signal or its shutdown, release everything, and end the process with code 0.
 
     `prepare` makes the models; see `DetectorNode`.
     """
-    arguments = list(sys.argv if args is None else args)
+    code = _run(list(sys.argv if args is None else args), prepare)
+    # Python and torch would take seconds to clear away what the system takes back at once, and abort under a
+    # thread that is still at work inside torch.
+    sys.stdout.flush()
+    os._exit(code)
+
+
+def _run(arguments: list[str], prepare: Prepare) -> int:
     stop = stop_event()
     node = DetectorNode(prepare=prepare, parameter_file_error=_initialise(arguments), arguments=arguments)
     executor = SingleThreadedExecutor()
@@ -41,12 +48,9 @@ def main(args: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
         until=lambda: stop.is_set() or node.device_lost or node.state_label == "finalized",
     )
     if node.device_lost:
-        os._exit(EXIT_DEVICE_LOST)  # nothing on a dead device can be released
-    ended = node.close()
+        return EXIT_DEVICE_LOST  # nothing on a dead device can be released
+    node.close()
     rclpy.try_shutdown()
-    if not ended:
-        # A thread inside torch cannot be interrupted, and the interpreter would abort under it.
-        os._exit(0)
     return 0
 
 
@@ -75,4 +79,4 @@ def _without_parameter_files(args: list[str]) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -23,11 +23,6 @@ class ModelLoader:
         self._prepare = prepare
         self._background = Background(node)
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether a model is being prepared or freed right now."""
-        return self._background.is_busy
-
     def begin(self, settings: Settings) -> Preparation:
         """Queue the preparation of the model for `settings`."""
         return self._background.submit(functools.partial(self._prepare, settings))

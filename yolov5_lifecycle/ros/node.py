@@ -120,14 +120,15 @@ class DetectorNode(LifecycleNode):
         ):
             self.trigger_activate()
 
-    def close(self) -> bool:
-        """Shut down from any state and release everything; False when a thread had to be left at its work."""
+    def close(self) -> None:
+        """Shut down from any state and release everything; a thread that hangs is left at its work."""
         if self.state_label in ("unconfigured", "inactive", "active"):
             self.trigger_shutdown()
         self._loader.close()
-        ended = self._worker.close(REST_TIMEOUT_S)
+        self._worker.close(REST_TIMEOUT_S)
         self.destroy_node()
-        return ended and not self._loader.is_busy
+        # destroy_node leaves the state machine's services, which would go on taking requests.
+        self._state_machine.destroy_when_not_in_use()
 
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:

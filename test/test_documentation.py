@@ -1,0 +1,169 @@
+"""What README and docs/ say of files, commands, parameters, topics and messages is so."""
+
+from __future__ import annotations
+
+import ast
+import re
+import runpy
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from rclpy.parameter import Parameter
+
+from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
+from yolov5_lifecycle.ros.camera_settings import CameraSettings
+from yolov5_lifecycle.ros.parameters import coerced
+from yolov5_lifecycle.scene import CLASS_NAMES
+from yolov5_lifecycle.settings import SETTINGS, SettingsError, validated
+
+REPOSITORY = Path(__file__).parents[1]
+README = REPOSITORY / "README.md"
+TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
+PAGES = [README, REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+SOURCE_FOLDERS = [REPOSITORY, REPOSITORY / "yolov5_lifecycle"]
+
+every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The fenced blocks of `language`."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+
+
+def spans(page: Path) -> list[str]:
+    """What stands between single backticks, outside of fenced blocks."""
+    prose = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose)]
+
+
+def typed(page: Path) -> list[str]:
+    """The lines of the console blocks, without the output of a command that is marked with $."""
+    lines = []
+    for block in blocks(page, "console"):
+        marked = [line.removeprefix("$ ") for line in block.splitlines() if line.startswith("$ ")]
+        lines += marked or block.splitlines()
+    return lines
+
+
+def table(page: Path, heading: str) -> list[list[str]]:
+    """The cells of the first table below `heading`, its head left out."""
+    section = page.read_text().partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+    rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("|")]
+    assert rows, f"no table below {heading}"
+    return rows[2:]
+
+
+def settings_of(text: str) -> dict[str, Any]:
+    """The parameters in a parameter file, in the types that the node gives them."""
+    (node,) = yaml.safe_load(text).values()
+    return {
+        name: coerced(Parameter(name, value=value)).value for name, value in node["ros__parameters"].items()
+    }
+
+
+def plain(default: object) -> object:
+    """`default` as a parameter holds it: tuples are lists there."""
+    return list(default) if isinstance(default, tuple) else default
+
+
+@every_page
+def test_a_link_leads_to_a_file(page: Path) -> None:
+    links = [link for link in re.findall(r"\]\(([^)]+)\)", page.read_text()) if "://" not in link]
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+@every_page
+def test_a_source_file_that_is_named_exists(page: Path) -> None:
+    named = [span for span in spans(page) if re.fullmatch(r"[\w/.-]+\.(py|md|yaml|xml|json|txt)", span)]
+    assert [name for name in named if not any((folder / name).is_file() for folder in SOURCE_FOLDERS)] == []
+
+
+@every_page
+def test_a_make_target_that_is_named_exists(page: Path) -> None:
+    targets = re.findall(r"^([a-z]+):", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
+    named = {
+        word for command in typed(page) + spans(page) for word in re.findall(r"^make ([a-z]+)\b", command)
+    }
+    assert named <= set(targets)
+
+
+@every_page
+def test_a_parameter_in_a_command_exists(page: Path) -> None:
+    of_detector = {setting.name for setting in SETTINGS}
+    text = "\n".join(typed(page) + spans(page))
+    asked = set(re.findall(r"ros2 param \w+ /\S+ ([a-z]\w*)", text))
+    assert asked <= of_detector
+    assert set(re.findall(r"-p (\w+):=", text)) <= of_detector | CameraSettings.model_fields.keys()
+
+
+def test_the_picture_is_small_enough_for_a_repository() -> None:
+    assert 0 < (REPOSITORY / "docs" / "images" / "annotated.png").stat().st_size <= 150_000
+
+
+def test_a_parameter_of_the_readme_has_its_true_default() -> None:
+    defaults = {setting.name: setting.default for setting in SETTINGS}
+    for row in table(README, "Parameters"):
+        name, shown = (cell.strip("`") for cell in row[:2])
+        assert coerced(Parameter(name, value=yaml.safe_load(shown))).value == plain(defaults[name]), name
+
+
+def test_the_topics_of_the_readme_are_those_of_the_node() -> None:
+    texts = {
+        node.value
+        for file in (REPOSITORY / "yolov5_lifecycle" / "ros").glob("*.py")
+        if not file.name.startswith("camera")
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    shown = {row[0].partition(" ")[2].strip("`") for row in table(README, "Topics")}
+    assert shown == {text for text in texts if re.fullmatch(r"~/[a-z_/]+|/diagnostics", text)}
+
+
+def test_the_line_for_apt_is_the_one_that_make_gives() -> None:
+    machine = runpy.run_path(str(REPOSITORY / "requirements" / "check_machine.py"))
+    assert machine["APT_LINE"] in typed(README)
+
+
+@every_page
+def test_bash_can_parse_what_a_reader_may_type(page: Path) -> None:
+    script = "\n".join(typed(page))
+    run = subprocess.run(["bash", "-n"], input=script, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page != README], ids=lambda page: page.name)
+def test_a_parameter_file_in_the_docs_is_valid(page: Path) -> None:
+    for block in blocks(page, "yaml"):
+        validated(settings_of(block))
+
+
+def test_the_readme_shows_what_configure_says_of_its_wrong_file() -> None:
+    wrong_file, message = blocks(README, "yaml")[0], blocks(README, "text")[0]
+    with pytest.raises(SettingsError) as refused:
+        validated(settings_of(wrong_file))
+    problems = [str(problem) for problem in refused.value.problems]
+    heads = f"configure refused, {len(problems)} problem(s) in the parameters:"
+    assert message.splitlines() == [heads, *(f"  {problem}" for problem in problems)]
+
+
+def test_the_readme_shows_how_an_unknown_class_is_refused() -> None:
+    with pytest.raises(ClassFilterError) as refused:
+        class_ids(["circel"], CLASS_NAMES)
+    assert f"Setting parameter failed: classes: {refused.value}" in README.read_text()
+
+
+def test_every_reason_for_silence_is_explained() -> None:
+    explained = " ".join(TROUBLESHOOTING.read_text().split())
+    source = ast.parse((REPOSITORY / "yolov5_lifecycle" / "ros" / "status.py").read_text())
+    (hint,) = [node for node in ast.walk(source) if isinstance(node, ast.FunctionDef) and node.name == "hint"]
+    body = ast.Module(hint.body[1:] if ast.get_docstring(hint) else hint.body, [])
+    pieces = [
+        node.value.strip()
+        for node in ast.walk(body)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value
+    ]
+    assert len(pieces) > 5
+    assert [piece for piece in pieces if piece not in explained] == []
