@@ -8,6 +8,7 @@ PYTHON ?= python3
 SET ?= tested
 PIP_FLAGS ?=
 PYTEST_FLAGS ?=
+BENCH_FLAGS ?=
 
 ifeq ($(SET),tested)
 VENV := .venv
@@ -35,10 +36,11 @@ PACKAGE := $(VENV)/.package
 INTERFACES_BUILD := build/vision_msgs-$(SET)
 TYPED := $(wildcard yolov5_lifecycle test tools benchmark launch requirements)
 
-.PHONY: help install demo test lint docs clean
+.PHONY: help install demo test bench lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make test     the test suite          (SET=apt: with the numpy and OpenCV of Ubuntu 24.04, in .venv-apt)'
+	@echo 'make bench    how fast each runtime is, quiet and beside a busy process  (BENCH_FLAGS="--quick")'
 	@echo 'make lint     ruff and mypy --strict'
 	@echo 'make install  what the others do first: .venv with the pinned packages, vision_msgs and this package'
 	@echo 'make docs     writes what is derived from the settings: YAML file, schema, reference page'
@@ -53,6 +55,9 @@ demo: $(PACKAGE)
 
 test: $(PACKAGE)
 	$(VENV)/bin/python -m pytest $(PYTEST_FLAGS)
+
+bench: $(PACKAGE)
+	$(VENV)/bin/python -m benchmark.bench $(BENCH_FLAGS)
 
 lint: $(PACKAGE)
 	$(VENV)/bin/ruff check .

@@ -39,6 +39,10 @@ setup(
         "safetensors",
         "torch>=2.10",
     ],
+    extras_require={
+        "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
+        "openvino": ["onnx>=1.16", "openvino>=2024.4"],
+    },
     zip_safe=True,
     entry_points={
         "console_scripts": [

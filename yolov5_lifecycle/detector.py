@@ -12,20 +12,32 @@ from yolov5_lifecycle.detections import Detections
 from yolov5_lifecycle.images import Picture
 from yolov5_lifecycle.letterbox import Letterbox
 from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.runtimes.choice import Choice, choose_runtime
+from yolov5_lifecycle.runtimes.loading import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
-from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
+
+_USUAL_SOURCE_HW = (480, 640)
 
 
 class Detector:
     """Finds objects in pictures. Owns `runtime`; keeps nothing between pictures.
 
     `class_names` by class id. `image_size`: longer side of the network's frame in pixels, a multiple of
-    `stride`, the largest stride of the model; raises ValueError when it is not.
+    `stride`, the largest stride of the model; raises ValueError when it is not. `choice`: why this runtime.
     """
 
-    def __init__(self, runtime: Runtime, *, class_names: Sequence[str], image_size: int, stride: int) -> None:
+    def __init__(
+        self,
+        runtime: Runtime,
+        *,
+        class_names: Sequence[str],
+        image_size: int,
+        stride: int,
+        choice: str = "as set",
+    ) -> None:
         _check_image_size(image_size, stride)
         self.runtime = runtime
+        self.choice = choice
         self.class_names = tuple(class_names)
         self.image_size = image_size
         self.stride = stride
@@ -43,7 +55,7 @@ class Detector:
         visible = (boxes_xyxy[:, :2] < boxes_xyxy[:, 2:]).all(axis=1)
         return Detections(boxes_xyxy[visible], found.scores[visible], found.class_ids[visible])
 
-    def warm_up(self, source_hw: tuple[int, int] = (480, 640)) -> None:
+    def warm_up(self, source_hw: tuple[int, int] = _USUAL_SOURCE_HW) -> None:
         """Detect in grey pictures as large as those to come, as the first runs of a size are slow.
 
         Raises InferenceError like `detect`.
@@ -80,14 +92,19 @@ def load_detector(
 ) -> Detector:
     """A detector for `model`; the other arguments are the settings of the same names.
 
-    Raises DeviceError (a ValueError) for device and precision, ValueError for image size and runtime.
+    With `auto` the fastest runtime is measured and remembered, see `choose_runtime`. Raises DeviceError and
+    RuntimeAbsentError (both ValueErrors), ValueError for the image size, InferenceError when measuring fails.
     """
     stride = max(model.architecture.strides)
     _check_image_size(image_size, stride)
-    if runtime not in ("auto", "torch"):
-        raise ValueError(f"Runtime must be auto or torch, found {runtime[:40]!r}.")
-    loaded = TorchRuntime.load(model, device=device, precision=precision)
-    return Detector(loaded, class_names=model.class_names, image_size=image_size, stride=stride)
+    choice = Choice(runtime, "as set")
+    if runtime == "auto":
+        frame_hw = Letterbox.fit(_USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
+        choice = choose_runtime(model, device=device, precision=precision, frame_hw=frame_hw)
+    loaded = load_runtime(model, choice.runtime, device=device, precision=precision)
+    return Detector(
+        loaded, class_names=model.class_names, image_size=image_size, stride=stride, choice=choice.reason
+    )
 
 
 def _check_image_size(image_size: int, stride: int) -> None:

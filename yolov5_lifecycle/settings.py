@@ -41,8 +41,10 @@ class Settings(BaseModel):
     device: Annotated[str, Change.RELOAD] = Field(
         "auto", description="Where the network runs: auto, cpu, cuda, cuda:N, N (the same as cuda:N) or mps."
     )
-    runtime: Annotated[Literal["auto", "torch"], Change.RELOAD] = Field(
-        "auto", description="What executes the network."
+    runtime: Annotated[Literal["auto", "torch", "onnxruntime", "openvino"], Change.RELOAD] = Field(
+        "auto",
+        description="What executes the network. auto: torch on a GPU; on a CPU the fastest that is "
+        "installed, measured once and remembered. onnxruntime and openvino run on the CPU only.",
     )
     precision: Annotated[Literal["auto", "fp32", "fp16"], Change.RELOAD] = Field(
         "auto", description="Number format of the network. auto: fp16 on CUDA, fp32 elsewhere."

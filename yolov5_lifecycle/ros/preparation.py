@@ -35,6 +35,7 @@ class PreparedModel:
             "sha256": self.weights_sha256,
             "classes": str(len(self.detector.class_names)),
             "runtime": runtime.name,
+            "runtime choice": self.detector.choice,
             "device": runtime.device,
             "precision": runtime.precision,
         }

@@ -1,0 +1,170 @@
+"""The fastest runtime is measured once; what was remembered is used only when it can be true."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from random_model import TINY, random_model
+
+from yolov5_lifecycle.detector import load_detector
+from yolov5_lifecycle.runtimes.choice import Choice, choices_folder, choose_runtime
+from yolov5_lifecycle.runtimes.choice_record import read_figures, write_figures
+from yolov5_lifecycle.runtimes.loading import (
+    REQUIREMENTS,
+    RuntimeAbsentError,
+    installed_runtimes,
+    load_runtime,
+)
+from yolov5_lifecycle.runtimes.speed import measure_ms
+from yolov5_lifecycle.runtimes.torch_device import DeviceError
+
+INSTALLED = installed_runtimes()
+needs_choice = pytest.mark.skipif(len(INSTALLED) == 1, reason="torch alone is installed: make install")
+
+
+def measured(*_: object, **__: object) -> dict[str, float]:
+    """In the place of a measurement, which takes seconds."""
+    return {name: 10.0 - index for index, name in enumerate(INSTALLED)}
+
+
+def chosen(folder: Path, frame_hw: tuple[int, int] = (64, 96)) -> Choice:
+    return choose_runtime(
+        random_model(), device="cpu", precision="auto", frame_hw=frame_hw, folder=folder, measure=measured
+    )
+
+
+@pytest.fixture(scope="module")
+def record_name(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What a record is called for the model and the frame that `chosen` asks for."""
+    folder = tmp_path_factory.mktemp("choices")
+    chosen(folder)
+    (record,) = folder.iterdir()
+    return record.name
+
+
+@needs_choice
+def test_every_installed_runtime_is_measured_and_the_fastest_taken(tmp_path: Path) -> None:
+    choice = choose_runtime(
+        random_model(), device="cpu", precision="auto", frame_hw=(64, 96), folder=tmp_path
+    )
+    (record,) = tmp_path.iterdir()
+    figures_ms = json.loads(record.read_text())
+    assert sorted(figures_ms) == sorted(INSTALLED)
+    assert choice.runtime == min(figures_ms, key=figures_ms.__getitem__)
+    assert choice.reason.endswith("; measured now")
+    assert all(f"{name} {ms:.1f} ms" in choice.reason for name, ms in figures_ms.items())
+
+
+@needs_choice
+def test_what_was_measured_is_remembered_for_the_size_of_frame(tmp_path: Path) -> None:
+    assert chosen(tmp_path).runtime == INSTALLED[-1]
+    (record,) = tmp_path.iterdir()
+    record.write_text(json.dumps({"torch": 1.5} | dict.fromkeys(INSTALLED[1:], 77.0)))
+    again = chosen(tmp_path)
+    assert again.runtime == "torch"
+    assert again.reason.startswith("torch 1.5 ms, ")
+    assert again.reason.endswith(f"; remembered in {record}")
+    assert chosen(tmp_path, (96, 64)).reason.endswith("; measured now")
+
+
+@needs_choice
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(b"", id="empty"),
+        pytest.param(b'{"torch": 1', id="cut off"),
+        pytest.param(b"\xff\xfe", id="no text"),
+        pytest.param(b"[1]", id="another document"),
+        pytest.param(b'{"torch": "fast"}', id="no number"),
+        pytest.param(b'{"torch": NaN}', id="not a number"),
+        pytest.param(b'{"torch": -1.0}', id="negative"),
+        pytest.param(b'{"torch": 9.0, "gone": 1.0}', id="runtime that is not installed"),
+        pytest.param(b'{"onnxruntime": 1.0}', id="torch missing"),
+    ],
+)
+def test_a_damaged_record_is_measured_anew_and_mended(
+    tmp_path: Path, content: bytes, record_name: str
+) -> None:
+    record = tmp_path / record_name
+    record.write_bytes(content)
+    assert chosen(tmp_path).reason.endswith("; measured now")
+    assert chosen(tmp_path).reason.endswith(f"; remembered in {record}")
+
+
+@needs_choice
+def test_a_folder_that_cannot_be_written_costs_the_memory_only(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    choice = chosen(tmp_path / "file" / "folder")
+    assert choice.runtime in INSTALLED
+    assert "; measured now, not remembered: " in choice.reason
+
+
+@pytest.mark.parametrize(
+    ("device", "precision"), [("cuda:99", "auto"), ("cpu", "fp16")], ids=["absent device", "half on a CPU"]
+)
+def test_what_no_runtime_can_do_is_refused(tmp_path: Path, device: str, precision: str) -> None:
+    with pytest.raises(DeviceError):
+        choose_runtime(random_model(), device=device, precision=precision, frame_hw=(64, 64), folder=tmp_path)
+
+
+def test_auto_loads_what_was_chosen_and_says_why() -> None:
+    detector = load_detector(random_model(), device="cpu", image_size=64)
+    assert detector.runtime.name in INSTALLED
+    assert " ms" in detector.choice or len(INSTALLED) == 1
+
+
+def test_a_runtime_that_cannot_be_loaded_is_left_out_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    figures_ms = measure_ms(random_model(), ["torch", "tensorrt"], precision="fp32", frame_hw=(64, 64))
+    assert list(figures_ms) == ["torch"]
+    assert "'tensorrt' is left out: Runtime must be one of auto, torch" in caplog.text
+
+
+def test_figures_are_read_as_they_were_written(tmp_path: Path) -> None:
+    record = tmp_path / "deep" / "record.json"
+    assert read_figures(record, ["torch"]) is None
+    assert write_figures(record, {"torch": 12.5}) == ""
+    assert read_figures(record, ["torch"]) == {"torch": 12.5}
+    assert [file.name for file in record.parent.iterdir()] == ["record.json"]
+
+
+@pytest.mark.parametrize(
+    ("cache", "expected"),
+    [
+        pytest.param("/somewhere", "/somewhere/yolov5_lifecycle/choices", id="set"),
+        pytest.param("", "/home/me/.cache/yolov5_lifecycle/choices", id="empty"),
+        pytest.param(
+            "relative", "/home/me/.cache/yolov5_lifecycle/choices", id="relative, which counts as unset"
+        ),
+    ],
+)
+def test_the_folder_is_the_users_cache(monkeypatch: pytest.MonkeyPatch, cache: str, expected: str) -> None:
+    monkeypatch.setenv("HOME", "/home/me")
+    monkeypatch.setenv("XDG_CACHE_HOME", cache)
+    assert choices_folder() == Path(expected)
+
+
+@pytest.mark.parametrize("runtime", [name for name in REQUIREMENTS if name != "torch"])
+def test_a_runtime_that_is_not_installed_names_the_extra(runtime: str) -> None:
+    """In a process of its own, where its packages cannot be found."""
+    script = (
+        "import sys; sys.modules.update(dict.fromkeys(['onnxruntime', 'openvino', 'onnx']))\n"
+        "from random_model import random_model\n"
+        "from yolov5_lifecycle.runtimes.loading import load_runtime\n"
+        f"load_runtime(random_model(), '{runtime}', device='cpu', precision='auto')\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", script], cwd=Path(__file__).parent, capture_output=True, text=True
+    )
+    assert f"RuntimeAbsentError: Runtime '{runtime}' is not installed" in run.stderr
+    assert f"pip install 'yolov5_lifecycle[{runtime}]'" in run.stderr
+
+
+def test_an_unknown_runtime_is_refused_with_those_there_are() -> None:
+    with pytest.raises(
+        RuntimeAbsentError, match="one of auto, torch, onnxruntime, openvino, found 'tensorrt'"
+    ):
+        load_runtime(random_model(0, TINY), "tensorrt", device="cpu", precision="auto")

@@ -1,0 +1,93 @@
+"""The fastest runtime of those installed, measured once and remembered."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import torch
+
+from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.runtimes.choice_record import read_figures, write_figures
+from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_runtimes
+from yolov5_lifecycle.runtimes.speed import measure_ms
+from yolov5_lifecycle.runtimes.torch_device import resolve_device, resolve_precision
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A runtime and why it was chosen."""
+
+    runtime: str
+    reason: str
+
+
+def choose_runtime(
+    model: Model,
+    *,
+    device: str,
+    precision: str,
+    frame_hw: tuple[int, int],
+    folder: Path | None = None,
+    measure: Callable[..., dict[str, float]] = measure_ms,
+) -> Choice:
+    """The runtime for `auto`: torch on a GPU; on a CPU the fastest for frames of `frame_hw`.
+
+    What was measured is kept in `folder` (default: `choices_folder()`), so that it is measured once for an
+    architecture, a size of frame, the versions of the packages and a CPU. Raises DeviceError.
+    """
+    torch_device = resolve_device(device)
+    resolve_precision(precision, torch_device)
+    installed = installed_runtimes()
+    if torch_device.type != "cpu":
+        return Choice("torch", f"the only one for {torch_device.type}")
+    if installed == ["torch"]:
+        return Choice("torch", "the only one installed")
+    record = (folder or choices_folder()) / f"{_key(model, installed, frame_hw)}.json"
+    figures_ms = read_figures(record, installed)
+    if figures_ms is not None:
+        return _fastest(figures_ms, f"remembered in {record}")
+    figures_ms = measure(model, installed, precision=precision, frame_hw=frame_hw)
+    problem = write_figures(record, figures_ms)
+    return _fastest(figures_ms, problem or "measured now")
+
+
+def choices_folder() -> Path:
+    """$XDG_CACHE_HOME/yolov5_lifecycle/choices, XDG_CACHE_HOME being ~/.cache by default."""
+    cache = os.environ.get("XDG_CACHE_HOME", "")
+    root = Path(cache) if Path(cache).is_absolute() else Path("~/.cache").expanduser()
+    return root / "yolov5_lifecycle" / "choices"
+
+
+def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
+    fastest_first = sorted(figures_ms.items(), key=lambda figure: figure[1])
+    figures = ", ".join(f"{name} {ms:.1f} ms" for name, ms in fastest_first)
+    return Choice(fastest_first[0][0], f"{figures}; {origin}")
+
+
+def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
+    """A name for all that the speed depends on; the values of the weights are not among it."""
+    packages = sorted({package for runtime in installed for package in REQUIREMENTS[runtime]})
+    circumstances = [
+        repr(model.architecture),
+        frame_hw,
+        {package: version(package) for package in packages},
+        _cpu_model(),
+        torch.get_num_threads(),
+    ]
+    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()[:16]
+
+
+def _cpu_model() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
+    except OSError:  # not Linux
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

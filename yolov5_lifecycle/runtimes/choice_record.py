@@ -1,0 +1,40 @@
+"""Measured figures on disk: a small JSON file for each circumstance."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+
+def read_figures(path: Path, runtimes: Collection[str]) -> dict[str, float] | None:
+    """Milliseconds by runtime; None when there is no such file or not what `write_figures` writes.
+
+    One that is damaged is as good as none: it is written anew after the next measurement.
+    """
+    try:
+        figures_ms = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    usable = isinstance(figures_ms, dict) and "torch" in figures_ms
+    if usable and all(name in runtimes and _is_duration(ms) for name, ms in figures_ms.items()):
+        return figures_ms  # type: ignore[no-any-return]
+    return None
+
+
+def write_figures(path: Path, figures_ms: Mapping[str, float]) -> str:
+    """Whole or not at all; why it could not be written, "" when it was."""
+    beside = path.with_suffix(f".{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(json.dumps(figures_ms) + "\n", encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        return f"measured now, not remembered: {error}"
+    return ""
+
+
+def _is_duration(value: object) -> bool:
+    return isinstance(value, float) and math.isfinite(value) and value > 0

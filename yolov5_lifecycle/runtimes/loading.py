@@ -1,0 +1,56 @@
+"""A runtime by its word."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from types import MappingProxyType
+
+from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.runtimes.runtime import Runtime
+from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
+
+REQUIREMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"torch": ("torch",), "onnxruntime": ("onnxruntime", "onnx"), "openvino": ("openvino", "onnx")}
+)
+"""The packages that each runtime imports; those of one besides torch are a pip extra called like it."""
+
+
+class RuntimeAbsentError(ValueError):
+    """The runtime is not installed, or no such one exists; says how to install it."""
+
+
+def installed_runtimes() -> list[str]:
+    """Words of the runtimes whose packages are here."""
+    return [name for name, packages in REQUIREMENTS.items() if all(map(find_spec, packages))]
+
+
+def load_runtime(model: Model, runtime: str, *, device: str, precision: str) -> Runtime:
+    """`model` in the runtime called torch, onnxruntime or openvino; other arguments as in the settings.
+
+    Raises RuntimeAbsentError and DeviceError, both ValueErrors.
+    """
+    if runtime == "torch":
+        return TorchRuntime.load(model, device=device, precision=precision)
+    if runtime not in REQUIREMENTS:
+        words = ", ".join(("auto", *REQUIREMENTS))
+        raise RuntimeAbsentError(f"Runtime must be one of {words}, found {runtime[:40]!r}.")
+    try:
+        return _load_compiled(model, runtime, device=device, precision=precision)
+    except ImportError as error:
+        problem = str(error).partition("\n")[0]
+    raise RuntimeAbsentError(
+        f"Runtime '{runtime}' is not installed ({problem}). Install it with pip install "
+        f"'yolov5_lifecycle[{runtime}]' or pip install {' '.join(REQUIREMENTS[runtime])}, or use 'auto'."
+    )
+
+
+def _load_compiled(model: Model, runtime: str, *, device: str, precision: str) -> Runtime:
+    """Imported here, as only who has chosen one has its packages. Raises ImportError."""
+    from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
+
+    if runtime == "onnxruntime":
+        from yolov5_lifecycle.runtimes.onnxruntime_runtime import onnxruntime_engine as engine
+    else:
+        from yolov5_lifecycle.runtimes.openvino_runtime import openvino_engine as engine
+    return CompiledRuntime.load(model, engine(), device=device, precision=precision)
