@@ -1,1 +1,1 @@
-"""Measurements of speed."""
+"""How fast the project is, beside what its users could take instead."""

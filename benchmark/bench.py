@@ -1,4 +1,4 @@
-"""How long a forward and a detection take in each installed runtime, side by side.
+"""How long everything takes, beside what one could take instead, quiet and beside busy processes.
 
 python -m benchmark.bench [--weights FILE] [--size 1280x720] [--busy N] [--quick]
 """
@@ -6,152 +6,176 @@ python -m benchmark.bench [--weights FILE] [--size 1280x720] [--busy N] [--quick
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import platform
 import statistics
-import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
-from importlib.metadata import version
+from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from yolov5_lifecycle.boxes import Selection
-from yolov5_lifecycle.detector import Detector, load_detector
-from yolov5_lifecycle.images import Picture
-from yolov5_lifecycle.letterbox import Letterbox
-from yolov5_lifecycle.model import Model
-from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_runtimes
+from benchmark.models import untrained_weights
+from benchmark.neighbours import busy_neighbours
+from benchmark.node import DetectorNode, detector_node, picture_file
+from benchmark.report import Goal, Row, goal_table, row, table, write_report
+from benchmark.rivals import RIVALS
+from benchmark.rounds import measure
+from benchmark.task import Task
+from benchmark.work import RUNTIME_PREFIX
+from yolov5_lifecycle.runtimes.loading import installed_runtimes
 from yolov5_lifecycle.weights import load_weights
 
-REPOSITORY = Path(__file__).parents[1]
+REPORT = Path(__file__).parents[1] / "build" / "bench" / "report.json"
+SIZES_WH = ("640x480", "1280x720", "1920x1080")
+_AUTO = f"{RUNTIME_PREFIX}auto"
+_USUAL = "eager torch"
+_BEST_RIVALS = ("ONNX Runtime", "ONNX Runtime, no spinning", "OpenVINO")
+_STAGES = ("letterbox", "selection", "detector")
+_LATENCY_HZ = 10.0
+_SATURATION_HZ = 100.0
+_IDLE_S = 5.0
 
 
-@dataclass(frozen=True)
-class Row:
-    """Milliseconds of one thing under one load."""
+class Bench:
+    """One run: what is measured is kept in `rows` and, compared, in `goals`."""
 
-    what: str
-    runtime: str
-    busy: int
-    median_ms: float
-    p10_ms: float
-    p95_ms: float
-    ratio: float
-    """Median over the smallest median of the same thing under the same load."""
+    def __init__(self, weights: Path, size: str, loads: Sequence[int], *, quick: bool, folder: Path) -> None:
+        self.rows: list[Row] = []
+        self.goals: list[Goal] = []
+        self._weights = weights
+        self._size = size
+        self._loads = loads
+        self._quick = quick
+        self._folder = folder
+        self._medians_ms: dict[tuple[str, int], float] = {}
+
+    def forwards(self) -> None:
+        """Every runtime, every rival and every stage of the detector."""
+        runtimes = [f"{RUNTIME_PREFIX}{name}" for name in (*installed_runtimes(), "auto")]
+        tasks = [
+            *(Task("rivals", name, str(self._weights), _hw(self._size)) for name in RIVALS),
+            *(Task("work", name, str(self._weights), _hw(self._size)) for name in (*runtimes, *_STAGES)),
+        ]
+        turns = 4 if self._quick else 25
+        taken_ms, peaks_mb = measure(tasks, loads=self._loads, turns=turns, cache=self._folder)
+        for (task, busy), times_ms in taken_ms.items():
+            what = "stage" if task.name in _STAGES else "forward"
+            self._add(row(what, task.name, busy, times_ms))
+        for task, peak_mb in peaks_mb.items():
+            self._add(row("memory", task.name, self._loads[-1], [peak_mb], unit="MB at most"))
+        for busy in self._loads:
+            self._compare_forwards(busy)
+
+    def model_sizes(self) -> None:
+        """The forward of larger networks."""
+        for size in () if self._quick else ("s", "m", "l", "x"):
+            weights = str(untrained_weights(size, self._folder))
+            names = [f"{RUNTIME_PREFIX}{name}" for name in installed_runtimes()]
+            tasks = [Task("work", name, weights, _hw(self._size)) for name in names]
+            taken_ms, _ = measure(tasks, loads=self._loads, turns=4, cache=self._folder)
+            for (task, busy), times_ms in taken_ms.items():
+                self._add(row(f"size {size}", task.name, busy, times_ms))
+
+    def node(self) -> None:
+        """Processes as on a robot, pictures of several sizes."""
+        with detector_node(self._weights, self._folder / "node") as node:
+            load_s = _load_s(self._weights)
+            self._add(row("node", "activate, first time", 0, [node.activate_s()], unit="s"))
+            node.deactivate()
+            again_s = node.activate_s()
+            self._add(row("node", "activate again", 0, [again_s], unit="s"))
+            self.goals.append(Goal("activate again - load [s]", 0, again_s - load_s, True, 1.0))
+            for busy in self._loads:
+                with busy_neighbours(busy):
+                    for size in (self._size,) if self._quick else SIZES_WH:
+                        self._passage(node, size, busy)
+                    self._saturation(node, busy)
+            self._idle(node)
+            self._add(row("node", "memory", 0, [node.peak_resident_mb], unit="MB at most"))
+
+    def _add(self, new: Row) -> None:
+        self.rows.append(new)
+        if new.unit == "ms":
+            self._medians_ms[new.name, new.busy] = new.median
+
+    def _compare_forwards(self, busy: int) -> None:
+        auto_ms = self._medians_ms[_AUTO, busy]
+        rival_ms = min(self._medians_ms[name, busy] for name in _BEST_RIVALS)
+        detector_ms = self._medians_ms["detector", busy]
+        usual_ratio = self._medians_ms[_USUAL, busy] / auto_ms
+        self.goals += [
+            Goal("forward / best bare rival", busy, auto_ms / rival_ms, True, 1.10),
+            Goal(f"{_USUAL} / forward", busy, usual_ratio, False, 4.0 if busy else 2.2),
+            Goal("detector / forward", busy, detector_ms / auto_ms, True, 1.20),
+        ]
+
+    def _passage(self, node: DetectorNode, size: str, busy: int) -> None:
+        picture = picture_file(_hw(size), self._folder)
+        passage = node.watch(picture, rate_hz=_LATENCY_HZ, frames=20 if self._quick else 100)
+        self._add(row("node", f"latency {size}", busy, passage.latencies_ms))
+        self._add(row("node", f"CPU per frame {size}", busy, [passage.cpu_ms_per_frame], unit="ms of a core"))
+        if size == self._size:
+            latency_ms = statistics.median(passage.latencies_ms)
+            ratio = latency_ms / self._medians_ms["detector", busy]
+            self.goals.append(Goal("node latency / detector", busy, ratio, True, 1.35))
+
+    def _saturation(self, node: DetectorNode, busy: int) -> None:
+        picture = picture_file(_hw(self._size), self._folder)
+        passage = node.watch(picture, rate_hz=_SATURATION_HZ, frames=40 if self._quick else 200)
+        self._add(row("node", "throughput", busy, [passage.rate_hz], unit="Hz"))
+        self._add(row("node", "latency when flooded", busy, passage.latencies_ms))
+        share = passage.rate_hz * self._medians_ms[_AUTO, busy] / 1e3
+        self.goals.append(Goal("throughput * forward", busy, share, False, 0.90))
+
+    def _idle(self, node: DetectorNode) -> None:
+        picture = picture_file((480, 640), self._folder)
+        share = node.idle_cpu_share(picture, rate_hz=30.0, duration_s=_IDLE_S)
+        self._add(row("node", "nobody listens", 0, [100 * share], unit="% of a core"))
+        self.goals.append(Goal("nobody listens [% of a core]", 0, 100 * share, True, 2.0))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print and write; 0."""
     options = _options(arguments)
-    width, height = (int(side) for side in options.size.split("x"))
-    model = load_weights(options.weights).model
-    picture = Picture(np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8), "bgr")
-    rows: list[Row] = []
-    for busy in sorted({0, options.busy}):
-        with _busy_neighbours(busy):
-            rows += _rows(model, picture, rounds=10 if options.quick else 60, busy=busy)
-    _print_table(rows)
-    _write_report(REPOSITORY / "build" / "bench" / "report.json", options, rows)
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        bench = Bench(
+            options.weights or untrained_weights("n", Path(folder)),
+            options.size,
+            sorted({0, options.busy}),
+            quick=options.quick,
+            folder=Path(folder),
+        )
+        for part in (bench.forwards, bench.model_sizes, bench.node):
+            _say(f"measuring: {part.__doc__}")
+            part()
+    _say(f"\n{table(bench.rows)}\n\n{goal_table(bench.goals)}")
+    write_report(REPORT, vars(options), bench.rows, bench.goals)
+    _say(f"\n{REPORT}")
     return 0
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="bench", description=__doc__.partition("\n")[0] if __doc__ else "")
-    embedded = REPOSITORY / "weights" / "shapes.safetensors"
-    parser.add_argument("--weights", type=Path, default=embedded, help="default: %(default)s")
-    parser.add_argument(
-        "--size", default="1280x720", metavar="WxH", help="of the picture; default: %(default)s"
-    )
-    parser.add_argument(
-        "--busy", type=int, default=1, metavar="N", help="busy neighbours; default: %(default)s"
-    )
-    parser.add_argument("--quick", action="store_true", help="fewer rounds")
+    parser = argparse.ArgumentParser(prog="bench", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n")
+    parser.add_argument("--size", default="1280x720", choices=SIZES_WH, help="default: %(default)s")
+    parser.add_argument("--busy", type=int, default=1, metavar="N", help="processes; default: %(default)s")
+    parser.add_argument("--quick", action="store_true", help="fewer rounds, one size")
     return parser.parse_args(arguments)
 
 
-@contextmanager
-def _busy_neighbours(number: int) -> Iterator[None]:
-    """Processes that each keep one core busy."""
-    neighbours = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(number)]
-    try:
-        yield
-    finally:
-        for neighbour in neighbours:
-            neighbour.kill()
-            neighbour.wait()
+def _hw(size: str) -> tuple[int, int]:
+    width, height = map(int, size.split("x"))
+    return height, width
 
 
-def _rows(model: Model, picture: Picture, *, rounds: int, busy: int) -> list[Row]:
-    detectors = {name: load_detector(model, runtime=name, device="cpu") for name in installed_runtimes()}
-    rows = []
-    for what, calls in (
-        ("forward", _forwards(detectors, picture)),
-        ("detector", _detections(detectors, picture)),
-    ):
-        taken = _in_turns(calls, rounds)
-        best = min(statistics.median(times) for times in taken.values())
-        for name, times in taken.items():
-            median = statistics.median(times)
-            p10, p95 = np.percentile(times, (10, 95))
-            rows.append(Row(what, name, busy, median, float(p10), float(p95), median / best))
-    for detector in detectors.values():
-        detector.close()
-    return rows
+def _load_s(weights: Path) -> float:
+    begun_s = time.monotonic()
+    load_weights(weights)
+    return time.monotonic() - begun_s
 
 
-def _forwards(detectors: dict[str, Detector], picture: Picture) -> dict[str, Callable[[], object]]:
-    calls: dict[str, Callable[[], object]] = {}
-    for name, detector in detectors.items():
-        letterbox = Letterbox.fit(picture.size_hw, image_size=detector.image_size, stride=detector.stride)
-        frame = letterbox.apply(picture.pixels)
-        calls[name] = lambda run=detector.runtime, frame=frame: run(frame, picture.order)  # type: ignore[misc]
-    return calls
-
-
-def _detections(detectors: dict[str, Detector], picture: Picture) -> dict[str, Callable[[], object]]:
-    return {
-        name: lambda detector=detector: detector.detect(picture, Selection())  # type: ignore[misc]
-        for name, detector in detectors.items()
-    }
-
-
-def _in_turns(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
-    """Milliseconds of every call, taken in turns after two that do not count."""
-    taken: dict[str, list[float]] = {name: [] for name in calls}
-    for turn in range(-2, rounds):
-        for name, call in calls.items():
-            before = time.perf_counter()
-            call()
-            if turn >= 0:
-                taken[name].append(1e3 * (time.perf_counter() - before))
-    return taken
-
-
-def _print_table(rows: list[Row]) -> None:
-    print(f"{'':10}{'runtime':14}{'busy':>4}{'median':>10}{'p10':>8}{'p95':>8}{'ratio':>7}   (ms)")
-    for row in rows:
-        print(
-            f"{row.what:10}{row.runtime:14}{row.busy:4}{row.median_ms:10.1f}{row.p10_ms:8.1f}{row.p95_ms:8.1f}"
-            f"{row.ratio:7.2f}"
-        )
-
-
-def _write_report(path: Path, options: argparse.Namespace, rows: list[Row]) -> None:
-    packages = sorted({package for name in installed_runtimes() for package in REQUIREMENTS[name]})
-    report = {
-        "options": {name: str(value) for name, value in vars(options).items()},
-        "versions": {package: version(package) for package in packages},
-        "machine": {"cores": os.cpu_count(), "system": platform.platform(), "load": os.getloadavg()},
-        "rows": [asdict(row) for row in rows],
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    print(f"\n{path}")
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ class _Graph:
     def serialized(self, raw: str) -> bytes:
         self._nodes.append(helper.make_node("Identity", [raw], ["raw"]))
         planes = helper.make_tensor_value_info("planes", TensorProto.UINT8, [1, 3, *self._size_hw])
-        output = helper.make_tensor_value_info("raw", TensorProto.FLOAT, None)
+        output = helper.make_tensor_value_info("raw", TensorProto.FLOAT, ["rows", "outputs"])
         graph = helper.make_graph(self._nodes, "yolov5", [planes], [output], self._constants)
         opset = helper.make_opsetid("", _OPSET)
         model = helper.make_model(graph, opset_imports=[opset], ir_version=_IR_VERSION)

@@ -1,0 +1,101 @@
+"""A process that does one task when asked, and tells how long it took.
+
+Each has a process of its own, as the ways of waiting for threads are fixed once per process.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from benchmark.task import Task
+
+_WARM_UPS = 3
+
+
+@dataclass(frozen=True)
+class Contender:
+    """The process that does `task`."""
+
+    task: Task
+    process: subprocess.Popen[str]
+
+    def measure(self, rounds: int) -> list[float]:
+        """Milliseconds of each round; raises RuntimeError when the process has failed."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(f"{rounds}\n")
+        self.process.stdin.flush()
+        answer = self.process.stdout.readline()
+        if not answer:
+            raise RuntimeError(f"'{self.task.name}' failed; its own words are above")
+        times_ms: list[float] = json.loads(answer)
+        return times_ms
+
+    @property
+    def peak_resident_mb(self) -> float:
+        """The most memory that the process had in RAM."""
+        return memory_mb(self.process.pid, "VmHWM")
+
+
+@contextmanager
+def contender(task: Task, environment: Mapping[str, str]) -> Iterator[Contender]:
+    """A process for `task`, warm."""
+    command = [sys.executable, "-m", "benchmark.contender", json.dumps(asdict(task))]
+    # What the package sets for its own processes is not meant for its rivals.
+    kept = {name: value for name, value in environment.items() if name != "OMP_WAIT_POLICY"}
+    process = subprocess.Popen(
+        command,
+        env=kept,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[1],
+    )
+    try:
+        made = Contender(task, process)
+        made.measure(_WARM_UPS)
+        yield made
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def memory_mb(process_id: int, entry: str) -> float:
+    """An entry of /proc/PID/status, such as VmHWM."""
+    lines = Path(f"/proc/{process_id}/status").read_text().splitlines()
+    (kilobytes,) = (line.split()[1] for line in lines if line.startswith(f"{entry}:"))
+    return int(kilobytes) / 1024
+
+
+def _call_of(task: Task) -> Callable[[], object]:
+    # Only one of the two is imported: they want torch with and without what the package sets.
+    if task.side == "rivals":
+        from benchmark.rivals import call_of
+    else:
+        from benchmark.work import call_of
+    return call_of(task)
+
+
+def _serve() -> None:
+    fields = json.loads(sys.argv[1])
+    call = _call_of(Task(**fields | {"picture_hw": tuple(fields["picture_hw"])}))
+    for line in sys.stdin:
+        times_ms = []
+        for _ in range(int(line)):
+            begun_s = time.perf_counter()
+            call()
+            times_ms.append(1e3 * (time.perf_counter() - begun_s))
+        print(json.dumps(times_ms), flush=True)
+
+
+if __name__ == "__main__":
+    _serve()
+    os._exit(0)

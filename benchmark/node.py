@@ -1,0 +1,136 @@
+"""The whole way: a camera process publishes, the detector process answers, a third one receives."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+from vision_msgs.msg import Detection2DArray
+
+from benchmark.contender import memory_mb
+from benchmark.work import scene_picture
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.domain import isolated, own_domain
+from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.sighting import Sighting
+
+_PROFILE = Path(__file__).parents[1] / "config" / "shm.xml"
+_NODE = "/yolov5"
+_SETTLING_S = 1.0
+
+
+@dataclass(frozen=True)
+class Passage:
+    """What was seen while a camera ran: latencies from the stamp of an image, and what the node took."""
+
+    latencies_ms: list[float]
+    rate_hz: float
+    cpu_ms_per_frame: float
+    cpu_share: float
+    """Of one core."""
+
+
+class DetectorNode:
+    """A detector process that was configured, and who watches it. Made by `detector_node`."""
+
+    def __init__(self, observer: Observer, process: ChildProcess, environment: Mapping[str, str]) -> None:
+        self._observer = observer
+        self._process = process
+        self._environment = environment
+        self.node = RemoteLifecycleNode(observer, _NODE)
+        self.node.wait_until_reachable()
+        self._change("configure")
+
+    def activate_s(self) -> float:
+        """How long `activate` takes."""
+        begun_s = time.monotonic()
+        self._change("activate")
+        return time.monotonic() - begun_s
+
+    def deactivate(self) -> None:
+        self._change("deactivate")
+
+    @property
+    def peak_resident_mb(self) -> float:
+        """The most memory that the process had in RAM."""
+        return memory_mb(self._process.process_id, "VmHWM")
+
+    def watch(self, picture: Path, *, rate_hz: float, frames: int) -> Passage:
+        """A camera that sends `picture` over and over, until `frames` detections have come."""
+        seen: list[Sighting] = []
+        topic = f"{_NODE}/detections"
+        subscription = self._observer.create_subscription(
+            Detection2DArray, topic, lambda message: seen.append(Sighting.now(message)), 10
+        )
+        with self._camera(picture, rate_hz):
+            self._observer.wait_for(lambda: bool(seen), "the first detections")
+            self._observer.work_for(_SETTLING_S)
+            seen.clear()
+            begun_s, cpu_begun_s = time.monotonic(), self._cpu_s()
+            self._observer.wait_for(lambda: len(seen) >= frames, f"{frames} detections")
+            taken_s, cpu_s = time.monotonic() - begun_s, self._cpu_s() - cpu_begun_s
+        self._observer.destroy_subscription(subscription)
+        latencies_ms = [sighting.latency_ms for sighting in seen]
+        return Passage(latencies_ms, len(seen) / taken_s, 1e3 * cpu_s / len(seen), cpu_s / taken_s)
+
+    def idle_cpu_share(self, picture: Path, *, rate_hz: float, duration_s: float) -> float:
+        """Share of a core that the active node takes while a camera runs and nobody listens."""
+        with self._camera(picture, rate_hz):
+            self._observer.wait_for(
+                lambda: self._observer.count_publishers(f"{_NODE}/image_raw") > 0, "the camera"
+            )
+            self._observer.work_for(_SETTLING_S)
+            cpu_begun_s = self._cpu_s()
+            self._observer.work_for(duration_s)
+            return (self._cpu_s() - cpu_begun_s) / duration_s
+
+    def set_parameters(self, **values: object) -> None:
+        if refusal := self.node.set_parameters(**values):
+            raise RuntimeError(f"setting {values} was refused: {refusal}")
+
+    @contextmanager
+    def _camera(self, picture: Path, rate_hz: float) -> Iterator[None]:
+        parameters = ["-p", f"source:={picture}", "-p", f"rate:={rate_hz}", "-p", "encoding:=bgr8"]
+        command = [entry_point("camera"), "--ros-args", *parameters, "-r", f"image_raw:={_NODE}/image_raw"]
+        with ChildProcess("camera", command, self._environment):
+            yield
+
+    def _change(self, transition: str) -> None:
+        if not self.node.change_state(transition):
+            raise RuntimeError(f"the detector refused to {transition}:\n{self._process.last_words}")
+
+    def _cpu_s(self) -> float:
+        fields = Path(f"/proc/{self._process.process_id}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@contextmanager
+def detector_node(weights: Path, cache: Path) -> Iterator[DetectorNode]:
+    """A configured detector with `weights`, which remembers its choice of runtime in `cache`."""
+    with ExitStack() as stack:
+        domain = stack.enter_context(own_domain())
+        environment = isolated(os.environ, domain) | {
+            "AMENT_PREFIX_PATH": sys.prefix,
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILE),
+            "XDG_CACHE_HOME": str(cache),
+        }
+        environment.pop("OMP_WAIT_POLICY", None)  # the process sets its own
+        os.environ.update(environment)
+        command = [entry_point("detector"), "--ros-args", "-p", f"weights:={weights}", "-p", "device:=cpu"]
+        process = stack.enter_context(ChildProcess("detector", command, environment))
+        observer = stack.enter_context(closing(Observer("bench", domain=domain, check=process.check_running)))
+        yield DetectorNode(observer, process, environment)
+
+
+def picture_file(picture_hw: tuple[int, int], folder: Path) -> Path:
+    """The scene as a file that a camera reads in no time."""
+    path = folder / f"{picture_hw[1]}x{picture_hw[0]}.bmp"
+    if not cv2.imwrite(str(path), scene_picture(picture_hw).pixels):
+        raise OSError(f"{path} cannot be written")
+    return path

@@ -1,0 +1,91 @@
+"""Rows of figures, as a table and as a file."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+_PACKAGES = ("torch", "onnxruntime", "openvino", "opencv-python-headless", "numpy")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One thing under one load; `spread` is the distance of the quartiles over the median."""
+
+    what: str
+    name: str
+    busy: int
+    median: float
+    p95: float
+    spread: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A figure and the bound it should keep: at most, or at least, `bound`."""
+
+    what: str
+    busy: int
+    value: float
+    at_most: bool
+    bound: float
+
+    @property
+    def is_reached(self) -> bool:
+        return self.value <= self.bound if self.at_most else self.value >= self.bound
+
+
+def row(what: str, name: str, busy: int, values: Sequence[float], *, unit: str = "ms") -> Row:
+    """The figures of `values`."""
+    ordered = sorted(values)
+    middle = statistics.median(ordered)
+    low, high = (ordered[round(share * (len(ordered) - 1))] for share in (0.25, 0.75))
+    p95 = ordered[math.ceil(0.95 * len(ordered)) - 1]
+    return Row(what, name, busy, middle, p95, (high - low) / middle if middle else 0.0, unit)
+
+
+def table(rows: Iterable[Row]) -> str:
+    """Rows as lines; the ratio is that to the smallest median of the same thing under the same load."""
+    rows = list(rows)
+    heads = f"{'':10}{'':28}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"
+    lines = [heads, "-" * len(heads)]
+    for each in rows:
+        best = min(other.median for other in rows if (other.what, other.busy) == (each.what, each.busy))
+        ratio = f"{each.median / best:.2f}" if best and each.unit == "ms" else ""
+        lines.append(
+            f"{each.what:10}{each.name:28}{each.busy:4}{each.median:10.2f}{each.p95:10.2f}"
+            f"{each.spread:8.0%}{ratio:>7} {each.unit}"
+        )
+    return "\n".join(lines)
+
+
+def goal_table(goals: Iterable[Goal]) -> str:
+    """Goals as lines."""
+    return "\n".join(
+        f"{'reached' if goal.is_reached else 'MISSED':8}{goal.what}, {goal.busy} busy: {goal.value:.2f} "
+        f"({'at most' if goal.at_most else 'at least'} {goal.bound:g})"
+        for goal in goals
+    )
+
+
+def write_report(
+    path: Path, options: Mapping[str, object], rows: Iterable[Row], goals: Iterable[Goal]
+) -> None:
+    """Everything that was measured, where and with what, as JSON."""
+    report = {
+        "options": {name: str(value) for name, value in options.items()},
+        "versions": {package: version(package) for package in _PACKAGES},
+        "machine": {"cores": os.cpu_count(), "system": platform.platform(), "load": os.getloadavg()},
+        "rows": [asdict(each) for each in rows],
+        "goals": [asdict(goal) | {"is_reached": goal.is_reached} for goal in goals],
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")

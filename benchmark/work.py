@@ -1,0 +1,53 @@
+"""What is measured of this project: a call for each name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from benchmark.task import Task
+from yolov5_lifecycle.boxes import Selection, select
+from yolov5_lifecycle.detector import Detector, load_detector
+from yolov5_lifecycle.images import Picture
+from yolov5_lifecycle.letterbox import Letterbox
+from yolov5_lifecycle.scene import Scene
+from yolov5_lifecycle.weights import load_weights
+
+RUNTIME_PREFIX = "runtime "
+_SCENE_SEED = 8
+
+
+def call_of(task: Task) -> Callable[[], object]:
+    """What does the task once: a runtime's forward (`RUNTIME_PREFIX`), or a stage of the detector."""
+    runtime = task.name.removeprefix(RUNTIME_PREFIX)
+    is_forward = runtime != task.name
+    model = load_weights(Path(task.weights)).model
+    detector = load_detector(model, runtime=runtime if is_forward else "auto", device="cpu")
+    picture = scene_picture(task.picture_hw)
+    if is_forward:
+        letterbox = _letterbox(detector, picture)
+        frame = letterbox.apply(picture.pixels)
+        return lambda: detector.runtime(frame, picture.order)
+    return _stage(task.name, detector, picture)
+
+
+def scene_picture(picture_hw: tuple[int, int]) -> Picture:
+    """Shapes over clutter, always the same."""
+    return Picture(np.ascontiguousarray(Scene(_SCENE_SEED, picture_hw).frame(0)[0][..., ::-1]), "bgr")
+
+
+def _stage(name: str, detector: Detector, picture: Picture) -> Callable[[], object]:
+    letterbox = _letterbox(detector, picture)
+    raw = detector.runtime(letterbox.apply(picture.pixels), picture.order)
+    stages: dict[str, Callable[[], object]] = {
+        "letterbox": lambda: letterbox.apply(picture.pixels),
+        "selection": lambda: letterbox.undo(select(raw, Selection()).boxes_xyxy),
+        "detector": lambda: detector.detect(picture, Selection()),
+    }
+    return stages[name]
+
+
+def _letterbox(detector: Detector, picture: Picture) -> Letterbox:
+    return Letterbox.fit(picture.size_hw, image_size=detector.image_size, stride=detector.stride)
