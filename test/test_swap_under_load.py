@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import math
+import os
 import time
 from collections.abc import Iterator
 from itertools import pairwise
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from detector_process import DetectorProcess, as_arguments, detector_process, environment, is_balanced
+from machine_load import MachineLoad
 from random_model import CLASS_NAMES, TINY, random_model, random_network
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
@@ -27,8 +28,9 @@ RATE_HZ = 30.0
 FRUIT = ("apple", "pear")
 LONGEST_GAP_S = 3 / RATE_HZ
 SLOWEST_ANSWER_S = 0.05
-TRIES = 5
-"""A figure in time is the best of these: whatever else the machine does only makes it worse."""
+TRIES = 3
+OTHERS_CORES = 0.05
+"""Times are judged only while other programs keep less than this busy: one burst of theirs is a gap here."""
 
 
 @pytest.fixture
@@ -55,6 +57,19 @@ def detector(weights: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Ite
     with detector_process(*as_arguments(parameters)) as detector:
         detector.bring_to("active")
         yield detector
+
+
+@dataclasses.dataclass(frozen=True)
+class Round:
+    """The figures of many swaps."""
+
+    longest_gap_s: float
+    p99_answer_s: float
+    others_cores: float
+
+    @property
+    def is_smooth(self) -> bool:
+        return self.longest_gap_s < LONGEST_GAP_S and self.p99_answer_s < SLOWEST_ANSWER_S
 
 
 class Watch:
@@ -89,18 +104,17 @@ class Watch:
         first_ns, last_ns = (stamp_ns(self.messages[index].header) for index in (0, -1))
         return sum(first_ns <= sent_ns <= last_ns for sent_ns in self._sent_ns)
 
-    @property
-    def longest_gap_s(self) -> float:
-        return max(later - earlier for earlier, later in pairwise(self.arrivals_s))
-
-    @property
-    def slow_answer_s(self) -> float:
-        """The 99th percentile."""
-        return sorted(self.answers_s)[int(0.99 * len(self.answers_s))]
-
-    def forget_times(self) -> None:
+    def round(self, weights: tuple[Path, Path], camera: ChildProcess) -> Round:
+        """Swap many times between the two."""
+        processes = (os.getpid(), self._detector.process.process_id, camera.process_id)
+        load = MachineLoad(processes)
         self.arrivals_s.clear()
         self.answers_s.clear()
+        for swap in range(SWAPS):
+            self.swap(weights[(swap + 1) % 2])
+        longest_gap_s = max(later - earlier for earlier, later in pairwise(self.arrivals_s))
+        p99_answer_s = sorted(self.answers_s)[int(0.99 * len(self.answers_s))]
+        return Round(longest_gap_s, p99_answer_s, load.others_cores)
 
     def _take(self, message: Detection2DArray) -> None:
         self.messages.append(message)
@@ -130,14 +144,9 @@ def test_swaps_lose_no_frame_mix_no_models_and_hold_nobody_up(
     rate = ["-p", f"rate:={RATE_HZ}"]
     with ChildProcess("camera", command + rate, environment(detector.domain)) as camera:
         detector.observer.wait_for(lambda: len(watch.arrivals_s) > RATE_HZ, "a second of detections")
-        longest_gap_s = slow_answer_s = math.inf
-        for _ in range(TRIES):
-            watch.forget_times()
-            for swap in range(SWAPS):
-                watch.swap(weights[(swap + 1) % 2])
-            longest_gap_s, slow_answer_s = watch.longest_gap_s, watch.slow_answer_s
-            if longest_gap_s < LONGEST_GAP_S and slow_answer_s < SLOWEST_ANSWER_S:
-                break
+        rounds = [watch.round(weights, camera)]
+        while not rounds[-1].is_smooth and len(rounds) < TRIES:
+            rounds.append(watch.round(weights, camera))
         assert camera.stop() == 0
     status = detector.status()
     assert is_balanced(status)
@@ -149,5 +158,6 @@ def test_swaps_lose_no_frame_mix_no_models_and_hold_nobody_up(
     assert any(found & set(FRUIT) for found in names)
     assert any(found & set(CLASS_NAMES) for found in names)
     assert max(watch.resident_mb[-10:]) - max(watch.resident_mb[:10]) < 10
-    assert longest_gap_s < LONGEST_GAP_S
-    assert slow_answer_s < SLOWEST_ANSWER_S
+    if not rounds[-1].is_smooth and rounds[-1].others_cores > OTHERS_CORES:
+        pytest.skip(f"no time was judged, as other programs were busy: {rounds[-1]}")
+    assert rounds[-1].is_smooth, rounds
