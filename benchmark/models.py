@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from torch import nn
+
 from yolov5_lifecycle.architecture import SIZES
 from yolov5_lifecycle.model import Model
-from yolov5_lifecycle.network import Network
+from yolov5_lifecycle.network import Detect, Network
 from yolov5_lifecycle.safetensors_file import write_safetensors
+
+_OBJECTNESS_LOGIT = -6.0
 
 
 def untrained_weights(size: str, folder: Path) -> Path:
@@ -15,5 +19,16 @@ def untrained_weights(size: str, folder: Path) -> Path:
     path = folder / f"untrained-{size}.safetensors"
     architecture = SIZES[size]
     names = tuple(f"class {index}" for index in range(architecture.classes))
-    write_safetensors(Model(architecture, names, Network(architecture).state_dict()), path)
+    write_safetensors(Model(architecture, names, _sceptical(Network(architecture)).state_dict()), path)
     return path
+
+
+def _sceptical(network: Network) -> Network:
+    """Untrained, half of all boxes would be objects, and what is measured is their suppression."""
+    detect = network.model[-1]
+    assert isinstance(detect, Detect)
+    for convolution in detect.m:
+        assert isinstance(convolution, nn.Conv2d)
+        assert convolution.bias is not None
+        convolution.bias.data.view(detect.anchors_per_cell, -1)[:, 4] = _OBJECTNESS_LOGIT
+    return network
