@@ -67,7 +67,7 @@ class Bench:
 
     def model_sizes(self) -> None:
         """The forward of larger networks."""
-        for size in () if self._quick else ("s", "m", "l", "x"):
+        for size in () if self._quick else ("s", "m"):
             weights = str(untrained_weights(size, self._folder))
             names = [f"{RUNTIME_PREFIX}{name}" for name in installed_runtimes()]
             tasks = [Task("work", name, weights, _hw(self._size)) for name in names]
