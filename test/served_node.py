@@ -220,6 +220,15 @@ class ServedNode:
         self.wait_for(lambda: self.images.get_subscription_count() > 0, "the node to subscribe")
         self.images.publish(message or image())
 
+    def send_until(self, condition: Callable[[], bool], what: str) -> None:
+        """Send images until `condition`, or fail after a while."""
+
+        def is_done() -> bool:
+            self.images.publish(image())
+            return condition()
+
+        self.wait_for(is_done, what)
+
     def detect(self) -> Detection2DArray:
         """Send images until one of them is detected; what was found in it."""
         first_sec = self._sent + 1

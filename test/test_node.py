@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -368,24 +369,39 @@ def test_a_rejected_image_is_counted_and_the_next_one_detected(served: ServedNod
     assert counts.pop("received") == sum(counts.values())
 
 
+def fail() -> np.ndarray:
+    raise RuntimeError("the device is on fire")
+
+
 def test_failures_in_a_row_deactivate_the_node_with_the_reason(
     served: ServedNode, prepare: Preparations
 ) -> None:
     served.bring_to("active")
-
-    def fail() -> np.ndarray:
-        raise RuntimeError("the device is on fire")
-
+    assert served.set(max_consecutive_failures=2) == (True, "")
     prepare.running.run = fail
-
-    def is_inactive() -> bool:
-        served.images.publish(image())
-        return served.node.state_label == "inactive"
-
-    served.wait_for(is_inactive, "the node to give up")
-    served.wait_for(lambda: "on fire" in served.status().message, "the reason")
+    served.send_until(lambda: served.node.state_label == "inactive", "the node to give up")
+    status = served.status()
+    assert status.message == "deactivated after 2 failed frames in a row, the last: " + (
+        "RuntimeError: the device is on fire"
+    )
+    assert status.level == DiagnosticStatus.ERROR
+    assert prepare.running.is_closed
     assert served.transition("activate")
     assert class_ids_of(served.detect()) == ["cat"]
+    assert served.status().level != DiagnosticStatus.ERROR
+
+
+def test_a_detected_frame_ends_the_count_of_failures(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("active")
+    assert served.set(max_consecutive_failures=2) == (True, "")
+    runtime = prepare.running
+
+    def fail_every_other_time() -> np.ndarray:
+        return fail() if runtime.calls % 2 else prediction("cat", 0.9)
+
+    runtime.run = fail_every_other_time
+    served.send_until(lambda: runtime.calls >= 8, "eight frames")
+    assert served.state() == "active"
 
 
 def test_a_hung_inference_does_not_hold_deactivate(served: ServedNode, prepare: Preparations) -> None:

@@ -75,6 +75,9 @@ class Settings(BaseModel):
     lazy: Annotated[bool, Change.LIVE] = Field(
         True, description="Do not subscribe to images while nobody listens to detections or annotated images."
     )
+    max_consecutive_failures: Annotated[int, Change.LIVE] = Field(
+        10, ge=1, le=10_000, description="After this many failed frames in a row the node deactivates itself."
+    )
     image_transport: Annotated[Literal["raw", "compressed"], Change.RESUBSCRIBE] = Field(
         "raw", description="raw: ~/image_raw (Image). compressed: ~/image_raw/compressed (CompressedImage)."
     )
