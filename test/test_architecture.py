@@ -29,6 +29,7 @@ RANKS = [
         "images",
         "letterbox",
         "suggestion",
+        "empty_frames",
         "frame_balance",
         "rate",
         "memory",

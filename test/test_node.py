@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
@@ -460,13 +460,36 @@ def test_without_listeners_a_lazy_node_does_not_subscribe(served: ServedNode) ->
 
 
 def test_diagnostics_come_in_every_state(served: ServedNode) -> None:
-    assert served.status().message == "unconfigured"
+    assert served.status().message.startswith("unconfigured: ")
     served.bring_to("active")
     assert served.state() == "active"
     values = served.values()
     assert values["state"] == "active"
     assert values["runtime"] == "scripted"
     assert values["sha256"] == "0" * 64
+
+
+def test_each_reason_for_silence_is_told_while_it_lasts(prepare: Preparations) -> None:
+    with ServedNode(prepare, arguments=["--ros-args", "-r", "~/image_raw:=/front"]) as served:
+
+        def is_told(reason: str) -> Callable[[], bool]:
+            return lambda: reason in served.status().message
+
+        served.bring_to("active")
+        served.wait_for(is_told("nobody publishes images on /front"), "the missing camera")
+        best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        camera = served.client.create_publisher(Image, "/front", best_effort)
+        assert served.set(image_reliability="reliable") == (True, "")
+        served.wait_for(is_told("a best-effort publisher on /front does not match"), "the mismatch")
+        assert served.set(image_reliability="auto") == (True, "")
+        assert served.set(confidence_threshold=0.95) == (True, "")
+
+        def is_empty() -> bool:
+            camera.publish(image())
+            return int(served.diagnostics[-1].status[0].values[-1].value) > 0
+
+        served.wait_for(is_empty, "a frame without detections")
+        assert served.diagnostics[-1].status[0].values[-1].key == "empty frames in a row"
 
 
 def test_a_compressed_camera_is_understood(served: ServedNode) -> None:

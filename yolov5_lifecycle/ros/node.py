@@ -266,5 +266,6 @@ class DetectorNode(LifecycleNode):
             model=detection.model if detection else None,
             input=detection.look() if detection else None,
             latency=detection.latencies.summary(time.monotonic()) if detection else None,
+            empty=detection.empty_frames.run if detection else None,
             recently_rejected=self._failures.recent_rejection(),
         )
