@@ -38,7 +38,7 @@ RANKS = [
     },
     {"network", "boxes", "class_filter", "settings", "image_encoding", "picture_source"},
     {"model"},
-    {"annotate", "checkpoint_archive", "pickle_operations", "yaml_architecture", "runtimes"},
+    {"annotate", "checkpoint_archive", "confinement", "pickle_operations", "yaml_architecture", "runtimes"},
     {"pickled_names"},
     {"pickle_program"},
     {"pickled_module"},

@@ -132,12 +132,16 @@ class SettingsParameters:
                 self._bad_overrides[setting.name] = problems[0]
             else:
                 parameter = wanted
+        described = descriptor(setting)
+        if parameter.value != []:
+            self._node.declare_parameter(setting.name, parameter.value, described, ignore_override=True)
+            return
         # An empty list must be declared by type and then set: its own type would be BYTE_ARRAY
-        # (ros2/rclpy#912).
-        default = parameter.type_ if parameter.value == [] else parameter.value
-        self._node.declare_parameter(setting.name, default, descriptor(setting), ignore_override=True)
-        if parameter.value == []:
-            self._node.set_parameters([parameter])
+        # (ros2/rclpy#912). Only then it may become read-only.
+        self._node.declare_parameter(setting.name, parameter.type_, ignore_override=True)
+        self._node.set_parameters([parameter])
+        described.type = parameter.type_.value
+        self._node.set_descriptor(setting.name, described)
 
     def _judge(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         problems = self._new_problems(parameters)
