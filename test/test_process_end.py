@@ -1,7 +1,8 @@
-"""How the detector's process ends when its model misbehaves."""
+"""How the detector's process ends when its command line is wrong or its model misbehaves."""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -14,7 +15,7 @@ from detector_process import environment, scene_image
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.ros.child_process import ChildProcess
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.domain import own_domain
 from yolov5_lifecycle.ros.observer import Observer
@@ -65,3 +66,23 @@ def test_a_signal_ends_the_process_in_time_whatever_hangs(fault: str, sign: str)
         begun_s = time.monotonic()
         assert process.stop(signal.SIGTERM, timeout_s=10) == 0
         assert time.monotonic() - begun_s < 5
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        pytest.param(["--help"], 0, ["confidence_threshold  ", "Default: 0.25"], id="help"),
+        pytest.param(
+            ["--device", "cpu", "--ros-args", "--params-file", "/nowhere.yaml"],
+            2,
+            ["not understood: --device cpu\n", "device  "],
+            id="stray words",
+        ),
+        pytest.param(["--ros-args", "--foo"], 2, ["ROS arguments", "--foo"], id="unknown ROS argument"),
+    ],
+)
+def test_the_command_line_is_explained(words: list[str], code: int, told: list[str]) -> None:
+    with ChildProcess("detector", [entry_point("detector"), *words], os.environ) as process:
+        assert process.wait(20) == code
+    assert all(word in process.output for word in told), process.output
+    assert "Traceback" not in process.output
