@@ -11,9 +11,12 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 from served_node import Preparations, ServedNode, class_ids_of, image, prediction
+
+from yolov5_lifecycle.settings import SETTINGS
 
 STATES = ("unconfigured", "inactive", "active")
 
@@ -303,10 +306,28 @@ def test_an_unknown_parameter_is_refused_in_every_state(served: ServedNode, stat
     assert "Did you mean 'confidence_threshold'?" in reason
 
 
-def test_a_setting_that_is_read_only_cannot_be_set(served: ServedNode) -> None:
-    done, reason = served.set(autostart=True)
+@pytest.mark.parametrize(
+    "values",
+    [{"autostart": True}, {"weights_dirs": ["/"]}, {"autostart": True, "lazy": False}],
+    ids=str,
+)
+def test_a_setting_that_is_read_only_cannot_be_set(served: ServedNode, values: dict[str, object]) -> None:
+    done, reason = served.set(**values)
     assert not done
     assert "read-only" in reason
+    assert [served.get(name) for name in ("autostart", "weights_dirs", "lazy")] == [False, [], True]
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_every_parameter_may_be_set_to_what_it_is(served: ServedNode, state: str) -> None:
+    served.bring_to(state)
+    foreign = ["use_sim_time", "start_type_description_service"]
+    values = {name: served.get(name) for name in [*(setting.name for setting in SETTINGS), *foreign]}
+    results = served.set_one_by_one(
+        [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    )
+    assert [result.reason for result in results if not result.successful] == []
+    assert served.set(**values) == (True, "")
 
 
 @pytest.mark.parametrize(

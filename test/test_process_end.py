@@ -83,6 +83,6 @@ def test_a_signal_ends_the_process_in_time_whatever_hangs(fault: str, sign: str)
 )
 def test_the_command_line_is_explained(words: list[str], code: int, told: list[str]) -> None:
     with ChildProcess("detector", [entry_point("detector"), *words], os.environ) as process:
-        assert process.wait(20) == code
+        assert process.wait(60) == code
     assert all(word in process.output for word in told), process.output
     assert "Traceback" not in process.output
