@@ -22,7 +22,11 @@ from yolov5_lifecycle.settings import SETTINGS, SettingsError, validated
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
 TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
-PAGES = [README, REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+PAGES = [
+    README,
+    *(REPOSITORY / name for name in ("CONTRIBUTING.md", "SECURITY.md")),
+    *sorted((REPOSITORY / "docs").glob("*.md")),
+]
 SOURCE_FOLDERS = [REPOSITORY, REPOSITORY / "yolov5_lifecycle"]
 
 every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -78,7 +78,7 @@ def test_a_signal_ends_the_process_in_time_whatever_hangs(fault: str, sign: str)
             ["not understood: --device cpu\n", "device  "],
             id="stray words",
         ),
-        pytest.param(["--ros-args", "--foo"], 2, ["ROS arguments", "--foo"], id="unknown ROS argument"),
+        pytest.param(["--ros-args", "--foo"], 2, ["ROS refuses", "--foo"], id="unknown ROS argument"),
     ],
 )
 def test_the_command_line_is_explained(words: list[str], code: int, told: list[str]) -> None:

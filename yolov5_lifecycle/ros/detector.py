@@ -45,12 +45,12 @@ def main(args: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
 def _run(arguments: list[str], prepare: Prepare) -> int:
     stop = stop_event()
     try:
-        parameter_file_error = _initialise(arguments)
+        problem = _initialise(arguments)
+        if words := remove_ros_args(_without_parameter_files(arguments))[1:]:
+            return explain("detector", words, usage=_USAGE, parameters=_parameters())
+        node = DetectorNode(prepare=prepare, parameter_file_error=problem, arguments=arguments)
     except RuntimeError as error:
-        return complain("detector", f"the ROS arguments cannot be used: {error}")
-    if words := remove_ros_args(_without_parameter_files(arguments))[1:]:
-        return explain("detector", words, usage=_USAGE, parameters=_parameters())
-    node = DetectorNode(prepare=prepare, parameter_file_error=parameter_file_error, arguments=arguments)
+        return complain("detector", f"ROS refuses to start: {error}")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     executor.create_task(node.autostart)
