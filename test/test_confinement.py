@@ -170,8 +170,7 @@ def test_a_running_node_refuses_weights_from_outside(confined_node: ServedNode, 
     assert "does not lie in a folder" in served.status().message
 
 
-@pytest.mark.parametrize("state", ["unconfigured", "active"])
-@pytest.mark.parametrize("folders", [[], ["/"]], ids=["none", "all"])
+@pytest.mark.parametrize(("state", "folders"), [("unconfigured", ["/"]), ("active", [])])
 def test_the_folders_cannot_be_changed_from_outside(
     confined_node: ServedNode, root: Path, state: str, folders: list[str]
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import cv2
@@ -66,6 +67,16 @@ def test_an_illegal_transition_is_refused_and_nothing_changes(served: ServedNode
     assert served.state() == state
 
 
+def test_refused_transitions_do_not_flood_the_log(served: ServedNode) -> None:
+    begun_s = time.monotonic()
+    for _ in range(100):
+        assert not served.transition("cleanup")
+    most = time.monotonic() - begun_s + 1
+    assert served.transition("configure")
+    served.wait_for_log("configured with")
+    assert 1 <= sum("'cleanup' refused in state unconfigured" in said for said in served.log) <= most
+
+
 @pytest.mark.parametrize("state", STATES)
 def test_every_transition_number_is_answered(served: ServedNode, state: str) -> None:
     """Whatever the number does, the node answers and goes on to answer."""
@@ -104,7 +115,25 @@ def test_an_unexpected_exception_in_activate_leads_back_to_unconfigured(ros_doma
         assert not served.transition("activate")
         assert served.state() == "unconfigured"
         assert "surprise" in served.status().message
+        served.wait_for_log("Traceback")
         assert served.transition("configure")
+
+
+@pytest.mark.parametrize("label", ["deactivate", "shutdown"])
+def test_an_unexpected_exception_while_releasing_releases_the_rest(
+    served: ServedNode, prepare: Preparations, label: str
+) -> None:
+    served.bring_to("active")
+
+    def fail_to_close() -> None:
+        raise KeyError("surprise")
+
+    prepare.running.on_close = fail_to_close
+    assert not served.transition(label)
+    assert served.state() == "unconfigured"
+    assert "unexpected KeyError in on_" + label in served.status().message
+    served.wait_for(lambda: served.images.get_subscription_count() == 0, "the node to unsubscribe")
+    served.wait_for(lambda: served.client.count_publishers("/yolov5/detections") == 0, "the publishers to go")
 
 
 def test_services_answer_while_the_model_loads(served: ServedNode, prepare: Preparations) -> None:
