@@ -131,7 +131,7 @@ def test_an_unexpected_exception_while_releasing_releases_the_rest(
     prepare.running.on_close = fail_to_close
     assert not served.transition(label)
     assert served.state() == "unconfigured"
-    assert "unexpected KeyError in on_" + label in served.status().message
+    served.wait_for_log(f"unexpected KeyError in on_{label}: 'surprise'")
     served.wait_for(lambda: served.images.get_subscription_count() == 0, "the node to unsubscribe")
     served.wait_for(lambda: served.client.count_publishers("/yolov5/detections") == 0, "the publishers to go")
 
@@ -347,7 +347,7 @@ def test_a_setting_that_is_read_only_cannot_be_set(served: ServedNode, values: d
     assert [served.get(name) for name in ("autostart", "weights_dirs", "lazy")] == [False, [], True]
 
 
-@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("state", ["unconfigured", "active"])
 def test_every_parameter_may_be_set_to_what_it_is(served: ServedNode, state: str) -> None:
     served.bring_to(state)
     foreign = ["use_sim_time", "start_type_description_service"]
