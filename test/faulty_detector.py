@@ -26,19 +26,21 @@ def hang() -> NDArray[np.float32]:
 
 
 def prepare_slowly(settings: Settings) -> PreparedModel:
+    print("loading slowly", flush=True)  # noqa: T201 - the test reads it
     time.sleep(60)
     raise AssertionError("nobody waits that long")
 
 
 FAULTS = {"lose_device": lose_device, "hang": hang}
+PREPARATIONS = Preparations()
 
 
 def prepare(settings: Settings) -> PreparedModel:
-    if sys.argv[1] == "load_slowly":
+    fault = sys.argv[1]
+    if fault == "load_slowly" or (fault == "reload_slowly" and PREPARATIONS.runtimes):
         return prepare_slowly(settings)
-    preparations = Preparations()
-    model = preparations(settings)
-    preparations.running.run = FAULTS[sys.argv[1]]
+    model = PREPARATIONS(settings)
+    PREPARATIONS.running.run = FAULTS.get(fault, PREPARATIONS.running.run)
     return model
 
 

@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from numpy.typing import NDArray
+from rcl_interfaces.msg import Log
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
@@ -53,6 +54,7 @@ class ScriptedRuntime:
 
     def __init__(self) -> None:
         self.run: Callable[[], NDArray[np.float32]] = lambda: prediction("cat", 0.9)
+        self.on_close: Callable[[], None] = lambda: None
         self.calls = 0
         self.is_closed = False
 
@@ -62,6 +64,7 @@ class ScriptedRuntime:
 
     def close(self) -> None:
         self.is_closed = True
+        self.on_close()
 
 
 def prediction(class_name: str, score: float) -> NDArray[np.float32]:
@@ -121,6 +124,7 @@ class ServedNode:
         self.escaped: list[Exception] = []
         self.detections: list[Detection2DArray] = []
         self.diagnostics: list[DiagnosticArray] = []
+        self.log: list[str] = []
         self._sent = 0
         # Made before the node is served: endpoints of one participant that two threads make at the same time
         # do not always find each other.
@@ -131,6 +135,8 @@ class ServedNode:
         self.images = self.client.create_publisher(Image, "/yolov5/image_raw", 1)
         self.client.create_subscription(Detection2DArray, "/yolov5/detections", self.detections.append, 10)
         self.client.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
+        kept = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.client.create_subscription(Log, "/rosout", lambda message: self.log.append(message.msg), kept)
 
     def __enter__(self) -> ServedNode:
         self._thread.start()
@@ -159,6 +165,10 @@ class ServedNode:
         while not condition():
             assert time.monotonic() < deadline_s, f"waited in vain for {what}"
             self._client_executor.spin_once(timeout_sec=0.02)
+
+    def wait_for_log(self, text: str) -> None:
+        """Wait until the node has said `text`."""
+        self.wait_for(lambda: any(text in said for said in self.log), f"the word {text!r} in the log")
 
     def begin(self, service: str, request: Any) -> Any:
         """Send a request; the future of its response."""
@@ -219,6 +229,15 @@ class ServedNode:
         """Send one image once the node listens."""
         self.wait_for(lambda: self.images.get_subscription_count() > 0, "the node to subscribe")
         self.images.publish(message or image())
+
+    def send_until(self, condition: Callable[[], bool], what: str) -> None:
+        """Send images until `condition`, or fail after a while."""
+
+        def is_done() -> bool:
+            self.images.publish(image())
+            return condition()
+
+        self.wait_for(is_done, what)
 
     def detect(self) -> Detection2DArray:
         """Send images until one of them is detected; what was found in it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.child_process import ChildProcess, ProcessError, entry_point
 from yolov5_lifecycle.ros.messages import image_message, picture
 from yolov5_lifecycle.ros.sighting import Sighting, pairwise_iou, recall, stamp_ns
 from yolov5_lifecycle.scene import CLASS_NAMES
@@ -281,6 +282,15 @@ def test_a_signal_ends_the_process_cleanly(state: str, signal_number: signal.Sig
         if state == "active":
             detector.look()
         assert detector.process.stop(signal_number, timeout_s=15.0) == 0
+    assert "Traceback" not in detector.process.output
+
+
+def test_the_transition_shutdown_ends_the_process_cleanly() -> None:
+    with detector_process(*as_arguments(PARAMETERS)) as detector:
+        detector.bring_to("active")
+        with suppress(ProcessError):  # it may end before its answer has come
+            detector.transition("shutdown")
+        assert detector.process.wait(15.0) == 0
     assert "Traceback" not in detector.process.output
 
 

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 from served_node import Preparations, ServedNode, class_ids_of, image, prediction
+
+from yolov5_lifecycle.settings import SETTINGS
 
 STATES = ("unconfigured", "inactive", "active")
 
@@ -62,6 +67,16 @@ def test_an_illegal_transition_is_refused_and_nothing_changes(served: ServedNode
     assert served.state() == state
 
 
+def test_refused_transitions_do_not_flood_the_log(served: ServedNode) -> None:
+    begun_s = time.monotonic()
+    for _ in range(100):
+        assert not served.transition("cleanup")
+    most = time.monotonic() - begun_s + 1
+    assert served.transition("configure")
+    served.wait_for_log("configured with")
+    assert 1 <= sum("'cleanup' refused in state unconfigured" in said for said in served.log) <= most
+
+
 @pytest.mark.parametrize("state", STATES)
 def test_every_transition_number_is_answered(served: ServedNode, state: str) -> None:
     """Whatever the number does, the node answers and goes on to answer."""
@@ -100,7 +115,25 @@ def test_an_unexpected_exception_in_activate_leads_back_to_unconfigured(ros_doma
         assert not served.transition("activate")
         assert served.state() == "unconfigured"
         assert "surprise" in served.status().message
+        served.wait_for_log("Traceback")
         assert served.transition("configure")
+
+
+@pytest.mark.parametrize("label", ["deactivate", "shutdown"])
+def test_an_unexpected_exception_while_releasing_releases_the_rest(
+    served: ServedNode, prepare: Preparations, label: str
+) -> None:
+    served.bring_to("active")
+
+    def fail_to_close() -> None:
+        raise KeyError("surprise")
+
+    prepare.running.on_close = fail_to_close
+    assert not served.transition(label)
+    assert served.state() == "unconfigured"
+    served.wait_for_log(f"unexpected KeyError in on_{label}: 'surprise'")
+    served.wait_for(lambda: served.images.get_subscription_count() == 0, "the node to unsubscribe")
+    served.wait_for(lambda: served.client.count_publishers("/yolov5/detections") == 0, "the publishers to go")
 
 
 def test_services_answer_while_the_model_loads(served: ServedNode, prepare: Preparations) -> None:
@@ -302,10 +335,28 @@ def test_an_unknown_parameter_is_refused_in_every_state(served: ServedNode, stat
     assert "Did you mean 'confidence_threshold'?" in reason
 
 
-def test_a_setting_that_is_read_only_cannot_be_set(served: ServedNode) -> None:
-    done, reason = served.set(autostart=True)
+@pytest.mark.parametrize(
+    "values",
+    [{"autostart": True}, {"weights_dirs": ["/"]}, {"autostart": True, "lazy": False}],
+    ids=str,
+)
+def test_a_setting_that_is_read_only_cannot_be_set(served: ServedNode, values: dict[str, object]) -> None:
+    done, reason = served.set(**values)
     assert not done
     assert "read-only" in reason
+    assert [served.get(name) for name in ("autostart", "weights_dirs", "lazy")] == [False, [], True]
+
+
+@pytest.mark.parametrize("state", ["unconfigured", "active"])
+def test_every_parameter_may_be_set_to_what_it_is(served: ServedNode, state: str) -> None:
+    served.bring_to(state)
+    foreign = ["use_sim_time", "start_type_description_service"]
+    values = {name: served.get(name) for name in [*(setting.name for setting in SETTINGS), *foreign]}
+    results = served.set_one_by_one(
+        [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    )
+    assert [result.reason for result in results if not result.successful] == []
+    assert served.set(**values) == (True, "")
 
 
 @pytest.mark.parametrize(
@@ -368,24 +419,39 @@ def test_a_rejected_image_is_counted_and_the_next_one_detected(served: ServedNod
     assert counts.pop("received") == sum(counts.values())
 
 
+def fail() -> np.ndarray:
+    raise RuntimeError("the device is on fire")
+
+
 def test_failures_in_a_row_deactivate_the_node_with_the_reason(
     served: ServedNode, prepare: Preparations
 ) -> None:
     served.bring_to("active")
-
-    def fail() -> np.ndarray:
-        raise RuntimeError("the device is on fire")
-
+    assert served.set(max_consecutive_failures=2) == (True, "")
     prepare.running.run = fail
-
-    def is_inactive() -> bool:
-        served.images.publish(image())
-        return served.node.state_label == "inactive"
-
-    served.wait_for(is_inactive, "the node to give up")
-    served.wait_for(lambda: "on fire" in served.status().message, "the reason")
+    served.send_until(lambda: served.node.state_label == "inactive", "the node to give up")
+    status = served.status()
+    assert status.message == "deactivated after 2 failed frames in a row, the last: " + (
+        "RuntimeError: the device is on fire"
+    )
+    assert status.level == DiagnosticStatus.ERROR
+    assert prepare.running.is_closed
     assert served.transition("activate")
     assert class_ids_of(served.detect()) == ["cat"]
+    assert served.status().level != DiagnosticStatus.ERROR
+
+
+def test_a_detected_frame_ends_the_count_of_failures(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("active")
+    assert served.set(max_consecutive_failures=2) == (True, "")
+    runtime = prepare.running
+
+    def fail_every_other_time() -> np.ndarray:
+        return fail() if runtime.calls % 2 else prediction("cat", 0.9)
+
+    runtime.run = fail_every_other_time
+    served.send_until(lambda: runtime.calls >= 8, "eight frames")
+    assert served.state() == "active"
 
 
 def test_a_hung_inference_does_not_hold_deactivate(served: ServedNode, prepare: Preparations) -> None:
@@ -444,13 +510,36 @@ def test_without_listeners_a_lazy_node_does_not_subscribe(served: ServedNode) ->
 
 
 def test_diagnostics_come_in_every_state(served: ServedNode) -> None:
-    assert served.status().message == "unconfigured"
+    assert served.status().message.startswith("unconfigured: ")
     served.bring_to("active")
     assert served.state() == "active"
     values = served.values()
     assert values["state"] == "active"
     assert values["runtime"] == "scripted"
     assert values["sha256"] == "0" * 64
+
+
+def test_each_reason_for_silence_is_told_while_it_lasts(prepare: Preparations) -> None:
+    with ServedNode(prepare, arguments=["--ros-args", "-r", "~/image_raw:=/front"]) as served:
+
+        def is_told(reason: str) -> Callable[[], bool]:
+            return lambda: reason in served.status().message
+
+        served.bring_to("active")
+        served.wait_for(is_told("nobody publishes images on /front"), "the missing camera")
+        best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        camera = served.client.create_publisher(Image, "/front", best_effort)
+        assert served.set(image_reliability="reliable") == (True, "")
+        served.wait_for(is_told("a best-effort publisher on /front does not match"), "the mismatch")
+        assert served.set(image_reliability="auto") == (True, "")
+        assert served.set(confidence_threshold=0.95) == (True, "")
+
+        def is_empty() -> bool:
+            camera.publish(image())
+            return int(served.diagnostics[-1].status[0].values[-1].value) > 0
+
+        served.wait_for(is_empty, "a frame without detections")
+        assert served.diagnostics[-1].status[0].values[-1].key == "empty frames in a row"
 
 
 def test_a_compressed_camera_is_understood(served: ServedNode) -> None:

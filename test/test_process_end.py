@@ -1,7 +1,8 @@
-"""How the detector's process ends when its model misbehaves."""
+"""How the detector's process ends when its command line is wrong or its model misbehaves."""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -11,10 +12,12 @@ from pathlib import Path
 
 import pytest
 from detector_process import environment, scene_image
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.ros.child_process import ChildProcess
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.domain import own_domain
 from yolov5_lifecycle.ros.observer import Observer
@@ -52,16 +55,49 @@ def test_a_lost_device_ends_the_process_with_its_own_code() -> None:
         assert process.wait(10) == EXIT_DEVICE_LOST
 
 
-@pytest.mark.parametrize(
-    ("fault", "sign"),
-    [("hang", "hanging"), ("load_slowly", "configured with")],
-    ids=["inference", "loading"],
-)
-def test_a_signal_ends_the_process_in_time_whatever_hangs(fault: str, sign: str) -> None:
+def ask_for_another_model(observer: Observer, process: ChildProcess) -> None:
+    """Set a parameter that needs a reload, and wait until that has begun."""
+    client = observer.create_client(SetParametersAtomically, "/yolov5/set_parameters_atomically")
+    observer.wait_for(client.service_is_ready, "the service of parameters")
+    parameter = Parameter("image_size", value=320).to_parameter_msg()
+
+    def is_loading() -> bool:
+        client.call_async(SetParametersAtomically.Request(parameters=[parameter]))
+        return "loading slowly" in process.output
+
+    observer.wait_for(is_loading, "the reload")
+
+
+@pytest.mark.parametrize("fault", ["hang", "load_slowly", "reload_slowly"])
+def test_a_signal_ends_the_process_in_time_whatever_hangs(fault: str) -> None:
     with faulty_detector(fault) as (process, observer):
         if fault == "hang":
-            send_until(observer, lambda: sign in process.output, "the model")
-        observer.wait_for(lambda: sign in process.output, sign)
+            send_until(observer, lambda: "hanging" in process.output, "the model")
+        elif fault == "load_slowly":
+            observer.wait_for(lambda: "loading slowly" in process.output, "the model")
+        else:
+            observer.wait_for(lambda: "active with" in process.output, "the first model")
+            ask_for_another_model(observer, process)
         begun_s = time.monotonic()
         assert process.stop(signal.SIGTERM, timeout_s=10) == 0
         assert time.monotonic() - begun_s < 5
+    assert "Traceback" not in process.output
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        pytest.param(["--help"], 0, ["confidence_threshold  ", "Default: 0.25"], id="help"),
+        pytest.param(
+            ["--device", "cpu", "--ros-args", "--params-file", "/nowhere.yaml"],
+            2,
+            ["not understood: --device cpu\n", "device  "],
+            id="stray words",
+        ),
+    ],
+)
+def test_the_command_line_is_explained(words: list[str], code: int, told: list[str]) -> None:
+    with ChildProcess("detector", [entry_point("detector"), *words], os.environ) as process:
+        assert process.wait(60) == code
+    assert all(word in process.output for word in told), process.output
+    assert "Traceback" not in process.output

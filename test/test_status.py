@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import closing
 from typing import Any
 
 import pytest
+from rcl_interfaces.msg import Log
 from rclpy.qos import ReliabilityPolicy
 
+from yolov5_lifecycle.empty_frames import EmptyFrames, EmptyRun
 from yolov5_lifecycle.frame_balance import FrameCounter, Outcome
 from yolov5_lifecycle.rate import LatencySummary
+from yolov5_lifecycle.ros.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.image_input import InputStatus
-from yolov5_lifecycle.ros.status import SILENCE_S, Status
+from yolov5_lifecycle.ros.observer import Observer
+from yolov5_lifecycle.ros.status import EMPTY_S, SILENCE_S, Status
 from yolov5_lifecycle.settings import Settings
 
 GOOD_INPUT = InputStatus(
@@ -33,8 +38,10 @@ GOOD = Status(
     model=None,
     input=GOOD_INPUT,
     latency=LatencySummary(29.9, 21.0, 30.5),
+    empty=EmptyRun(0.9),
     recently_rejected="",
 )
+BLIND = dataclasses.replace(GOOD, empty=EmptyRun(0.9, frames=152, begun_s=5.0, ended_s=6.0 + EMPTY_S))
 
 
 def _with_input(**changes: Any) -> Status:
@@ -61,6 +68,7 @@ def _with_input(**changes: Any) -> Status:
             "images are rejected: Encoding 'x'",
             id="rejected",
         ),
+        pytest.param(BLIND, "", id="nothing-to-see-is-no-trouble"),
         pytest.param(dataclasses.replace(GOOD, state="inactive", input=None), "", id="not-active"),
     ],
 )
@@ -73,7 +81,28 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
     [
         pytest.param(GOOD, "detecting", id="detecting"),
         pytest.param(dataclasses.replace(GOOD, input=None), _IDLE, id="lazy"),
-        pytest.param(dataclasses.replace(GOOD, state="inactive"), "inactive", id="state"),
+        pytest.param(
+            BLIND,
+            "nothing scored above confidence_threshold 0.9 in the last 152 frames: if there was something, "
+            "lower it, or empty classes",
+            id="below-threshold",
+        ),
+        pytest.param(
+            dataclasses.replace(BLIND, recently_rejected="too small"),
+            "images are rejected: too small",
+            id="trouble-before-remark",
+        ),
+        pytest.param(
+            dataclasses.replace(GOOD, state="unconfigured"),
+            "unconfigured: configure and activate the node to detect",
+            id="unconfigured",
+        ),
+        pytest.param(
+            dataclasses.replace(GOOD, state="inactive"),
+            "inactive: activate the node to detect",
+            id="inactive",
+        ),
+        pytest.param(dataclasses.replace(GOOD, state="finalized"), "finalized", id="any-other-state"),
         pytest.param(dataclasses.replace(GOOD, problem="no weights"), "no weights", id="problem-first"),
     ],
 )
@@ -93,3 +122,30 @@ def test_the_values_hold_every_count_and_the_configuration() -> None:
     assert values["frames lost"] == "3"
     assert values["configuration"] == Settings().digest()
     assert values["latency median ms"] == "21.0"
+
+
+def test_empty_frames_are_counted_until_something_is_found() -> None:
+    frames = EmptyFrames(0.5)
+    assert (frames.run.frames, frames.run.duration_s) == (0, 0.0)
+    for now_s in (3.0, 4.0, 6.0):
+        frames.add(now_s, found=0)
+    assert (frames.run.frames, frames.run.duration_s, frames.run.threshold) == (3, 3.0, 0.5)
+    frames.add(7.0, found=1)
+    assert (frames.run.frames, frames.run.duration_s, frames.run.threshold) == (0, 0.0, 0.5)
+
+
+def test_the_log_says_a_reason_once_whatever_its_numbers(ros_domain: int) -> None:
+    silent = [_with_input(silent_s=silent_s) for silent_s in (5.0, 6.0, 17.0)]
+    last = _with_input(publishers=0)
+    statuses = iter([GOOD, *silent, GOOD, silent[0], BLIND, BLIND])
+    with closing(Observer("watched", domain=ros_domain)) as observer:
+        logged: list[str] = []
+        observer.create_subscription(Log, "/rosout", lambda log: logged.append(log.msg), 100)
+        observer.wait_for(lambda: observer.count_subscribers("/rosout") == 1, "the subscription to the log")
+        diagnostics = Diagnostics(observer, lambda: next(statuses, last))
+        for _ in range(9):
+            diagnostics.publish()
+        observer.wait_for(lambda: any("nobody publishes" in text for text in logged), "the last reason")
+    words = ("for 5 s", "for 5 s", "nothing scored", "nobody publishes")
+    assert len(logged) == len(words)
+    assert all(word in text for word, text in zip(words, logged, strict=True))

@@ -54,9 +54,8 @@ def test_a_path_wins_over_the_folder(tmp_path: Path) -> None:
 def test_a_tilde_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / "yolov5n.pt").touch()
-    options = {"model_size": "n"}
-    assert find_weights(weights="~/a.pt", weights_dir=Path("/"), **options) == tmp_path / "a.pt"
-    assert find_weights(weights="", weights_dir=Path("~"), **options) == tmp_path / "yolov5n.pt"
+    assert find_weights(weights="~/a.pt", weights_dir=Path("/"), model_size="n") == tmp_path / "a.pt"
+    assert find_weights(weights="", weights_dir=Path("~"), model_size="n") == tmp_path / "yolov5n.pt"
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,12 @@ class Settings(BaseModel):
     weights_sha256: Annotated[str, Change.RELOAD] = Field(
         "", description="Expected SHA-256 of the weights file, 64 hexadecimal digits. Empty: not checked."
     )
+    weights_dirs: Annotated[tuple[str, ...], Change.READ_ONLY] = Field(
+        (),
+        max_length=100,
+        description="The only folders that weights may come from: absolute paths, ~ or "
+        "package://PACKAGE/PATH. Empty: any.",
+    )
     device: Annotated[str, Change.RELOAD] = Field(
         "auto", description="Where the network runs: auto, cpu, cuda, cuda:N, N (the same as cuda:N) or mps."
     )
@@ -77,6 +83,9 @@ class Settings(BaseModel):
     lazy: Annotated[bool, Change.LIVE] = Field(
         True, description="Do not subscribe to images while nobody listens to detections or annotated images."
     )
+    max_consecutive_failures: Annotated[int, Change.LIVE] = Field(
+        10, ge=1, le=10_000, description="After this many failed frames in a row the node deactivates itself."
+    )
     image_transport: Annotated[Literal["raw", "compressed"], Change.RESUBSCRIBE] = Field(
         "raw", description="raw: ~/image_raw (Image). compressed: ~/image_raw/compressed (CompressedImage)."
     )
@@ -93,6 +102,13 @@ class Settings(BaseModel):
         if value and (len(value) != 64 or set(value.lower()) - set("0123456789abcdef")):
             raise PydanticCustomError("sha256", "must be 64 hexadecimal digits or empty")
         return value.lower()
+
+    @field_validator("weights_dirs")
+    @classmethod
+    def _are_absolute(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        if not all(folder.startswith(("/", "~", "package://")) for folder in value):
+            raise PydanticCustomError("folders", "must be absolute paths, or begin with ~ or package://.")
+        return value
 
     @field_validator("device")
     @classmethod
@@ -203,7 +219,7 @@ def _field_problem(details: ErrorDetails) -> Problem:
     setting = _BY_NAME[name]
     value: Any = details["input"]
     hint = did_you_mean(value, setting.choices) if isinstance(value, str) and setting.choices else ""
-    if details["type"] in ("sha256", "device"):
+    if details["type"] in ("sha256", "device", "folders"):
         return Problem(name, f"{_shown(value)} {details['msg']}")
     return Problem(
         name, f"{_shown(value)} is not {setting.allowed}.{hint} The default is {_shown(setting.default)}."

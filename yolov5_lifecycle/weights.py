@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from yolov5_lifecycle.checkpoint import read_checkpoint
+from yolov5_lifecycle.confinement import confined
 from yolov5_lifecycle.model import Model, WeightsError, shown
 from yolov5_lifecycle.safetensors_file import read_safetensors
 
@@ -31,18 +33,22 @@ class WeightsFile:
     model: Model
 
 
-def find_weights(*, weights: str, weights_dir: Path, model_size: str) -> Path:
+def find_weights(
+    *, weights: str, weights_dir: Path, model_size: str, weights_dirs: Sequence[Path] = ()
+) -> Path:
     """The file that `weights` names, or the one of `model_size` in `weights_dir`: .safetensors before .pt.
 
-    A leading ~ is the home folder. Raises WeightsError when there is none.
+    A leading ~ is the home folder. Raises WeightsError when there is none, and unless the file lies in one of
+    `weights_dirs`, if there are any.
     """
+    located = functools.partial(confined, folders=weights_dirs) if weights_dirs else _expanded
     if weights:
-        return _expanded(Path(weights))
-    folder = _expanded(weights_dir)
+        return located(Path(weights))
+    folder = located(weights_dir)
     tried = [folder / f"yolov5{model_size}{suffix}" for suffix in (".safetensors", ".pt")]
     for path in tried:
         if os.path.lexists(path):
-            return path
+            return located(path)
     raise WeightsError(
         f"no weights for model_size '{model_size}': neither {tried[0]} nor {tried[1]} is there. "
         "Put one of them into that folder, or set the parameter `weights` to a path; "

@@ -22,6 +22,7 @@ from yolov5_lifecycle.image_encoding import encoded
 from yolov5_lifecycle.images import ImageError
 from yolov5_lifecycle.picture_source import SourceError, SourceFrame, open_source
 from yolov5_lifecycle.ros.camera_settings import CameraSettings, declared_settings
+from yolov5_lifecycle.ros.command_line import complain, explain
 from yolov5_lifecycle.ros.messages import detection_array, image_message
 from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.ros.services import harden
@@ -32,8 +33,7 @@ _RELIABILITIES = {"reliable": ReliabilityPolicy.RELIABLE, "best_effort": Reliabi
 _DELIVERY_S = 1.0
 _USAGE = """\
 camera: publishes images on image_raw, and what the synthetic scene shows on ~/truth.
-Parameters are given as in `camera --ros-args -p source:=video.mp4 -r image_raw:=/yolov5/image_raw`:
-"""
+Parameters are given as in `camera --ros-args -p source:=video.mp4 -r image_raw:=/yolov5/image_raw`:"""
 
 
 class CameraNode(Node):
@@ -98,40 +98,27 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         if words := remove_ros_args(arguments)[1:]:
-            return _explain(words)
+            return explain("camera", words, usage=_USAGE, parameters=_parameters())
         node = CameraNode()
     except (RuntimeError, SettingsError, SourceError) as error:
-        _say(f"camera: {error}")
-        return 2
+        return complain("camera", error)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     spin(executor, node, until=lambda: stop.is_set() or node.is_finished)
     node.close()
     rclpy.try_shutdown()
     if node.failure:
-        _say(f"camera: {node.failure}")
+        sys.stderr.write(f"camera: {node.failure}\n")
     return 1 if node.failure else 0
 
 
-def _explain(words: Sequence[str]) -> int:
-    parameters = [
-        f"  {name:12} {field.description} Default: {field.default!r}"
-        for name, field in CameraSettings.model_fields.items()
-    ]
-    _say(_USAGE + "\n".join(parameters))
-    if set(words) <= {"-h", "--help"}:
-        return 0
-    _say(f"camera: arguments not understood: {' '.join(words)}")
-    return 2
+def _parameters() -> list[tuple[str, str | None, object]]:
+    return [(name, field.description, field.default) for name, field in CameraSettings.model_fields.items()]
 
 
 def _certain(truth: Truth) -> Detections:
     """The truth as detections of score 1."""
     return Detections(truth.boxes_xyxy, np.ones(len(truth.boxes_xyxy), np.float32), truth.class_ids)
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(text + "\n")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from rclpy.lifecycle import LifecycleNode
 
+from yolov5_lifecycle.empty_frames import EmptyFrames
 from yolov5_lifecycle.rate import LatencyWindow, RateLimit
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.image_input import ImageInput, InputStatus, ReceivedFrame
@@ -41,6 +42,7 @@ class Detection:
         self._rate_limit = RateLimit()
         self._lost = 0
         self.latencies = LatencyWindow()
+        self.empty_frames = EmptyFrames(settings.confidence_threshold)
         self.model = model
         self.settings = settings
         self._input: ImageInput | None = None
@@ -56,6 +58,7 @@ class Detection:
 
     def apply(self, settings: Settings, model: PreparedModel) -> None:
         """Obey `settings` with `model` from the next frame on; the caller closes a replaced model."""
+        self.empty_frames = EmptyFrames(settings.confidence_threshold)
         self._worker.start(self._pipeline(settings, model))
         resubscribe = self.settings.differing(settings, Change.RESUBSCRIBE)
         self.settings, self.model = settings, model
@@ -98,7 +101,11 @@ class Detection:
         self, settings: Settings, model: PreparedModel
     ) -> Callable[[ReceivedFrame], Callable[[], None]]:
         return Pipeline(
-            model.detector, selection(settings, model.detector.class_names), self._outputs, self.latencies
+            detector=model.detector,
+            selection=selection(settings, model.detector.class_names),
+            outputs=self._outputs,
+            latencies=self.latencies,
+            empty_frames=self.empty_frames,
         )
 
     def _offer(self, frame: ReceivedFrame) -> None:

@@ -12,12 +12,18 @@ from typing import NoReturn
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
+from yolov5_lifecycle.ros.command_line import complain, explain
 from yolov5_lifecycle.ros.node import DetectorNode
 from yolov5_lifecycle.ros.preparation import Prepare, prepare_model
 from yolov5_lifecycle.ros.process import spin, stop_event
+from yolov5_lifecycle.settings import SETTINGS
 
 _PARAMETER_FILE_FLAG = "--params-file"
+_USAGE = """\
+detector: finds objects in the images on ~/image_raw and publishes them on ~/detections.
+Parameters are given as in `detector --ros-args -p device:=cpu --params-file config/yolov5.yaml`:"""
 
 EXIT_DEVICE_LOST = 3
 """The GPU has given this process up; start a new one."""
@@ -26,7 +32,8 @@ EXIT_DEVICE_LOST = 3
 def main(args: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> NoReturn:
     """Spin the node until a signal or its shutdown, release everything, and end the process with code 0.
 
-    `prepare` makes the models; see `DetectorNode`.
+    The code is 2 for a command line that is not understood, EXIT_DEVICE_LOST when the GPU is lost. `prepare`
+    makes the models; see `DetectorNode`.
     """
     code = _run(list(sys.argv if args is None else args), prepare)
     # Python and torch would take seconds to clear away what the system takes back at once, and abort under a
@@ -37,7 +44,13 @@ def main(args: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
 
 def _run(arguments: list[str], prepare: Prepare) -> int:
     stop = stop_event()
-    node = DetectorNode(prepare=prepare, parameter_file_error=_initialise(arguments), arguments=arguments)
+    try:
+        problem = _initialise(arguments)
+        if words := remove_ros_args(_without_parameter_files(arguments))[1:]:
+            return explain("detector", words, usage=_USAGE, parameters=_parameters())
+        node = DetectorNode(prepare=prepare, parameter_file_error=problem, arguments=arguments)
+    except RuntimeError as error:
+        return complain("detector", f"ROS refuses to start: {error}")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     executor.create_task(node.autostart)
@@ -53,6 +66,10 @@ def _run(arguments: list[str], prepare: Prepare) -> int:
     node.close()
     rclpy.try_shutdown()
     return 0
+
+
+def _parameters() -> list[tuple[str, str | None, object]]:
+    return [(setting.name, setting.description, setting.default) for setting in SETTINGS]
 
 
 def _initialise(args: list[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,12 +14,12 @@ from yolov5_lifecycle.ros.status import Status
 
 
 class Diagnostics:
-    """Publishes what `status()` tells, and warns in the log when the hint of an active node changes."""
+    """Publishes what `status()` tells, and says in the log why nothing comes out of an active node."""
 
     def __init__(self, node: Node, status: Callable[[], Status]) -> None:
         self._node = node
         self._status = status
-        self._hint = ""
+        self._said = ""
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: a simulated clock may stand still (use_sim_time without /clock).
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -32,9 +33,17 @@ class Diagnostics:
                 status=[diagnostic_status(status, self._node.get_fully_qualified_name())],
             )
         )
-        if status.hint and status.hint != self._hint:
+        self._say(status)
+
+    def _say(self, status: Status) -> None:
+        """Log a reason when it appears, not each time its numbers change."""
+        remark = status.remark if status.state == "active" else ""
+        reason = re.sub(r"\d+", "", status.hint or remark)
+        if reason != self._said and status.hint:
             self._node.get_logger().warning(f"no detections: {status.hint}")
-        self._hint = status.hint
+        elif reason != self._said and remark:
+            self._node.get_logger().info(f"no detections: {remark}")
+        self._said = reason
 
 
 def diagnostic_status(status: Status, node_name: str) -> DiagnosticStatus:

@@ -11,12 +11,12 @@ from rclpy.node import Node
 from yolov5_lifecycle.frame_balance import Outcome
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 
-MAX_CONSECUTIVE_FAILURES = 10
 _RECENT_S = 2.0
 
 
 class FrameFailures:
-    """Says failures in the log once in a while, and calls `on_too_many(reason)` after so many in a row.
+    """Says failures in the log once in a while, and calls `on_too_many(reason)` after as many in a row as the
+    parameter `max_consecutive_failures` of `node` says at that time.
 
     `on_device_lost(reason)` is called when no further frame can succeed. Both run in the executor.
 
@@ -48,8 +48,9 @@ class FrameFailures:
         self._node.get_logger().debug("".join(traceback.format_exception(error)))
         if isinstance(error, DeviceLostError):
             self._tell(self._on_device_lost, reason)
-        elif self._consecutive == MAX_CONSECUTIVE_FAILURES:
-            self._tell(self._on_too_many, reason)
+        elif self._consecutive >= self._node.get_parameter("max_consecutive_failures").value:
+            self._tell(self._on_too_many, f"{self._consecutive} failed frames in a row, the last: {reason}")
+            self._consecutive = 0
 
     def _tell(self, what: Callable[[str], None], reason: str) -> None:
         if (executor := self._node.executor) is not None:

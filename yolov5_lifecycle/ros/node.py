@@ -13,7 +13,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from yolov5_lifecycle.ros.detection import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.diagnostics import Diagnostics
-from yolov5_lifecycle.ros.frame_failures import MAX_CONSECUTIVE_FAILURES, FrameFailures
+from yolov5_lifecycle.ros.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.loading import ModelLoader, Preparation
 from yolov5_lifecycle.ros.outputs import Outputs
@@ -249,9 +249,7 @@ class DetectorNode(LifecycleNode):
     def _give_up(self, reason: str) -> None:
         if self.state_label == "active":
             self.trigger_deactivate()
-            self.report(
-                f"deactivated after {MAX_CONSECUTIVE_FAILURES} failed frames in a row, the last: {reason}"
-            )
+            self.report(f"deactivated after {reason}")
 
     def _lose_device(self, reason: str) -> None:
         self.report(f"the device is lost to this process, which ends: {reason}")
@@ -268,5 +266,6 @@ class DetectorNode(LifecycleNode):
             model=detection.model if detection else None,
             input=detection.look() if detection else None,
             latency=detection.latencies.summary(time.monotonic()) if detection else None,
+            empty=detection.empty_frames.run if detection else None,
             recently_rejected=self._failures.recent_rejection(),
         )

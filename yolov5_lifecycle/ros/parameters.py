@@ -92,6 +92,13 @@ class SettingsParameters:
         """What the settings would be with `parameters` set; raises SettingsError. Changes nothing."""
         return validated(self._values() | plain_values(map(coerced, parameters)))
 
+    def changes(self, parameters: Iterable[Parameter]) -> list[Parameter]:
+        """`parameters` without those that are read-only and asked to be what they are.
+
+        rclpy would refuse them, and with them the dump of a node that is loaded back.
+        """
+        return [parameter for parameter in parameters if not self._stays(coerced(parameter))]
+
     def problems_of(self, parameters: Sequence[Parameter]) -> list[Problem]:
         """Why a request to set `parameters` must be refused, as far as that can be said without the model."""
         unknown = [unknown_setting(name) for name in self._unknown_names(parameters)]
@@ -109,6 +116,13 @@ class SettingsParameters:
     def forget(self, name: str) -> bool:
         """Drop the complaint about an override with an unknown name; False when there was none."""
         return name not in _BY_NAME and self._bad_overrides.pop(name, None) is not None
+
+    def _stays(self, parameter: Parameter) -> bool:
+        name = parameter.name
+        if not self._node.has_parameter(name) or not self._node.describe_parameter(name).read_only:
+            return False
+        present = self._node.get_parameter(name)
+        return (parameter.type_, parameter.value) == (present.type_, present.value)
 
     def _new_problems(self, parameters: Iterable[Parameter]) -> list[Problem]:
         """What `parameters` would break that is not broken already; an older problem may stay."""
@@ -132,12 +146,16 @@ class SettingsParameters:
                 self._bad_overrides[setting.name] = problems[0]
             else:
                 parameter = wanted
+        described = descriptor(setting)
+        if parameter.value != []:
+            self._node.declare_parameter(setting.name, parameter.value, described, ignore_override=True)
+            return
         # An empty list must be declared by type and then set: its own type would be BYTE_ARRAY
-        # (ros2/rclpy#912).
-        default = parameter.type_ if parameter.value == [] else parameter.value
-        self._node.declare_parameter(setting.name, default, descriptor(setting), ignore_override=True)
-        if parameter.value == []:
-            self._node.set_parameters([parameter])
+        # (ros2/rclpy#912). Only then it may become read-only.
+        self._node.declare_parameter(setting.name, parameter.type_, ignore_override=True)
+        self._node.set_parameters([parameter])
+        described.type = parameter.type_.value
+        self._node.set_descriptor(setting.name, described)
 
     def _judge(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         problems = self._new_problems(parameters)

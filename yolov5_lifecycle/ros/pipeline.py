@@ -11,6 +11,7 @@ from yolov5_lifecycle.boxes import Selection
 from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
 from yolov5_lifecycle.detections import Detections
 from yolov5_lifecycle.detector import Detector
+from yolov5_lifecycle.empty_frames import EmptyFrames
 from yolov5_lifecycle.images import Picture
 from yolov5_lifecycle.rate import LatencyWindow
 from yolov5_lifecycle.ros import messages
@@ -47,6 +48,7 @@ class Pipeline:
     selection: Selection
     outputs: Outputs
     latencies: LatencyWindow
+    empty_frames: EmptyFrames
 
     def __call__(self, frame: ReceivedFrame) -> Callable[[], None]:
         """Detect; what comes back publishes the result. Raises ImageError for an unreadable image."""
@@ -59,6 +61,7 @@ class Pipeline:
         self.outputs.detections.publish(messages.detection_array(detections, class_names, header))
         now_s = time.monotonic()
         self.latencies.add(now_s, (now_s - frame.received_s) * 1e3)
+        self.empty_frames.add(now_s, len(detections))
         if self.outputs.image_listeners:
             drawn = annotate(picture, detections, class_names)
             self.outputs.image.publish(messages.image_message(drawn, f"{picture.order}8", header))

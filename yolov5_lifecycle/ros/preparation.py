@@ -63,8 +63,9 @@ def prepare_model(settings: Settings) -> PreparedModel:
     """
     path = find_weights(
         weights=resolve_package(settings.weights),
-        weights_dir=Path(resolve_package(settings.weights_dir)).expanduser(),
+        weights_dir=Path(resolve_package(settings.weights_dir)),
         model_size=settings.model_size,
+        weights_dirs=[Path(resolve_package(folder)) for folder in settings.weights_dirs],
     )
     weights = load_weights(path, sha256=settings.weights_sha256)
     detector = load_detector(

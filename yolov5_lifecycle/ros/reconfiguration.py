@@ -67,8 +67,11 @@ class Reconfiguration:
         )
         return response
 
-    async def _set(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Set all or none of `parameters`."""
+    async def _set(self, asked: list[Parameter]) -> SetParametersResult:
+        """Set all or none."""
+        parameters = self.parameters.changes(asked)
+        if asked and not parameters:
+            return SetParametersResult(successful=True)
         unset = [parameter for parameter in parameters if parameter.type_ is Parameter.Type.NOT_SET]
         if unset and all(self.parameters.forget(parameter.name) for parameter in unset):
             return SetParametersResult(successful=True)

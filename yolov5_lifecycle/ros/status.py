@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rclpy.qos import ReliabilityPolicy
 
+from yolov5_lifecycle.empty_frames import EmptyRun
 from yolov5_lifecycle.frame_balance import FrameBalance, Outcome
 from yolov5_lifecycle.rate import LatencySummary
 from yolov5_lifecycle.ros.image_input import InputStatus
@@ -16,6 +17,13 @@ MANY_LOST = 4
 """One image lost for so many received is worth a word."""
 SILENCE_S = 2.0
 """An active camera that sends nothing for longer than this is worth a word."""
+EMPTY_S = 10.0
+"""Frames in which nothing is found for longer than this are worth a word."""
+
+_REMEDIES = {
+    "unconfigured": ": configure and activate the node to detect",
+    "inactive": ": activate the node to detect",
+}
 
 
 @dataclass(frozen=True)
@@ -29,11 +37,12 @@ class Status:
     model: PreparedModel | None
     input: InputStatus | None
     latency: LatencySummary | None
+    empty: EmptyRun | None
     recently_rejected: str
 
     @property
     def hint(self) -> str:
-        """Why nothing comes out of an active node, or nothing when all is well."""
+        """What is wrong when nothing comes out of an active node."""
         if self.state != "active" or self.input is None:
             return ""
         if self.input.publishers == 0:
@@ -57,11 +66,23 @@ class Status:
         return ""
 
     @property
+    def remark(self) -> str:
+        """Why nothing comes out of the node though nothing is wrong with it."""
+        if self.state != "active":
+            return self.state + _REMEDIES.get(self.state, "")
+        if self.input is None:
+            return "idle (lazy): nobody listens to ~/detections or ~/image, so no images are taken"
+        if self.empty is not None and self.empty.duration_s > EMPTY_S:
+            return (
+                f"nothing scored above confidence_threshold {self.empty.threshold:g} in the last "
+                f"{self.empty.frames} frames: if there was something, lower it, or empty classes"
+            )
+        return ""
+
+    @property
     def message(self) -> str:
         """One line for a person."""
-        if self.state == "active" and self.input is None and not self.problem:
-            return "idle (lazy): nobody listens to ~/detections or ~/image, so no images are taken"
-        return self.problem or self.hint or ("detecting" if self.state == "active" else self.state)
+        return self.problem or self.hint or self.remark or "detecting"
 
     def values(self) -> dict[str, str]:
         """Everything as texts, for diagnostics."""
@@ -82,4 +103,6 @@ class Status:
             values["rate Hz"] = f"{self.latency.rate_hz:.1f}"
             values["latency median ms"] = f"{self.latency.median_ms:.1f}"
             values["latency p95 ms"] = f"{self.latency.p95_ms:.1f}"
+        if self.empty is not None:
+            values["empty frames in a row"] = str(self.empty.frames)
         return values

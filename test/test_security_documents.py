@@ -1,0 +1,73 @@
+"""docs/security.md and the SROS2 policy tell what the node does."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+from rclpy.node import Node
+from served_node import Preparations, ServedNode
+
+from yolov5_lifecycle.checkpoint_archive import MAX_PICKLE_BYTES, MAX_RECORDS
+from yolov5_lifecycle.images import MAX_COMPRESSED_PX
+from yolov5_lifecycle.model import MAX_CLASSES, MAX_NAME_LENGTH
+from yolov5_lifecycle.pickle_operations import MAX_OPERATIONS
+from yolov5_lifecycle.pickle_program import MAX_CALLS
+from yolov5_lifecycle.safetensors_file import MAX_HEADER_BYTES
+from yolov5_lifecycle.weights import MAX_FILE_BYTES
+
+REPOSITORY = Path(__file__).parents[1]
+PAGE = " ".join((REPOSITORY / "docs" / "security.md").read_text().split())
+POLICY = ElementTree.parse(REPOSITORY / "config" / "security_policy.xml")
+
+
+def allowed(kind: str, right: str) -> set[str]:
+    """The full names of what the policy allows the node /yolov5."""
+    (profile,) = POLICY.iter("profile")
+    assert profile.attrib == {"ns": "/", "node": "yolov5"}
+    names = [name.text or "" for group in profile.iter(kind) if group.get(right) == "ALLOW" for name in group]
+    return {name.replace("~", "/yolov5") for name in names}
+
+
+def used(client: Node) -> dict[tuple[str, str], set[str]]:
+    """The names in the graph of what the node /yolov5 does."""
+    found = {
+        ("topics", "publish"): client.get_publisher_names_and_types_by_node("yolov5", "/"),
+        ("topics", "subscribe"): client.get_subscriber_names_and_types_by_node("yolov5", "/"),
+        ("services", "reply"): client.get_service_names_and_types_by_node("yolov5", "/"),
+    }
+    return {key: {name for name, _ in named} for key, named in found.items()}
+
+
+def test_the_policy_allows_what_the_node_uses_and_nothing_more(ros_domain: int) -> None:
+    def agrees(unused: str) -> bool:
+        return all(names == allowed(*key) - {unused} for key, names in used(served.client).items())
+
+    with ServedNode(Preparations(), parameters=["use_sim_time:=true"]) as served:
+        served.bring_to("active")
+        served.wait_for(lambda: agrees("/yolov5/image_raw/compressed"), "the names of the policy")
+        assert served.set(image_transport="compressed") == (True, "")
+        served.wait_for(lambda: agrees("/yolov5/image_raw"), "the names of the policy")
+
+
+@pytest.mark.parametrize("right", ["publish", "subscribe"])
+def test_the_page_names_every_topic_of_the_policy(right: str) -> None:
+    row = PAGE.partition(f"| {right} | ")[2].partition(" |")[0]
+    assert all(f"`{name.replace('/yolov5', '~')}`" in row for name in allowed("topics", right))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        f"more than {MAX_FILE_BYTES >> 30} GiB",
+        f"more than {MAX_RECORDS:,} of them",
+        f"more than {MAX_PICKLE_BYTES >> 20} MiB, {MAX_OPERATIONS:,} operations or {MAX_CALLS:,} objects",
+        f"more than {MAX_HEADER_BYTES >> 20} MiB",
+        f"more than {MAX_CLASSES:,} classes",
+        f"more than {MAX_NAME_LENGTH} letters",
+        f"at most {MAX_COMPRESSED_PX:,} pixels",
+    ],
+)
+def test_the_page_tells_the_limits_of_the_code(words: str) -> None:
+    assert words in PAGE

@@ -1,0 +1,35 @@
+"""Frames in which nothing was found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class EmptyRun:
+    """The last frames, as far as nothing scored above `threshold` in any of them."""
+
+    threshold: float
+    frames: int = 0
+    begun_s: float = 0.0
+    ended_s: float = 0.0
+
+    @property
+    def duration_s(self) -> float:
+        return self.ended_s - self.begun_s
+
+
+class EmptyFrames:
+    """Counts how many frames in a row were empty; one thread adds, any thread may read `run`."""
+
+    def __init__(self, threshold: float) -> None:
+        self._threshold = threshold
+        self.run = EmptyRun(threshold)
+
+    def add(self, now_s: float, found: int) -> None:
+        """A frame in which `found` objects were found at `now_s` (monotonic seconds)."""
+        if found:
+            self.run = EmptyRun(self._threshold)
+        else:
+            begun_s = self.run.begun_s if self.run.frames else now_s
+            self.run = EmptyRun(self._threshold, self.run.frames + 1, begun_s, now_s)
