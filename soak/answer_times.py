@@ -21,7 +21,9 @@ def answers_during_inference(subject: Subject, count: int, *, is_timed: bool = T
         subject.observer.wait_for(lambda: bool(subject.detections), "detections")
         for index in range(count):
             begun_s = time.monotonic()
-            assert (subject.node.parameter("lazy") is True) if index % 2 else (subject.node.state() == "active")
+            assert (
+                (subject.node.parameter("lazy") is True) if index % 2 else (subject.node.state() == "active")
+            )
             times_ms.append((time.monotonic() - begun_s) * 1e3)
             subject.observer.work_for(0.002)
         detected = len(subject.detections)

@@ -12,7 +12,7 @@ _MAX_GROWTH_MB = 5.0
 
 
 def complete_cycles(subject: Subject, count: int, warm_up: int, *, weigh: bool = True) -> Finding:
-    """Configure, activate, detect, deactivate, clean up, under a camera; unless `weigh`, memory is not judged.
+    """Configure, activate, detect, deactivate, clean up, under a camera; memory counts if `weigh`.
 
     What the process holds is compared after `warm_up` cycles and at the end: the most of some cycles each.
     """

@@ -20,7 +20,7 @@ from yolov5_lifecycle.settings import Settings
 
 Raw = NDArray[np.float32]
 SLOW_S = 0.5
-HANG_S = 60.0
+HANG_S = 30.0
 
 
 def fail(raw: Raw) -> Raw:

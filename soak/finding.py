@@ -23,14 +23,14 @@ class Finding:
     is_met: bool
 
 
-def found(trial: Callable[[], Finding]) -> Finding:
-    """What `trial` finds; one that cannot go on has failed, and says why."""
+def found(name: str, trial: Callable[[], Finding]) -> Finding:
+    """What the trial `name` finds; one that cannot go on has failed, and says why."""
     try:
         return trial()
     except Exception as error:  # noqa: BLE001 - told in the table; the other trials are still worth their time
         traceback.print_exc()
-        lines = str(error).splitlines() or [""]
-        return Finding(trial.__name__, "broken off", f"{type(error).__name__}: {lines[0]}", "none", False)
+        first_line = str(error).partition("\n")[0]
+        return Finding(name, "broken off", f"{type(error).__name__}: {first_line}", "none", False)
 
 
 def table(findings: Sequence[Finding]) -> str:

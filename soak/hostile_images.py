@@ -31,7 +31,10 @@ def hostile_image(fuzz: Fuzz) -> Image:
     while True:
         choose = fuzz.random.choice
         message = Image(
-            height=choose(_NUMBERS), width=choose(_NUMBERS), step=choose((*_NUMBERS, 192)), encoding=choose(_ENCODINGS)
+            height=choose(_NUMBERS),
+            width=choose(_NUMBERS),
+            step=choose((*_NUMBERS, 192)),
+            encoding=choose(_ENCODINGS),
         )
         fuzz.fill(message.header)
         message.is_bigendian = fuzz.random.randrange(256)
@@ -60,8 +63,9 @@ def damaged_message(fuzz: Fuzz) -> bytes:
 def _is_readable(image: Image) -> bool:
     """The rule of sensor_msgs/Image, the last row with or without its padding."""
     row = image.width * _CHANNELS.get(image.encoding, 0)
-    sides_fit = 1 <= min(image.height, image.width) and max(image.height, image.width) <= MAX_SIDE_PX
-    return bool(row and sides_fit and image.step >= row and len(image.data) >= image.step * (image.height - 1) + row)
+    if not row or not image.height or max(image.height, image.width) > MAX_SIDE_PX:
+        return False
+    return bool(image.step >= row and len(image.data) >= image.step * (image.height - 1) + row)
 
 
 def _damaged(random: Random, whole: bytes) -> bytes:
@@ -80,7 +84,7 @@ def _message(fuzz: Fuzz, data: bytes) -> CompressedImage:
 
 def _file(extension: str) -> bytes:
     pixels = np.arange(48 * 64 * 3, dtype=np.uint8).reshape(48, 64, 3)
-    return cv2.imencode(extension, pixels)[1].tobytes()
+    return bytes(cv2.imencode(extension, pixels)[1])
 
 
 def _cut_png(random: Random) -> bytes:
@@ -96,7 +100,9 @@ def _beheaded_jpeg(random: Random) -> bytes:
 
 def _png_bomb(random: Random) -> bytes:
     """A whole PNG of a few bytes that claims a huge picture."""
-    return _png(*random.choice([(2**31 - 1, 2**31 - 1), (MAX_SIDE_PX, MAX_SIDE_PX), (1, MAX_SIDE_PX + 1), (0, 1)]))
+    return _png(
+        *random.choice([(2**31 - 1, 2**31 - 1), (MAX_SIDE_PX, MAX_SIDE_PX), (1, MAX_SIDE_PX + 1), (0, 1)])
+    )
 
 
 def _jpeg_bomb(random: Random) -> bytes:

@@ -10,7 +10,7 @@ from soak.sender import Sender
 from soak.service_requests import Fuzz
 from soak.subject import Subject
 
-_BATCH = 500
+_BATCH = 250
 
 
 def rejected_images(subject: Subject, count: int, seed: int) -> Finding:
@@ -20,12 +20,16 @@ def rejected_images(subject: Subject, count: int, seed: int) -> Finding:
 
 def rejected_files(subject: Subject, count: int, seed: int) -> Finding:
     """Compressed images that are cut off, foreign or bombs."""
-    return _all_rejected("every hostile compressed image is rejected", "compressed", hostile_file, subject, count, seed)
+    return _all_rejected(
+        "every hostile compressed image is rejected", "compressed", hostile_file, subject, count, seed
+    )
 
 
 def survived_files(subject: Subject, count: int, seed: int) -> Finding:
     """Compressed images with wrong or missing bytes, which a decoder may partly understand."""
-    return _survived("every damaged compressed image is survived", "compressed", damaged_file, subject, count, seed)
+    return _survived(
+        "every damaged compressed image is survived", "compressed", damaged_file, subject, count, seed
+    )
 
 
 def survived_messages(subject: Subject, count: int, seed: int) -> Finding:
@@ -42,7 +46,9 @@ def _all_rejected(
         done=f"{sent} {transport} images, seed {seed}",
         result=_told(sent, fates, subject),
         limit="all rejected, but for stale or lost ones; 0 exceptions",
-        is_met=fates.total() == sent and fates.keys() <= {"rejected", "stale", "lost"} and not subject.escaped,
+        is_met=fates.total() == sent
+        and fates.keys() <= {"rejected", "stale", "lost"}
+        and not subject.escaped,
     )
 
 
@@ -71,7 +77,7 @@ def _fates(
     before, sent_before, whole = _counts(subject), sender.sent, 0
     fates: Counter[str] = Counter()
     while fates["rejected"] + fates["detected"] < count:
-        for _ in range(min(_BATCH, count)):
+        for _ in range(_BATCH):
             sender.send(make(fuzz))
         sender.send_whole()
         whole += 1

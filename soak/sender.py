@@ -15,7 +15,10 @@ from yolov5_lifecycle.ros.messages import picture
 _PACE_S = 0.002
 """An image that comes at once takes the place of the one before, which nobody would look at."""
 _ANSWER_S = 2.0
-_TRANSPORTS = {"raw": (Image, f"{NODE}/image_raw"), "compressed": (CompressedImage, f"{NODE}/image_raw/compressed")}
+_TRANSPORTS = {
+    "raw": (Image, f"{NODE}/image_raw"),
+    "compressed": (CompressedImage, f"{NODE}/image_raw/compressed"),
+}
 
 
 class Sender:

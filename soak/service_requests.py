@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import random
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from detector_process import NODE
@@ -60,7 +60,7 @@ class Fuzz:
             return self.fill(message_type(field_type, "msg")())
         if integer := _INTEGER_TYPE.fullmatch(field_type):
             return self._integer(*integer.groups())
-        choose = {
+        choose: dict[str, Callable[[], Any]] = {
             "string": self._text,
             "boolean": lambda: self.random.random() < 0.5,
             "octet": lambda: self.random.randbytes(1),
@@ -74,7 +74,9 @@ class Fuzz:
         return [self._value(item_type) for _ in range(self.random.choice([0, 1, 1, 2, 5]))]
 
     def _integer(self, unsigned: str, bits: str) -> int:
-        least, most = (0, 2 ** int(bits) - 1) if unsigned else (-(2 ** (int(bits) - 1)), 2 ** (int(bits) - 1) - 1)
+        least, most = (
+            (0, 2 ** int(bits) - 1) if unsigned else (-(2 ** (int(bits) - 1)), 2 ** (int(bits) - 1) - 1)
+        )
         known = [number for number in _INTEGERS if least <= number <= most]
         return self.random.choice([*known, self.random.randint(least, most)])
 
@@ -98,7 +100,8 @@ class HostileClient:
         namespace, name = NODE.rsplit("/", 1)
         services = self._observer.get_service_names_and_types_by_node(name, namespace or "/")
         self._clients = [
-            self._observer.create_client(message_type(types[0], "srv"), service) for service, types in services
+            self._observer.create_client(message_type(types[0], "srv"), service)
+            for service, types in services
         ]
         self.sent = 0
         self.unanswered: list[str] = []
@@ -112,11 +115,14 @@ class HostileClient:
         clients = fuzz.random.choices(self._clients, k=min(most, fuzz.random.randint(1, _BURST)))
         asked = [(client, client.call_async(fuzz.fill(client.srv_type.Request()))) for client in clients]
         self.sent += len(asked)
-        for client, future in asked:
-            try:
-                self._observer.wait_for(future.done, "an answer", timeout_s=_PATIENCE_S)
-            except NoAnswerError:
-                self.unanswered.append(client.srv_name)
+        self.unanswered += [client.srv_name for client, future in asked if not self._is_answered(future)]
+
+    def _is_answered(self, future: Any) -> bool:
+        try:
+            self._observer.wait_for(future.done, "an answer", timeout_s=_PATIENCE_S)
+        except NoAnswerError:
+            return False
+        return True
 
     def close(self) -> None:
         for client in self._clients:

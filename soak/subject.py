@@ -11,6 +11,10 @@ from pathlib import Path
 
 from detector_process import NODE, PARAMETERS, DetectorProcess, as_arguments, environment
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 
 from soak import faulty_detector
 from soak.balance import BalanceWatch
@@ -55,6 +59,20 @@ class Subject(DetectorProcess):
         """Lines of the log that tell of an exception nobody expected."""
         self._read_log()
         return list(self._escaped)
+
+    def begin_transition(self, label: str) -> None:
+        """Ask for a transition, and wait for nothing."""
+        self._raw_transitions.call_async(ChangeState.Request(transition=Transition(label=label)))
+
+    def begin_reload(self) -> None:
+        """Ask for another size of image, and wait for nothing."""
+        size = Parameter("image_size", value=416).to_parameter_msg()
+        self._raw_parameters.call_async(SetParameters.Request(parameters=[size]))
+
+    def reset(self) -> None:
+        """Unconfigured, with every parameter and the clock as they were at the start."""
+        super().reset()
+        assert self.node.set_parameters(use_sim_time=False) == ""
 
     def resources(self) -> Resources:
         return Resources.of(self.process.process_id)
