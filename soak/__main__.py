@@ -9,6 +9,7 @@ from pathlib import Path
 
 from soak.answer_times import answers_during_inference
 from soak.balance import BalanceWatch, exact_balance
+from soak.checkpoints import refused_checkpoints
 from soak.cycles import complete_cycles
 from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts
 from soak.faults import ended_by_lost_devices, survived_faults
@@ -53,6 +54,7 @@ def _watched_trials(seed: int, minutes: float) -> dict[str, Watched]:
 def _trials_of_many(seed: int) -> dict[str, Trial]:
     """Trials that start processes themselves, by name."""
     return {
+        "checkpoints": refused_checkpoints,
         "shutdowns": answered_shutdowns,
         "lost-devices": lambda: ended_by_lost_devices(_FAULTS),
         "endings": lambda: clean_endings(ENDINGS * _TIMES, seed),
