@@ -38,7 +38,7 @@ def _during(label: str, state: str) -> Callable[[Subject], None]:
 
 def _during_reload(subject: Subject) -> None:
     subject.bring_to("active")
-    subject.begin_reload()
+    subject.begin_reload(416)
 
 
 MOMENTS = {

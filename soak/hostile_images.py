@@ -22,6 +22,7 @@ _NUMBERS = (0, 1, 2, 7, 48, 64, 640, MAX_SIDE_PX, MAX_SIDE_PX + 1, 2**31 - 1, 2*
 _SIZES = (0, 1, 7, 191, 48 * 64, 48 * 64 * 3, 48 * 64 * 4, 1_000_000)
 MakeImage = Callable[[Fuzz], Image | CompressedImage | bytes]
 """A message, or the bytes of one."""
+_ODD_SIZES_HW = ((1, 1), (1, MAX_SIDE_PX), (MAX_SIDE_PX, 1), (2, 3), (3, 4001), (1999, 5))
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 _FOREIGN = (b"GIF89a", b"BM", b"II*\0", b"RIFF\0\0\0\0WEBPVP8 ", b"\0\0\0\x0cjP  ", b"%PDF-1.7", b"\x80\x04.")
 
@@ -41,6 +42,15 @@ def hostile_image(fuzz: Fuzz) -> Image:
         message.data = array("B", bytes(choose(_SIZES)))
         if not _is_readable(message):
             return message
+
+
+def odd_image(fuzz: Fuzz) -> Image:
+    """A raw image that can be read, of a shape and with a header that no camera sends."""
+    height, width = fuzz.random.choice(_ODD_SIZES_HW)
+    message = Image(height=height, width=width, step=3 * width, encoding="bgr8")
+    fuzz.fill(message.header)
+    message.data = array("B", fuzz.random.randbytes(3 * width) * height)
+    return message
 
 
 def hostile_file(fuzz: Fuzz) -> CompressedImage:

@@ -9,11 +9,12 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
-from detector_process import scene_image
+from detector_process import NODE, scene_image
+from sensor_msgs.msg import Image
 
 from soak.faults import faulty_image
 from soak.finding import Finding
-from soak.hostile_images import damaged_message, hostile_image
+from soak.hostile_images import damaged_message, hostile_image, odd_image
 from soak.sender import Sender
 from soak.service_requests import Fuzz, HostileClient
 from soak.subject import Resources, Subject, camera
@@ -48,17 +49,21 @@ class MixedLife:
         self._fuzz = Fuzz(seed)
         self._choose: Callable[[Any], Any] = self._fuzz.random.choice
         self._camera = ExitStack()
+        self._viewer: Any = None
         self._client = HostileClient(subject)
         subject.bring_to("active")
         self._sender = Sender(subject, "raw")
         self.done: Counter[str] = Counter()
         self._actions: dict[str, tuple[int, Callable[[], object]]] = {
             "transitions": (10, lambda: subject.transition(self._choose(_LABELS))),
+            "storms": (5, self._storm),
             "settings": (10, self._set),
             "hostile requests": (10, lambda: self._client.ask(self._fuzz)),
             "hostile images": (10, lambda: self._sender.send(hostile_image(self._fuzz))),
             "damaged messages": (10, lambda: self._sender.send(damaged_message(self._fuzz))),
             "whole images": (10, lambda: self._sender.send(scene_image())),
+            "odd images": (5, lambda: self._sender.send(odd_image(self._fuzz))),
+            "viewers": (2, self._change_viewer),
             "faults": (5, lambda: self._sender.send(faulty_image(self._choose(_FAULTS)))),
             "hangs": (1, lambda: self._sender.send(faulty_image("hang"))),
             "pauses": (3, lambda: subject.observer.work_for(self._fuzz.random.uniform(0, 0.5))),
@@ -91,6 +96,23 @@ class MixedLife:
         self._sender.wait_until_heard()
         self._sender.send_whole()
         self.done["checks"] += 1
+
+    def _storm(self) -> None:
+        """Transitions and reloads, all at once."""
+        futures = [self._subject.begin_transition(self._choose(_LABELS)) for _ in range(3)]
+        futures += [self._subject.begin_reload(self._choose(_SETTINGS["image_size"])) for _ in range(2)]
+        self._subject.observer.wait_for(
+            lambda: all(future.done() for future in futures), "answers in a storm"
+        )
+
+    def _change_viewer(self) -> None:
+        """Somebody begins or ceases to look at the drawn images."""
+        observer = self._subject.observer
+        if self._viewer is None:
+            self._viewer = observer.create_subscription(Image, f"{NODE}/image", lambda _: None, 1)
+        else:
+            observer.destroy_subscription(self._viewer)
+            self._viewer = None
 
     def _set(self) -> None:
         name = self._choose(list(_SETTINGS))

@@ -17,6 +17,8 @@ from soak.subject import Subject
 from yolov5_lifecycle.ros.observer import NoAnswerError
 from yolov5_lifecycle.settings import SETTINGS
 
+_SERVICES = 12
+"""5 of every lifecycle node, 7 of every node."""
 _PATIENCE_S = 20.0
 _BURST = 5
 _REQUESTS_PER_LIFE = 200
@@ -97,12 +99,13 @@ class HostileClient:
 
     def __init__(self, subject: Subject) -> None:
         self._observer = subject.observer
-        namespace, name = NODE.rsplit("/", 1)
-        services = self._observer.get_service_names_and_types_by_node(name, namespace or "/")
+        self._observer.wait_for(lambda: len(self._offers()) >= _SERVICES, "all services of the node")
         self._clients = [
-            self._observer.create_client(message_type(types[0], "srv"), service)
-            for service, types in services
+            self._observer.create_client(message_type(service_type, "srv"), service)
+            for service, (service_type, *_) in self._offers()
         ]
+        for client in self._clients:
+            self._observer.wait_for(client.service_is_ready, client.srv_name)
         self.sent = 0
         self.unanswered: list[str] = []
 
@@ -116,6 +119,11 @@ class HostileClient:
         asked = [(client, client.call_async(fuzz.fill(client.srv_type.Request()))) for client in clients]
         self.sent += len(asked)
         self.unanswered += [client.srv_name for client, future in asked if not self._is_answered(future)]
+
+    def _offers(self) -> list[tuple[str, list[str]]]:
+        """Name and types of every service of the node that is known so far."""
+        offers = self._observer.get_service_names_and_types()
+        return [offer for offer in offers if offer[0].startswith(f"{NODE}/")]
 
     def _is_answered(self, future: Any) -> bool:
         try:

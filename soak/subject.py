@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from detector_process import NODE, PARAMETERS, DetectorProcess, as_arguments, environment
 from diagnostic_msgs.msg import DiagnosticArray
@@ -60,14 +61,14 @@ class Subject(DetectorProcess):
         self._read_log()
         return list(self._escaped)
 
-    def begin_transition(self, label: str) -> None:
-        """Ask for a transition, and wait for nothing."""
-        self._raw_transitions.call_async(ChangeState.Request(transition=Transition(label=label)))
+    def begin_transition(self, label: str) -> Any:
+        """Ask for a transition; the future of the answer."""
+        return self._raw_transitions.call_async(ChangeState.Request(transition=Transition(label=label)))
 
-    def begin_reload(self) -> None:
-        """Ask for another size of image, and wait for nothing."""
-        size = Parameter("image_size", value=416).to_parameter_msg()
-        self._raw_parameters.call_async(SetParameters.Request(parameters=[size]))
+    def begin_reload(self, image_size: int) -> Any:
+        """Ask for another size of the network's picture; the future of the answer."""
+        size = Parameter("image_size", value=image_size).to_parameter_msg()
+        return self._raw_parameters.call_async(SetParameters.Request(parameters=[size]))
 
     def reset(self) -> None:
         """Unconfigured, with every parameter and the clock as they were at the start."""
