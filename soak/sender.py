@@ -14,7 +14,7 @@ from yolov5_lifecycle.ros.messages import picture
 
 _PACE_S = 0.002
 """An image that comes at once takes the place of the one before, which nobody would look at."""
-_ANSWER_S = 2.0
+_ANSWER_S = 5.0
 _TRANSPORTS = {
     "raw": (Image, f"{NODE}/image_raw"),
     "compressed": (CompressedImage, f"{NODE}/image_raw/compressed"),
@@ -22,13 +22,13 @@ _TRANSPORTS = {
 
 
 class Sender:
-    """Sends images to an active subject and counts them."""
+    """Sends images to an active subject; `whole` counts those that can be read."""
 
     def __init__(self, subject: Subject, transport: str) -> None:
         self._subject = subject
         self._transport = transport
         self._publisher = subject.observer.create_publisher(*_TRANSPORTS[transport], 1)
-        self.sent = 0
+        self.whole = 0
         self.wait_until_heard()
 
     def wait_until_heard(self) -> None:
@@ -39,7 +39,6 @@ class Sender:
 
     def send(self, message: Any) -> None:
         self._publisher.publish(message)
-        self.sent += 1
         time.sleep(_PACE_S)
 
     def send_whole(self) -> None:
@@ -53,6 +52,7 @@ class Sender:
             nonlocal sent_s
             if time.monotonic() - sent_s > _ANSWER_S:
                 self.send(message)
+                self.whole += 1
                 sent_s = time.monotonic()
             return any(detections.header == image.header for detections in self._subject.detections)
 
