@@ -11,7 +11,7 @@ from rclpy.qos import ReliabilityPolicy
 from yolov5_lifecycle.frame_balance import FrameCounter, Outcome
 from yolov5_lifecycle.rate import LatencySummary
 from yolov5_lifecycle.ros.image_input import InputStatus
-from yolov5_lifecycle.ros.status import SILENCE_S, Status
+from yolov5_lifecycle.ros.status import SILENCE_S, SLOW_S, Status
 from yolov5_lifecycle.settings import Settings
 
 GOOD_INPUT = InputStatus(
@@ -33,6 +33,7 @@ GOOD = Status(
     model=None,
     input=GOOD_INPUT,
     latency=LatencySummary(29.9, 21.0, 30.5),
+    busy_s=0.02,
     recently_rejected="",
 )
 
@@ -55,6 +56,9 @@ def _with_input(**changes: Any) -> Status:
         ),
         pytest.param(
             _with_input(silent_s=SILENCE_S + 5), "no image on /yolov5/image_raw for 7 s", id="silence"
+        ),
+        pytest.param(
+            dataclasses.replace(GOOD, busy_s=SLOW_S + 1), "at one image for more than 2 s", id="hanging"
         ),
         pytest.param(
             dataclasses.replace(GOOD, recently_rejected="Encoding 'x' is not supported"),

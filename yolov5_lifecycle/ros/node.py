@@ -268,5 +268,6 @@ class DetectorNode(LifecycleNode):
             model=detection.model if detection else None,
             input=detection.look() if detection else None,
             latency=detection.latencies.summary(time.monotonic()) if detection else None,
+            busy_s=self._worker.busy_s(),
             recently_rejected=self._failures.recent_rejection(),
         )

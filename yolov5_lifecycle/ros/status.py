@@ -17,10 +17,16 @@ MANY_LOST = 4
 SILENCE_S = 2.0
 """An active camera that sends nothing for longer than this is worth a word."""
 
+SLOW_S = 2.0
+"""Inference that takes longer than this for one image is worth a word."""
+
 
 @dataclass(frozen=True)
 class Status:
-    """One look at the node. `settings` exist from configure on; the rest below only while active."""
+    """One look at the node. `settings` exist from configure on; the rest below only while active.
+
+    `busy_s`: how long inference has been at the image in work, in seconds.
+    """
 
     state: str
     problem: str
@@ -29,6 +35,7 @@ class Status:
     model: PreparedModel | None
     input: InputStatus | None
     latency: LatencySummary | None
+    busy_s: float
     recently_rejected: str
 
     @property
@@ -36,6 +43,11 @@ class Status:
         """Why nothing comes out of an active node, or nothing when all is well."""
         if self.state != "active" or self.input is None:
             return ""
+        if self.busy_s > SLOW_S:
+            return (
+                f"inference has been at one image for more than {SLOW_S:g} s: the model is too slow for this "
+                "machine, or it hangs; deactivate ends that, then activate again"
+            )
         if self.input.publishers == 0:
             return f"nobody publishes images on {self.input.topic}: start the camera or remap the topic"
         if self.input.reliability is ReliabilityPolicy.RELIABLE and self.input.best_effort_publishers:
