@@ -77,10 +77,14 @@ def main(arguments: list[str] | None = None) -> int:
         name: _in_own_process(trial, watches)
         for name, trial in _watched_trials(options.seed, options.minutes).items()
     }
-    findings = [_run(name, trials[name]) for name in names if name in options.only]
+    findings: list[Finding] = []
+    for name in filter(options.only.__contains__, names):
+        print(f"{name} ...", file=sys.stderr, flush=True)
+        findings.append(found(name, trials[name]))
+        write_report(findings, _REPORT)  # hours may lie between two of them
     if watches:
         findings.append(exact_balance(watches))
-    write_report(findings, _REPORT)
+        write_report(findings, _REPORT)
     print(table(findings))
     return 0 if all(finding.is_met for finding in findings) else 1
 
@@ -92,11 +96,6 @@ def _in_own_process(trial: Watched, watches: list[BalanceWatch]) -> Trial:
             return trial(process)
 
     return run
-
-
-def _run(name: str, trial: Trial) -> Finding:
-    print(f"{name} ...", file=sys.stderr, flush=True)
-    return found(name, trial)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from detector_process import is_balanced
 
-from soak.finding import Finding
+from soak.finding import Finding, number_of
 
 _UNDER_WAY = 2
 """One frame waits, one is in work."""
@@ -40,7 +40,7 @@ def exact_balance(watches: Sequence[BalanceWatch]) -> Finding:
     return Finding(
         claim="every frame is in exactly one count",
         done=f"{told} diagnostics of {len(watches)} processes, {received} frames",
-        result=f"{len(problems)} unbalanced" + (f", first: {problems[0]}" if problems else ""),
+        result=number_of("unbalanced", problems),
         limit="0; at most 2 frames under way, none unless active",
         is_met=told > 0 and not problems,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from soak.finding import Finding
+from soak.finding import Finding, number_of
 from soak.subject import Resources, Subject, camera
 
 _RATE_HZ = 30.0
@@ -34,7 +34,7 @@ def complete_cycles(subject: Subject, count: int, warm_up: int, *, weigh: bool =
         claim="full lifecycle cycles leave nothing behind",
         done=f"{count} cycles at {_RATE_HZ:g} Hz after {warm_up} of warm-up",
         result=f"0 failed; RSS {growth_mb:+.1f} MB, threads {threads[0]:g} -> {threads[1]:g}, "
-        f"files {files[0]:g} -> {files[1]:g}; {len(subject.escaped)} exceptions",
+        f"files {files[0]:g} -> {files[1]:g}; {number_of('exceptions', subject.escaped)}",
         limit=f"RSS {f'< {_MAX_GROWTH_MB:+g} MB' if weigh else 'not judged'}, threads and files constant",
         is_met=is_constant and (growth_mb < _MAX_GROWTH_MB or not weigh) and not subject.escaped,
     )

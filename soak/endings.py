@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from random import Random
 
-from soak.finding import Finding
+from soak.finding import Finding, number_of
 from soak.subject import Subject, subject, subject_in
 from yolov5_lifecycle.ros.domain import own_domain
 
@@ -70,7 +70,7 @@ def clean_endings(endings: Iterable[Ending], seed: int) -> Finding:
     return Finding(
         claim="SIGINT and SIGTERM end the process cleanly at any moment",
         done=f"{len(times_s)} processes, seed {seed}",
-        result=f"{len(wrong)} wrong {wrong[:3] or ''}, longest {max(times_s):.1f} s",
+        result=f"{number_of('wrong', wrong)}, longest {max(times_s):.1f} s",
         limit=f"exit code 0 within {_LIMIT_S:g} s, no exception",
         is_met=not wrong,
     )

@@ -7,7 +7,7 @@ from array import array
 from sensor_msgs.msg import Image
 
 from soak.faulty_detector import GREYS
-from soak.finding import Finding
+from soak.finding import Finding, number_of
 from soak.sender import Sender
 from soak.subject import Subject, subject
 from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
@@ -35,7 +35,7 @@ def survived_faults(subject: Subject, count: int) -> Finding:
     return Finding(
         claim="every fault of inference is survived",
         done=f"{', '.join(_FAILING)}, slow, hang: {count} times each",
-        result=f"detects again each time, {len(subject.escaped)} exceptions",
+        result=f"detects again each time, {number_of('exceptions', subject.escaped)}",
         limit="without a new process; 0",
         is_met=not subject.escaped,
     )

@@ -33,6 +33,11 @@ def found(name: str, trial: Callable[[], Finding]) -> Finding:
         return Finding(name, "broken off", f"{type(error).__name__}: {first_line}", "none", False)
 
 
+def number_of(what: str, cases: Sequence[str]) -> str:
+    """How many cases there were of `what`, and the first."""
+    return f"{len(cases)} {what}" + (f" (first: {cases[0][:200]})" if cases else "")
+
+
 def table(findings: Sequence[Finding]) -> str:
     """All findings, one a line, in columns."""
     rows = [_HEADS, *map(_cells, findings)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from soak.finding import Finding
+from soak.finding import Finding, number_of
 from soak.hostile_images import MakeImage, damaged_file, damaged_message, hostile_file, hostile_image
 from soak.sender import Sender
 from soak.service_requests import Fuzz
@@ -45,7 +45,7 @@ class _Fates:
     hostile: int
     whole: int
     counts: Counter[str]
-    escaped: int
+    escaped: list[str]
 
     @property
     def unaccounted(self) -> int:
@@ -53,7 +53,7 @@ class _Fates:
 
     def __str__(self) -> str:
         counts = ", ".join(f"{count} {fate}" for fate, count in self.counts.most_common())
-        return f"{counts}; {self.unaccounted} unaccounted; {self.escaped} exceptions"
+        return f"{counts}; {self.unaccounted} unaccounted; {number_of('exceptions', self.escaped)}"
 
 
 def _all_rejected(
@@ -103,7 +103,7 @@ def _fates(transport: str, make: MakeImage, subject: Subject, count: int, seed: 
         counts = _counts(subject) - before
     sender.close()
     subject.reset()
-    return _Fates(hostile, sender.whole, counts, len(subject.escaped))
+    return _Fates(hostile, sender.whole, counts, subject.escaped)
 
 
 def _counts(subject: Subject) -> Counter[str]:

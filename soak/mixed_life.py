@@ -13,7 +13,7 @@ from detector_process import NODE, scene_image
 from sensor_msgs.msg import Image
 
 from soak.faults import faulty_image
-from soak.finding import Finding
+from soak.finding import Finding, number_of
 from soak.hostile_images import damaged_message, hostile_image, odd_image
 from soak.sender import Sender
 from soak.service_requests import Fuzz, HostileClient
@@ -143,7 +143,7 @@ def mixed_life(subject: Subject, seed: int, minutes: float) -> Finding:
     return Finding(
         claim="everything at random leaves a node that detects",
         done=f"{minutes:g} minutes, seed {seed}: {done}",
-        result=f"{len(life.unanswered)} unanswered, {len(subject.escaped)} exceptions, "
+        result=f"{number_of('unanswered', life.unanswered)}, {number_of('exceptions', subject.escaped)}, "
         f"exit code {code}; RSS {held[0].resident_mb:.0f} -> {held[-1].resident_mb:.0f} MB",
         limit="0, 0; detects at every check; 0",
         is_met=not life.unanswered and not subject.escaped and code == 0,

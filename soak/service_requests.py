@@ -12,7 +12,7 @@ from detector_process import NODE
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterValue
 
-from soak.finding import Finding
+from soak.finding import Finding, number_of
 from soak.subject import Subject
 from yolov5_lifecycle.ros.observer import NoAnswerError
 from yolov5_lifecycle.settings import SETTINGS
@@ -155,8 +155,7 @@ def answered_requests(subject: Subject, seeds: Iterable[int], per_seed: int) -> 
     return Finding(
         claim="every hostile request is answered",
         done=f"{client.sent} requests to {client.services} services, seeds {seeds}",
-        result=f"{len(client.unanswered)} unanswered {client.unanswered[:3] or ''}, "
-        f"{len(subject.escaped)} exceptions {subject.escaped[:3] or ''}",
+        result=f"{number_of('unanswered', client.unanswered)}, {number_of('exceptions', subject.escaped)}",
         limit="0, 0",
         is_met=not client.unanswered and not subject.escaped,
     )

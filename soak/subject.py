@@ -23,7 +23,7 @@ from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.domain import own_domain
 from yolov5_lifecycle.ros.observer import Observer
 
-_ESCAPED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
+_UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
 _COMMAND = [sys.executable, faulty_detector.__file__, "--ros-args"]
 
 
@@ -84,7 +84,12 @@ class Subject(DetectorProcess):
         self._read_log()  # now, as it keeps only the last lines
 
     def _read_log(self) -> None:
-        self._escaped |= dict.fromkeys(filter(_ESCAPED.search, self.process.output.splitlines()))
+        self._escaped |= dict.fromkeys(exceptions_in(self.process.output))
+
+
+def exceptions_in(log: str) -> list[str]:
+    """The lines of a detector's log that tell of an exception nobody expected."""
+    return [line for line in log.splitlines() if _UNEXPECTED.search(line)]
 
 
 @contextmanager

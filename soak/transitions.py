@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from lifecycle_msgs.msg import Transition
 
-from soak.finding import Finding
+from soak.finding import Finding, number_of
 from soak.subject import Subject, subject
 
 Request = tuple[str, int]
@@ -49,7 +49,7 @@ def answered_transitions(subject: Subject) -> Finding:
     return Finding(
         claim="every transition in every state is answered",
         done=f"{asked} pairs of state and transition",
-        result=f"{len(wrong)} wrong answers or states {wrong[:3] or ''}, {len(subject.escaped)} exceptions",
+        result=f"{number_of('wrong answers or states', wrong)}, {number_of('exceptions', subject.escaped)}",
         limit="0, 0",
         is_met=not wrong and not subject.escaped,
     )
@@ -71,7 +71,7 @@ def answered_shutdowns(most: int | None = None) -> Finding:
     return Finding(
         claim="shutdown in every state ends the process",
         done=f"{len(pairs)} processes",
-        result=f"{len(wrong)} wrong answers or exit codes {wrong or ''}",
+        result=number_of("wrong answers or exit codes", wrong),
         limit=f"0; exit code 0 within {_END_S:g} s",
         is_met=not wrong,
     )

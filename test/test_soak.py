@@ -16,7 +16,7 @@ from soak.finding import Finding, found, table
 from soak.images import rejected_files, rejected_images, survived_files, survived_messages
 from soak.mixed_life import mixed_life
 from soak.service_requests import answered_requests
-from soak.subject import Subject, subject
+from soak.subject import Subject, exceptions_in, subject
 from soak.transitions import answered_shutdowns, answered_transitions
 
 IMAGES = 50
@@ -93,6 +93,20 @@ def test_a_frame_in_two_counts_or_in_none_is_noticed() -> None:
     assert not balances((3, 3, 0), (3, 2, 1)).is_met
     assert not balances((3, 2, 1), state="inactive").is_met
     assert not balances().is_met
+
+
+@pytest.mark.parametrize(
+    ("line", "is_told"),
+    [
+        pytest.param("Traceback (most recent call last):", True, id="traceback"),
+        pytest.param("[ERROR] [yolov5]: unexpected KeyError in on_activate: 'x'", True, id="transition"),
+        pytest.param("[ERROR] [yolov5]: unexpected ValueError in a callback: x", True, id="callback"),
+        pytest.param("[ERROR] [yolov5]: activate refused: no such file", False, id="refusal"),
+        pytest.param("", False, id="nothing"),
+    ],
+)
+def test_an_unexpected_exception_in_the_log_is_noticed(line: str, is_told: bool) -> None:
+    assert bool(exceptions_in(f"[INFO] [yolov5]: unconfigured\n{line}\n")) is is_told
 
 
 def test_a_trial_that_breaks_off_has_failed_with_the_reason() -> None:
