@@ -95,7 +95,6 @@ class MixedLife:
         self._subject.bring_to("active")
         self._sender.wait_until_heard()
         self._sender.send_whole()
-        self.done["checks"] += 1
 
     def _storm(self) -> None:
         """Transitions and reloads, all at once."""
@@ -139,10 +138,10 @@ def mixed_life(subject: Subject, seed: int, minutes: float) -> Finding:
             life.check()
             held.append(subject.resources())
     code = subject.process.stop(signal.SIGTERM)
-    done = ", ".join(f"{count} {kind}" for kind, count in life.done.most_common())
     return Finding(
         claim="everything at random leaves a node that detects",
-        done=f"{minutes:g} minutes, seed {seed}: {done}",
+        done=f"{life.done.total()} actions of {len(life.done)} kinds in {minutes:g} minutes, {len(held)} checks, "
+        f"seed {seed}",
         result=f"{number_of('unanswered', life.unanswered)}, {number_of('exceptions', subject.escaped)}, "
         f"exit code {code}; RSS {held[0].resident_mb:.0f} -> {held[-1].resident_mb:.0f} MB",
         limit="0, 0; detects at every check; 0",
