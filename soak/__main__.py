@@ -70,7 +70,14 @@ def main(arguments: list[str] | None = None) -> int:
         "--minutes", type=float, default=30.0, help="of the mixed trial; default: %(default)s"
     )
     parser.add_argument("--seed", type=int, default=0, help="of all that is random; default: %(default)s")
-    parser.add_argument("--only", nargs="+", choices=names, default=names, help="trials to run; default: all")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=names,
+        default=names,
+        metavar="TRIAL",
+        help=f"some of: {', '.join(names)}",
+    )
     options = parser.parse_args(arguments)
     watches: list[BalanceWatch] = []
     trials = _trials_of_many(options.seed) | {

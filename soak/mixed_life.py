@@ -140,8 +140,8 @@ def mixed_life(subject: Subject, seed: int, minutes: float) -> Finding:
     code = subject.process.stop(signal.SIGTERM)
     return Finding(
         claim="everything at random leaves a node that detects",
-        done=f"{life.done.total()} actions of {len(life.done)} kinds in {minutes:g} minutes, {len(held)} checks, "
-        f"seed {seed}",
+        done=f"{life.done.total()} actions of {len(life.done)} kinds in {minutes:g} minutes, "
+        f"{len(held)} checks, seed {seed}",
         result=f"{number_of('unanswered', life.unanswered)}, {number_of('exceptions', subject.escaped)}, "
         f"exit code {code}; RSS {held[0].resident_mb:.0f} -> {held[-1].resident_mb:.0f} MB",
         limit="0, 0; detects at every check; 0",
