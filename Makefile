@@ -9,6 +9,7 @@ SET ?= tested
 PIP_FLAGS ?=
 PYTEST_FLAGS ?=
 BENCH_FLAGS ?=
+SOAK_FLAGS ?=
 
 ifeq ($(SET),tested)
 VENV := .venv
@@ -34,18 +35,19 @@ DEPENDENCIES := $(VENV)/.dependencies-$(PYTHON_VERSION)
 INTERFACES := $(VENV)/.interfaces
 PACKAGE := $(VENV)/.package
 INTERFACES_BUILD := build/vision_msgs-$(SET)
-TYPED := $(wildcard yolov5_lifecycle test tools benchmark launch requirements)
+TYPED := $(wildcard yolov5_lifecycle test soak tools benchmark launch requirements)
 
-.PHONY: help install demo test bench lint docs clean
+.PHONY: help install demo test soak bench lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make test     the test suite          (SET=apt: with the numpy and OpenCV of Ubuntu 24.04, in .venv-apt)'
 	@echo 'make bench    how fast each runtime is, quiet and beside a busy process  (BENCH_FLAGS="--quick")'
+	@echo 'make soak     hours of hostile neighbours, faults and signals; table, and build/soak/report.json'
 	@echo 'make lint     ruff and mypy --strict'
 	@echo 'make install  what the others do first: .venv with the pinned packages, vision_msgs and this package'
 	@echo 'make docs     writes what is derived from the settings: YAML file, schema, reference page'
 	@echo 'make clean    removes everything that make has made, .venv included'
-	@echo 'Variables: PYTHON=python3.12  SET=apt  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"'
+	@echo 'Variables: PYTHON=python3.12  SET=apt  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"  SOAK_FLAGS="--minutes 5"'
 
 install: $(PACKAGE)
 
@@ -58,6 +60,10 @@ test: $(PACKAGE)
 
 bench: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.bench $(BENCH_FLAGS)
+
+# It drives the detector with what the tests drive it with.
+soak: $(PACKAGE)
+	PYTHONPATH=test $(VENV)/bin/python -m soak $(SOAK_FLAGS)
 
 lint: $(PACKAGE)
 	$(VENV)/bin/ruff check .

@@ -60,13 +60,7 @@ def write_all(folder: Path) -> dict[str, str]:
     return cases
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("hostile")
-
-
-@pytest.fixture(scope="module")
-def answers(folder: Path) -> dict[str, Answer]:
+def read_all(folder: Path) -> dict[str, Answer]:
     """What became of every file, by case; all are read by one process that has a limit to its memory."""
     files, workplace = folder / "files", folder / "workplace"
     files.mkdir()
@@ -85,6 +79,16 @@ def answers(folder: Path) -> dict[str, Answer]:
     assert (reader.returncode, reader.stderr) == (0, "")
     found = [Answer(**json.loads(line)) for line in reader.stdout.splitlines()]
     return {cases[answer.name]: answer for answer in found}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("hostile")
+
+
+@pytest.fixture(scope="module")
+def answers(folder: Path) -> dict[str, Answer]:
+    return read_all(folder)
 
 
 def test_a_valid_file_is_what_the_others_differ_from() -> None:

@@ -467,6 +467,7 @@ def test_a_hung_inference_does_not_hold_deactivate(served: ServedNode, prepare: 
     served.publish()
     served.wait_for(entered.is_set, "inference to hang")
     assert served.state() == "active"
+    served.wait_for(lambda: "or it hangs" in served.status().message, "the hint")
     assert served.transition("deactivate")
     assert "did not end" in served.status().message
     release.set()

@@ -16,7 +16,7 @@ from yolov5_lifecycle.rate import LatencySummary
 from yolov5_lifecycle.ros.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.image_input import InputStatus
 from yolov5_lifecycle.ros.observer import Observer
-from yolov5_lifecycle.ros.status import EMPTY_S, SILENCE_S, Status
+from yolov5_lifecycle.ros.status import EMPTY_S, SILENCE_S, SLOW_S, Status
 from yolov5_lifecycle.settings import Settings
 
 GOOD_INPUT = InputStatus(
@@ -39,6 +39,7 @@ GOOD = Status(
     input=GOOD_INPUT,
     latency=LatencySummary(29.9, 21.0, 30.5),
     empty=EmptyRun(0.9),
+    busy_s=0.02,
     recently_rejected="",
 )
 BLIND = dataclasses.replace(GOOD, empty=EmptyRun(0.9, frames=152, begun_s=5.0, ended_s=6.0 + EMPTY_S))
@@ -62,6 +63,9 @@ def _with_input(**changes: Any) -> Status:
         ),
         pytest.param(
             _with_input(silent_s=SILENCE_S + 5), "no image on /yolov5/image_raw for 7 s", id="silence"
+        ),
+        pytest.param(
+            dataclasses.replace(GOOD, busy_s=SLOW_S + 1), "at one image for more than 2 s", id="hanging"
         ),
         pytest.param(
             dataclasses.replace(GOOD, recently_rejected="Encoding 'x' is not supported"),

@@ -132,6 +132,16 @@ def test_stop_waits_for_the_frame_in_work_and_flushes_the_waiting_one(line: Line
     assert line.worker.balance().pending == 0
 
 
+def test_the_time_of_the_frame_in_work_is_told(line: Line) -> None:
+    assert line.worker.busy_s() == 0
+    line.worker.start(line.process)
+    line.hold(1)
+    assert 0 < line.worker.busy_s() < line.worker.busy_s()
+    line.gate.set()
+    assert line.ended.acquire(timeout=PATIENCE_S)
+    assert line.worker.busy_s() == 0
+
+
 def test_a_hung_frame_is_given_up_and_its_late_result_dropped(line: Line) -> None:
     line.worker.start(line.process)
     line.hold(1)

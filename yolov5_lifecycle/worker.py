@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -39,6 +40,7 @@ class Worker(Generic[Frame]):
         self._process: Process[Frame] | None = None
         self._slot: Frame | None = None
         self._busy = False
+        self._begun_s = 0.0
         self._delivering = False
         self._jobs_done = 0
         self._closed = False
@@ -108,6 +110,11 @@ class Worker(Generic[Frame]):
         with self._changed:
             return self._counter.balance()
 
+    def busy_s(self) -> float:
+        """How long the frame now in work has been there, in seconds; 0 when there is none."""
+        with self._changed:
+            return time.monotonic() - self._begun_s if self._busy else 0.0
+
     def _new_thread(self) -> threading.Thread:
         return threading.Thread(target=self._run, name="inference", daemon=True)
 
@@ -125,6 +132,7 @@ class Worker(Generic[Frame]):
                 return None
             frame, self._slot = self._slot, None
             self._busy = True
+            self._begun_s = time.monotonic()
             return self._process, frame
 
     def _work(self, process: Process[Frame], frame: Frame) -> None:

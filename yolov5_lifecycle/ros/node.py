@@ -267,5 +267,6 @@ class DetectorNode(LifecycleNode):
             input=detection.look() if detection else None,
             latency=detection.latencies.summary(time.monotonic()) if detection else None,
             empty=detection.empty_frames.run if detection else None,
+            busy_s=self._worker.busy_s(),
             recently_rejected=self._failures.recent_rejection(),
         )

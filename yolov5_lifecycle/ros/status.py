@@ -19,6 +19,8 @@ SILENCE_S = 2.0
 """An active camera that sends nothing for longer than this is worth a word."""
 EMPTY_S = 10.0
 """Frames in which nothing is found for longer than this are worth a word."""
+SLOW_S = 2.0
+"""Inference that takes longer than this for one image is worth a word."""
 
 _REMEDIES = {
     "unconfigured": ": configure and activate the node to detect",
@@ -28,7 +30,10 @@ _REMEDIES = {
 
 @dataclass(frozen=True)
 class Status:
-    """One look at the node. `settings` exist from configure on; the rest below only while active."""
+    """One look at the node. `settings` exist from configure on; the rest below only while active.
+
+    `busy_s`: how long inference has been at the image in work, in seconds.
+    """
 
     state: str
     problem: str
@@ -38,6 +43,7 @@ class Status:
     input: InputStatus | None
     latency: LatencySummary | None
     empty: EmptyRun | None
+    busy_s: float
     recently_rejected: str
 
     @property
@@ -45,6 +51,11 @@ class Status:
         """What is wrong when nothing comes out of an active node."""
         if self.state != "active" or self.input is None:
             return ""
+        if self.busy_s > SLOW_S:
+            return (
+                f"inference has been at one image for more than {SLOW_S:g} s: the model is too slow for this "
+                "machine, or it hangs; deactivate ends that, then activate again"
+            )
         if self.input.publishers == 0:
             return f"nobody publishes images on {self.input.topic}: start the camera or remap the topic"
         if self.input.reliability is ReliabilityPolicy.RELIABLE and self.input.best_effort_publishers:

@@ -1,0 +1,46 @@
+"""The frame balance of a process, held against its rules."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from detector_process import is_balanced
+
+from soak.finding import Finding, number_of
+
+_UNDER_WAY = 2
+"""One frame waits, one is in work."""
+
+
+class BalanceWatch:
+    """Every balance that one process has told, in the order it came."""
+
+    def __init__(self) -> None:
+        self.told = 0
+        self.received = 0
+        self.problems: list[str] = []
+        self._counts: dict[str, int] = {}
+
+    def take(self, values: Mapping[str, str]) -> None:
+        """Judge the values of one diagnostic status."""
+        counts = {name: int(value) for name, value in values.items() if name.startswith("frames ")}
+        pending, received = counts.pop("frames pending"), counts["frames received"]
+        counts.pop("frames lost", None)
+        fallen = [name for name, count in counts.items() if count < self._counts.get(name, 0)]
+        under_way = _UNDER_WAY if values["state"] == "active" else 0
+        if not is_balanced(values) or not 0 <= pending <= under_way or fallen:
+            self.problems.append(f"{values}, fallen: {fallen}")
+        self.told, self.received, self._counts = self.told + 1, received, counts
+
+
+def exact_balance(watches: Sequence[BalanceWatch]) -> Finding:
+    """Whether all balances of all processes kept the rules."""
+    problems = [problem for watch in watches for problem in watch.problems]
+    told, received = sum(watch.told for watch in watches), sum(watch.received for watch in watches)
+    return Finding(
+        claim="every frame is in exactly one count",
+        done=f"{told} diagnostics of {len(watches)} processes, {received} frames",
+        result=number_of("unbalanced", problems),
+        limit="0; at most 2 frames under way, none unless active",
+        is_met=told > 0 and not problems,
+    )

@@ -1,0 +1,25 @@
+"""Weights files made to harm their reader."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from test_hostile_checkpoints import TOLD, read_all
+
+from soak.finding import Finding
+
+
+def refused_checkpoints() -> Finding:
+    """Read every kind of hostile and wrong file that the tests have."""
+    with TemporaryDirectory() as folder:
+        answers = read_all(Path(folder)).values()
+    accepted = [answer.name for answer in answers if answer.outcome != "WeightsError"]
+    acted = [answer.name for answer in answers if answer.events]
+    return Finding(
+        claim="every hostile or wrong weights file is refused",
+        done=f"{len(answers)} kinds of files",
+        result=f"{len(accepted)} accepted, {len(acted)} ran anything",
+        limit=f"{len(TOLD)} kinds; 0, 0",
+        is_met=len(answers) == len(TOLD) and not accepted and not acted,
+    )

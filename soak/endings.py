@@ -1,0 +1,105 @@
+"""Processes that are asked to end, or killed, at any moment of their life."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterable
+from random import Random
+
+from soak.finding import Finding, number_of
+from soak.subject import Subject, subject, subject_in
+from yolov5_lifecycle.ros.domain import own_domain
+
+_LIMIT_S = 5.0
+_END_S = 20.0
+_LONGEST_TRANSITION_S = 0.3
+
+Ending = tuple[signal.Signals, str]
+"""The signal, and a moment of `MOMENTS`."""
+
+
+def _in_state(state: str) -> Callable[[Subject], None]:
+    def reach(subject: Subject) -> None:
+        subject.bring_to(state)
+        if state == "active":
+            subject.look()
+
+    return reach
+
+
+def _during(label: str, state: str) -> Callable[[Subject], None]:
+    def reach(subject: Subject) -> None:
+        subject.bring_to(state)
+        subject.begin_transition(label)
+
+    return reach
+
+
+def _during_reload(subject: Subject) -> None:
+    subject.bring_to("active")
+    subject.begin_reload(416)
+
+
+MOMENTS = {
+    "unconfigured": _in_state("unconfigured"),
+    "inactive": _in_state("inactive"),
+    "active": _in_state("active"),
+    "configuring": _during("configure", "unconfigured"),
+    "activating": _during("activate", "inactive"),
+    "deactivating": _during("deactivate", "active"),
+    "cleaning up": _during("cleanup", "inactive"),
+    "reloading": _during_reload,
+}
+ENDINGS: tuple[Ending, ...] = tuple(
+    (number, moment) for number in (signal.SIGINT, signal.SIGTERM) for moment in MOMENTS
+)
+
+
+def clean_endings(endings: Iterable[Ending], seed: int) -> Finding:
+    """Ask a new process to end, each time at one moment; a transition is met somewhere on its way."""
+    random, wrong, times_s = Random(seed), [], []
+    for number, moment in endings:
+        with subject() as process:
+            _reach(process, moment, random)
+            begun_s = time.monotonic()
+            code = process.process.stop(number, timeout_s=_END_S)
+            times_s.append(time.monotonic() - begun_s)
+            if code != 0 or process.escaped or times_s[-1] > _LIMIT_S:
+                wrong.append(f"{number.name} {moment}: {code} after {times_s[-1]:.1f} s {process.escaped}")
+    return Finding(
+        claim="SIGINT and SIGTERM end the process cleanly at any moment",
+        done=f"{len(times_s)} processes, seed {seed}",
+        result=f"{number_of('wrong', wrong)}, longest {max(times_s):.1f} s",
+        limit=f"exit code 0 within {_LIMIT_S:g} s, no exception",
+        is_met=not wrong,
+    )
+
+
+def clean_restarts(moments: Iterable[str], seed: int) -> Finding:
+    """Kill a process at one moment; the next one in its domain must configure, activate and detect."""
+    random, restarts = Random(seed), 0
+    for moment in moments:
+        with own_domain() as domain:
+            with subject_in(domain) as killed:
+                _reach(killed, moment, random)
+                assert killed.process.stop(signal.SIGKILL) == -signal.SIGKILL
+            with subject_in(domain) as process:
+                process.bring_to("active")
+                process.look()
+                assert process.process.stop(signal.SIGTERM) == 0
+                assert process.escaped == []
+        restarts += 1
+    return Finding(
+        claim="a killed process is replaced by a clean one",
+        done=f"SIGKILL for {restarts} processes, seed {seed}",
+        result=f"{restarts} successors detected and ended with 0",
+        limit="all",
+        is_met=restarts > 0,
+    )
+
+
+def _reach(subject: Subject, moment: str, random: Random) -> None:
+    """Come there, and go on for as long as a transition may take, or less."""
+    MOMENTS[moment](subject)
+    time.sleep(random.uniform(0, _LONGEST_TRANSITION_S))

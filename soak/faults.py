@@ -1,0 +1,96 @@
+"""Inference that fails, hangs or loses its device, in the real node with the real model."""
+
+from __future__ import annotations
+
+from array import array
+
+from sensor_msgs.msg import Image
+
+from soak.faulty_detector import GREYS
+from soak.finding import Finding, number_of
+from soak.sender import Sender
+from soak.subject import Subject, subject
+from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
+
+_FAILING = ("raise", "out of memory", "NaN", "wrong shape")
+_SIDE_PX = 320
+_END_S = 10.0
+
+
+def survived_faults(subject: Subject, count: int) -> Finding:
+    """Every fault but the loss of the device, again and again in one process."""
+    subject.reset()
+    subject.bring_to("active")
+    sender = Sender(subject, "raw")
+    for _ in range(count):
+        for kind in _FAILING:
+            _fail(subject, sender, kind)
+            _detect_again(subject, sender)
+        sender.send(faulty_image("slow"))
+        sender.send_whole()
+        _hang(subject, sender)
+        _detect_again(subject, sender)
+    sender.close()
+    subject.reset()
+    return Finding(
+        claim="every fault of inference is survived",
+        done=f"{', '.join(_FAILING)}, slow, hang: {count} times each",
+        result=f"detects again each time, {number_of('exceptions', subject.escaped)}",
+        limit="without a new process; 0",
+        is_met=not subject.escaped,
+    )
+
+
+def ended_by_lost_devices(count: int) -> Finding:
+    """Processes whose device is lost, one after the other."""
+    codes = {_code_of_lost_device() for _ in range(count)}
+    return Finding(
+        claim="a lost device ends the process with its own code",
+        done=f"{count} processes",
+        result=f"exit codes {sorted(codes)}",
+        limit=f"{EXIT_DEVICE_LOST}, within {_END_S:g} s",
+        is_met=codes == {EXIT_DEVICE_LOST},
+    )
+
+
+def faulty_image(kind: str) -> Image:
+    """A picture that makes inference of the subject fail."""
+    data = array("B", bytes([GREYS[kind]]) * (3 * _SIDE_PX**2))
+    return Image(height=_SIDE_PX, width=_SIDE_PX, encoding="rgb8", step=3 * _SIDE_PX, data=data)
+
+
+def _code_of_lost_device() -> int:
+    with subject() as process:
+        process.bring_to("active")
+        sender = Sender(process, "raw")
+        # Until then the node may subscribe anew, and miss what is sent meanwhile.
+        process.observer.wait_for(
+            lambda: process.status()["image reliability"] == "reliable", "a reliable subscription"
+        )
+        sender.send(faulty_image("device lost"))
+        return process.process.wait(_END_S)
+
+
+def _fail(subject: Subject, sender: Sender, kind: str) -> None:
+    """Send pictures that fail until the node gives up."""
+
+    def has_given_up() -> bool:
+        sender.send(faulty_image(kind))
+        return subject.node.state() == "inactive"
+
+    subject.observer.wait_for(has_given_up, f"the node to give up after: {kind}")
+    assert "failed frames in a row" in subject.status()["last problem"]
+
+
+def _hang(subject: Subject, sender: Sender) -> None:
+    failed = int(subject.status()["frames failed"])
+    sender.send(faulty_image("hang"))
+    subject.observer.wait_for(lambda: subject.status()["frames pending"] == "1", "inference to hang")
+    assert subject.transition("deactivate")
+    assert int(subject.status()["frames failed"]) == failed + 1
+
+
+def _detect_again(subject: Subject, sender: Sender) -> None:
+    subject.bring_to("active")
+    sender.wait_until_heard()
+    sender.send_whole()

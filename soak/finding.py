@@ -1,0 +1,65 @@
+"""What a trial found, as a row of a table and as a file."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+_HEADS = ("claim", "what was done", "result", "limit", "ok")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One claim, what was done to shake it, what came of that, and the limit that decides."""
+
+    claim: str
+    done: str
+    result: str
+    limit: str
+    is_met: bool
+
+
+def found(name: str, trial: Callable[[], Finding]) -> Finding:
+    """What the trial `name` finds; one that cannot go on has failed, and says why."""
+    try:
+        return trial()
+    except Exception as error:  # noqa: BLE001 - told in the table; the other trials are still worth their time
+        traceback.print_exc()
+        first_line = str(error).partition("\n")[0]
+        return Finding(name, "broken off", f"{type(error).__name__}: {first_line}", "none", False)
+
+
+def number_of(what: str, cases: Sequence[str]) -> str:
+    """How many cases there were of `what`, and the first."""
+    return f"{len(cases)} {what}" + (f" (first: {cases[0][:200]})" if cases else "")
+
+
+def table(findings: Sequence[Finding]) -> str:
+    """All findings, one a line, in columns."""
+    rows = [_HEADS, *map(_cells, findings)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+    return "\n".join([lines[0], "-+-".join("-" * width for width in widths), *lines[1:]])
+
+
+def write_report(findings: Sequence[Finding], path: Path) -> None:
+    """All findings as JSON."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps([dataclasses.asdict(finding) for finding in findings], indent=2) + "\n")
+
+
+def _cells(finding: Finding) -> tuple[str, ...]:
+    return (
+        finding.claim,
+        finding.done,
+        finding.result,
+        finding.limit,
+        "yes" if finding.is_met else "NO",
+    )

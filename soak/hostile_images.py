@@ -1,0 +1,141 @@
+"""Images that are none: what a camera, a network or somebody with bad intentions may send."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from array import array
+from collections.abc import Callable
+from random import Random
+
+import cv2
+import numpy as np
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import CompressedImage, Image
+
+from soak.service_requests import Fuzz
+from yolov5_lifecycle.images import MAX_SIDE_PX
+
+_CHANNELS = {"rgb8": 3, "bgr8": 3, "mono8": 1, "rgba8": 4, "bgra8": 4}
+_ENCODINGS = (*_CHANNELS, "", "RGB8", "rgb8 ", "bayer_rggb8", "yuv422", "16UC1", "32FC3", "x" * 100_000)
+_NUMBERS = (0, 1, 2, 7, 48, 64, 640, MAX_SIDE_PX, MAX_SIDE_PX + 1, 2**31 - 1, 2**31, 2**32 - 1)
+_SIZES = (0, 1, 7, 191, 48 * 64, 48 * 64 * 3, 48 * 64 * 4, 1_000_000)
+MakeImage = Callable[[Fuzz], Image | CompressedImage | bytes]
+"""A message, or the bytes of one."""
+_ODD_SIZES_HW = ((1, 1), (1, MAX_SIDE_PX), (MAX_SIDE_PX, 1), (2, 3), (3, 4001), (1999, 5))
+_PNG_START = b"\x89PNG\r\n\x1a\n"
+_FOREIGN = (b"GIF89a", b"BM", b"II*\0", b"RIFF\0\0\0\0WEBPVP8 ", b"\0\0\0\x0cjP  ", b"%PDF-1.7", b"\x80\x04.")
+
+
+def hostile_image(fuzz: Fuzz) -> Image:
+    """A raw image with random fields that cannot be read."""
+    while True:
+        choose = fuzz.random.choice
+        message = Image(
+            height=choose(_NUMBERS),
+            width=choose(_NUMBERS),
+            step=choose((*_NUMBERS, 192)),
+            encoding=choose(_ENCODINGS),
+        )
+        fuzz.fill(message.header)
+        message.is_bigendian = fuzz.random.randrange(256)
+        message.data = array("B", bytes(choose(_SIZES)))
+        if not _is_readable(message):
+            return message
+
+
+def odd_image(fuzz: Fuzz) -> Image:
+    """A raw image that can be read, of a shape and with a header that no camera sends."""
+    height, width = fuzz.random.choice(_ODD_SIZES_HW)
+    message = Image(height=height, width=width, step=3 * width, encoding="bgr8")
+    fuzz.fill(message.header)
+    message.data = array("B", fuzz.random.randbytes(3 * width) * height)
+    return message
+
+
+def hostile_file(fuzz: Fuzz) -> CompressedImage:
+    """A compressed image that cannot be read: cut off before its pixels, foreign, or far too large."""
+    make = fuzz.random.choice([_cut_png, _beheaded_jpeg, _png_bomb, _jpeg_bomb, _noise, _foreign])
+    return _message(fuzz, make(fuzz.random))
+
+
+def damaged_file(fuzz: Fuzz) -> CompressedImage:
+    """A compressed image with wrong or missing bytes; some of its pixels may still be read."""
+    return _message(fuzz, _damaged(fuzz.random, _file(fuzz.random.choice([".jpg", ".png"]))))
+
+
+def damaged_message(fuzz: Fuzz) -> bytes:
+    """A small raw image as it goes over the wire, with wrong or missing bytes."""
+    message = Image(height=8, width=8, step=24, encoding="rgb8", data=array("B", bytes(8 * 24)))
+    return _damaged(fuzz.random, serialize_message(message))
+
+
+def _is_readable(image: Image) -> bool:
+    """The rule of sensor_msgs/Image, the last row with or without its padding."""
+    row = image.width * _CHANNELS.get(image.encoding, 0)
+    if not row or not image.height or max(image.height, image.width) > MAX_SIDE_PX:
+        return False
+    return bool(image.step >= row and len(image.data) >= image.step * (image.height - 1) + row)
+
+
+def _damaged(random: Random, whole: bytes) -> bytes:
+    data = bytearray(whole)
+    for _ in range(random.randint(1, 20)):
+        data[random.randrange(len(data))] = random.randrange(256)
+    return bytes(data[: random.choice([len(data), random.randrange(len(data))])])
+
+
+def _message(fuzz: Fuzz, data: bytes) -> CompressedImage:
+    message = CompressedImage(format=fuzz.random.choice(["jpeg", "png", "", "rgb8; jpeg compressed bgr8"]))
+    fuzz.fill(message.header)
+    message.data = array("B", data)
+    return message
+
+
+def _file(extension: str) -> bytes:
+    pixels = np.arange(48 * 64 * 3, dtype=np.uint8).reshape(48, 64, 3)
+    return bytes(cv2.imencode(extension, pixels)[1])
+
+
+def _cut_png(random: Random) -> bytes:
+    data = _file(".png")
+    return data[: random.randrange(len(data))]
+
+
+def _beheaded_jpeg(random: Random) -> bytes:
+    """Cut off before the frame header, which has the size."""
+    data = _file(".jpg")
+    return data[: random.randrange(data.index(b"\xff\xc0") + 9)]
+
+
+def _png_bomb(random: Random) -> bytes:
+    """A whole PNG of a few bytes that claims a huge picture."""
+    return _png(
+        *random.choice([(2**31 - 1, 2**31 - 1), (MAX_SIDE_PX, MAX_SIDE_PX), (1, MAX_SIDE_PX + 1), (0, 1)])
+    )
+
+
+def _jpeg_bomb(random: Random) -> bytes:
+    data = bytearray(_file(".jpg"))
+    sides = random.choice([(65535, 65535), (MAX_SIDE_PX, MAX_SIDE_PX), (1, 65535), (0, 64)])
+    struct.pack_into(">HH", data, data.index(b"\xff\xc0") + 5, *sides)
+    return bytes(data)
+
+
+def _noise(random: Random) -> bytes:
+    start = random.choice([b"", b"\xff\xd8", b"\xff\xd8\xff", _PNG_START])
+    return start + random.randbytes(random.choice([0, 1, 8, 40]))
+
+
+def _foreign(random: Random) -> bytes:
+    return random.choice(_FOREIGN) + bytes(random.randrange(200))
+
+
+def _png(height: int, width: int) -> bytes:
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    chunks = {b"IHDR": header, b"IDAT": zlib.compress(bytes(10_000)), b"IEND": b""}
+    return _PNG_START + b"".join(_chunk(name, data) for name, data in chunks.items())
+
+
+def _chunk(name: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))

@@ -1,0 +1,67 @@
+"""A camera that sends what it is told to."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import cv2
+from detector_process import NODE, scene_image
+from sensor_msgs.msg import CompressedImage, Image
+
+from soak.subject import Subject
+from yolov5_lifecycle.ros.messages import picture
+
+_PACE_S = 0.002
+"""An image that comes at once takes the place of the one before, which nobody would look at."""
+_ANSWER_S = 5.0
+_TRANSPORTS = {
+    "raw": (Image, f"{NODE}/image_raw"),
+    "compressed": (CompressedImage, f"{NODE}/image_raw/compressed"),
+}
+
+
+class Sender:
+    """Sends images to an active subject; `whole` counts those that can be read."""
+
+    def __init__(self, subject: Subject, transport: str) -> None:
+        self._subject = subject
+        self._transport = transport
+        self._publisher = subject.observer.create_publisher(*_TRANSPORTS[transport], 1)
+        self.whole = 0
+        self.wait_until_heard()
+
+    def wait_until_heard(self) -> None:
+        """Wait for the node to subscribe."""
+        self._subject.observer.wait_for(
+            lambda: self._publisher.get_subscription_count() > 0, "the node to subscribe"
+        )
+
+    def send(self, message: Any) -> None:
+        self._publisher.publish(message)
+        time.sleep(_PACE_S)
+
+    def send_whole(self) -> None:
+        """Send one that can be read, until it is detected."""
+        image = scene_image()
+        message = image if self._transport == "raw" else _compressed(image)
+        self._subject.detections.clear()
+        sent_s = float("-inf")
+
+        def is_detected() -> bool:
+            nonlocal sent_s
+            if time.monotonic() - sent_s > _ANSWER_S:
+                self.send(message)
+                self.whole += 1
+                sent_s = time.monotonic()
+            return any(detections.header == image.header for detections in self._subject.detections)
+
+        self._subject.observer.wait_for(is_detected, "the detections of a whole image")
+
+    def close(self) -> None:
+        self._subject.observer.destroy_publisher(self._publisher)
+
+
+def _compressed(image: Image) -> CompressedImage:
+    data = cv2.imencode(".jpg", picture(image).pixels)[1].tobytes()
+    return CompressedImage(header=image.header, format="jpeg", data=data)

@@ -1,0 +1,117 @@
+"""The process on trial, and its camera."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from detector_process import NODE, PARAMETERS, DetectorProcess, as_arguments, environment
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+
+from soak import faulty_detector
+from soak.balance import BalanceWatch
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.domain import own_domain
+from yolov5_lifecycle.ros.observer import Observer
+
+_UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
+_COMMAND = [sys.executable, faulty_detector.__file__, "--ros-args"]
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What a process holds of the machine."""
+
+    resident_mb: float
+    threads: int
+    files: int
+
+    @classmethod
+    def of(cls, process_id: int) -> Resources:
+        folder = Path(f"/proc/{process_id}")
+        status = dict(line.split(":", 1) for line in (folder / "status").read_text().splitlines())
+        return cls(
+            resident_mb=int(status["VmRSS"].split()[0]) / 1024,
+            threads=int(status["Threads"]),
+            files=len(list((folder / "fd").iterdir())),
+        )
+
+
+class Subject(DetectorProcess):
+    """A detector's process that is watched: its balances, and exceptions that reach its log."""
+
+    def __init__(self, process: ChildProcess, observer: Observer, domain: int) -> None:
+        self.balance = BalanceWatch()
+        self._escaped: dict[str, None] = {}
+        observer.create_subscription(DiagnosticArray, "/diagnostics", self._watch, 100)
+        super().__init__(process, observer, domain)
+
+    @property
+    def escaped(self) -> list[str]:
+        """Lines of the log that tell of an exception nobody expected."""
+        self._read_log()
+        return list(self._escaped)
+
+    def begin_transition(self, label: str) -> Any:
+        """Ask for a transition; the future of the answer."""
+        return self._raw_transitions.call_async(ChangeState.Request(transition=Transition(label=label)))
+
+    def begin_reload(self, image_size: int) -> Any:
+        """Ask for another size of the network's picture; the future of the answer."""
+        size = Parameter("image_size", value=image_size).to_parameter_msg()
+        return self._raw_parameters.call_async(SetParameters.Request(parameters=[size]))
+
+    def reset(self) -> None:
+        """Unconfigured, with every parameter and the clock as they were at the start."""
+        super().reset()
+        assert self.node.set_parameters(use_sim_time=False) == ""
+
+    def resources(self) -> Resources:
+        return Resources.of(self.process.process_id)
+
+    def _watch(self, message: DiagnosticArray) -> None:
+        (status,) = message.status
+        self.balance.take({value.key: value.value for value in status.values})
+        self._read_log()  # now, as it keeps only the last lines
+
+    def _read_log(self) -> None:
+        self._escaped |= dict.fromkeys(exceptions_in(self.process.output))
+
+
+def exceptions_in(log: str) -> list[str]:
+    """The lines of a detector's log that tell of an exception nobody expected."""
+    return [line for line in log.splitlines() if _UNEXPECTED.search(line)]
+
+
+@contextmanager
+def subject() -> Iterator[Subject]:
+    """A process with the embedded model, in a domain of its own."""
+    with own_domain() as domain, subject_in(domain) as subject:
+        yield subject
+
+
+@contextmanager
+def subject_in(domain: int) -> Iterator[Subject]:
+    command = [*_COMMAND, *as_arguments(PARAMETERS)]
+    with (
+        ChildProcess("detector", command, environment(domain)) as process,
+        closing(Observer("client", domain=domain, check=process.check_running)) as observer,
+    ):
+        yield Subject(process, observer, domain)
+
+
+@contextmanager
+def camera(domain: int, **parameters: object) -> Iterator[ChildProcess]:
+    """A camera's process that the detector can see."""
+    words = [entry_point("camera"), "--ros-args", "-r", f"image_raw:={NODE}/image_raw"]
+    with ChildProcess("camera", [*words, *as_arguments(parameters)], environment(domain)) as process:
+        yield process

@@ -1,0 +1,88 @@
+"""Every transition that can be asked for, in every primary state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from lifecycle_msgs.msg import Transition
+
+from soak.finding import Finding, number_of
+from soak.subject import Subject, subject
+
+Request = tuple[str, int]
+"""Label and number; the number counts when the label is empty."""
+
+_LEGAL = {
+    "unconfigured": {
+        ("configure", Transition.TRANSITION_CONFIGURE): "inactive",
+        ("shutdown", Transition.TRANSITION_UNCONFIGURED_SHUTDOWN): "finalized",
+    },
+    "inactive": {
+        ("activate", Transition.TRANSITION_ACTIVATE): "active",
+        ("cleanup", Transition.TRANSITION_CLEANUP): "unconfigured",
+        ("shutdown", Transition.TRANSITION_INACTIVE_SHUTDOWN): "finalized",
+    },
+    "active": {
+        ("deactivate", Transition.TRANSITION_DEACTIVATE): "inactive",
+        ("shutdown", Transition.TRANSITION_ACTIVE_SHUTDOWN): "finalized",
+    },
+}
+_LABELS = (
+    *("configure", "cleanup", "activate", "deactivate", "shutdown", "create", "destroy"),
+    *("transition_success", "transition_failure", "transition_error", "on_configure", "close"),
+    *("nonsense", "Configure", " configure", "configure\n", "конфигурация", "%s%n", "x" * 1_000_000),
+)
+_END_S = 5.0
+
+
+def answered_transitions(subject: Subject) -> Finding:
+    """Ask for every number and many labels in every state; those that end the process are left out."""
+    wrong, asked = [], 0
+    for state, (label, number), expected in _pairs():
+        if expected != "finalized":
+            subject.bring_to(state)
+            granted = subject.transition(label, number)
+            found = (granted, subject.node.state())
+            asked += 1
+            if found != (expected is not None, expected or state):
+                wrong.append(f"{state} {label[:20]!r} {number}: {found}")
+    return Finding(
+        claim="every transition in every state is answered",
+        done=f"{asked} pairs of state and transition",
+        result=f"{number_of('wrong answers or states', wrong)}, {number_of('exceptions', subject.escaped)}",
+        limit="0, 0",
+        is_met=not wrong and not subject.escaped,
+    )
+
+
+def answered_shutdowns(most: int | None = None) -> Finding:
+    """Ask for shutdown by label and by number in every state, each time a new process that must end.
+
+    `most`: how many of these pairs at most.
+    """
+    wrong = []
+    pairs = [(state, request) for state, request, expected in _pairs() if expected == "finalized"][:most]
+    for state, (label, number) in pairs:
+        with subject() as process:
+            process.bring_to(state)
+            granted, code = process.transition(label, number), process.process.wait(_END_S)
+            if (granted, code, process.escaped) != (True, 0, []):
+                wrong.append(f"{state} {label!r} {number}: {granted}, exit code {code}")
+    return Finding(
+        claim="shutdown in every state ends the process",
+        done=f"{len(pairs)} processes",
+        result=number_of("wrong answers or exit codes", wrong),
+        limit=f"0; exit code 0 within {_END_S:g} s",
+        is_met=not wrong,
+    )
+
+
+def _pairs() -> Iterator[tuple[str, Request, str | None]]:
+    """State, request, and the state that it should lead to, None when it must be refused."""
+    for state, legal in _LEGAL.items():
+        by_label = {label: after for (label, _), after in legal.items()}
+        by_number = {number: after for (_, number), after in legal.items()}
+        yield from ((state, ("", number), by_number.get(number)) for number in range(256))
+        yield from ((state, (label, 0), by_label.get(label)) for label in _LABELS)
+        # The label decides, whatever the number says.
+        yield from ((state, ("nonsense", number), None) for number in by_number)

@@ -1,0 +1,119 @@
+"""A short soak: the trials of `make soak` with small numbers, none of them judged by time or memory."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from soak.answer_times import answers_during_inference
+from soak.balance import BalanceWatch, exact_balance
+from soak.cycles import complete_cycles
+from soak.endings import clean_endings, clean_restarts
+from soak.faults import survived_faults
+from soak.finding import Finding, found, table
+from soak.images import rejected_files, rejected_images, survived_files, survived_messages
+from soak.mixed_life import mixed_life
+from soak.service_requests import answered_requests
+from soak.subject import Subject, exceptions_in, subject
+from soak.transitions import answered_shutdowns, answered_transitions
+
+IMAGES = 50
+SEED = 1
+
+
+@pytest.fixture(scope="module")
+def shared_subject() -> Iterator[Subject]:
+    with subject() as shared:
+        yield shared
+        assert exact_balance([shared.balance]).is_met
+
+
+@pytest.mark.parametrize(
+    "trial",
+    [
+        pytest.param(answered_transitions, id="transitions"),
+        pytest.param(lambda process: answered_requests(process, [SEED], 200), id="requests"),
+        pytest.param(lambda process: rejected_images(process, IMAGES, SEED), id="images"),
+        pytest.param(lambda process: rejected_files(process, IMAGES, SEED), id="files"),
+        pytest.param(lambda process: survived_files(process, IMAGES, SEED), id="damaged-files"),
+        pytest.param(lambda process: survived_messages(process, IMAGES, SEED), id="damaged-messages"),
+        pytest.param(lambda process: answers_during_inference(process, 20, is_timed=False), id="answers"),
+        pytest.param(lambda process: complete_cycles(process, 4, 4, weigh=False), id="cycles"),
+        pytest.param(lambda process: survived_faults(process, 1), id="faults"),
+    ],
+)
+def test_a_claim_holds_in_a_running_process(
+    trial: Callable[[Subject], Finding], shared_subject: Subject
+) -> None:
+    finding = trial(shared_subject)
+    assert finding.is_met, finding
+
+
+@pytest.mark.parametrize(
+    "trial",
+    [
+        pytest.param(lambda: answered_shutdowns(most=1), id="shutdowns"),
+        pytest.param(lambda: clean_endings([(signal.SIGTERM, "activating")], SEED), id="signals"),
+        pytest.param(lambda: clean_restarts(["active"], SEED), id="kill"),
+    ],
+)
+def test_a_claim_holds_over_processes(trial: Callable[[], Finding]) -> None:
+    finding = trial()
+    assert finding.is_met, finding
+
+
+def test_everything_at_random_leaves_a_node_that_detects() -> None:
+    with subject() as process:
+        finding = mixed_life(process, SEED, minutes=0)
+        assert finding.is_met, finding
+
+
+# The judges themselves
+
+
+def balances(*counts: tuple[int, int, int], state: str = "active") -> Finding:
+    """The finding about messages that tell so many received, detected and pending frames."""
+    watch = BalanceWatch()
+    others = dict.fromkeys(
+        (f"frames {end}" for end in ("stale", "rejected", "failed", "inactive", "skipped", "flushed")), "0"
+    )
+    for received, detected, pending in counts:
+        told = {"frames received": received, "frames detected": detected, "frames pending": pending}
+        watch.take({"state": state} | others | {name: str(count) for name, count in told.items()})
+    return exact_balance([watch])
+
+
+def test_a_frame_in_two_counts_or_in_none_is_noticed() -> None:
+    assert balances((3, 2, 1), (5, 4, 1)).is_met
+    assert not balances((3, 2, 0)).is_met
+    assert not balances((3, 4, -1)).is_met
+    assert not balances((4, 1, 3)).is_met
+    assert not balances((3, 3, 0), (3, 2, 1)).is_met
+    assert not balances((3, 2, 1), state="inactive").is_met
+    assert not balances().is_met
+
+
+@pytest.mark.parametrize(
+    ("line", "is_told"),
+    [
+        pytest.param("Traceback (most recent call last):", True, id="traceback"),
+        pytest.param("[ERROR] [yolov5]: unexpected KeyError in on_activate: 'x'", True, id="transition"),
+        pytest.param("[ERROR] [yolov5]: unexpected ValueError in a callback: x", True, id="callback"),
+        pytest.param("[ERROR] [yolov5]: activate refused: no such file", False, id="refusal"),
+        pytest.param("", False, id="nothing"),
+    ],
+)
+def test_an_unexpected_exception_in_the_log_is_noticed(line: str, is_told: bool) -> None:
+    assert bool(exceptions_in(f"[INFO] [yolov5]: unconfigured\n{line}\n")) is is_told
+
+
+def test_a_trial_that_breaks_off_has_failed_with_the_reason() -> None:
+    def broken() -> Finding:
+        raise ValueError("no ground under it\nmore")
+
+    finding = found("bridge", broken)
+    assert not finding.is_met
+    assert "bridge" in table([finding])
+    assert "ValueError: no ground under it" in table([finding])
