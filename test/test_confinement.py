@@ -192,6 +192,14 @@ def test_a_packaged_model_may_be_allowed(
         assert "does not lie in a folder" in reason
 
 
+def test_configure_refuses_weights_from_outside(serve: Callable[..., ServedNode], root: Path) -> None:
+    with serve(root / "outside" / MODEL, f"['{root}/inside']") as served:
+        assert not served.transition("configure")
+        served.wait_for_log(f"configure refused: {root}/outside/{MODEL}: it does not lie in a folder")
+        assert served.set(weights=str(root / "inside" / MODEL)) == (True, "")
+        assert served.transition("configure")
+
+
 def test_folders_that_are_none_hold_configure_until_the_process_is_started_anew(
     serve: Callable[..., ServedNode], root: Path
 ) -> None:

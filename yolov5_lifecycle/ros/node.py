@@ -18,7 +18,7 @@ from yolov5_lifecycle.ros.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.loading import ModelLoader, Preparation
 from yolov5_lifecycle.ros.outputs import Outputs
 from yolov5_lifecycle.ros.pipeline import model_problems
-from yolov5_lifecycle.ros.preparation import Prepare, prepare_model
+from yolov5_lifecycle.ros.preparation import Prepare, check_place, prepare_model
 from yolov5_lifecycle.ros.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.status import Status
@@ -141,8 +141,14 @@ class DetectorNode(LifecycleNode):
                 "\n  ".join([f"configure refused, {len(problems)} problem(s) in the parameters:", *problems])
             )
             return FAILURE
+        settings = parameters.settings()
+        try:
+            check_place(settings)
+        except ValueError as error:
+            self.report(f"configure refused: {error}")
+            return FAILURE
         self.get_logger().info("configured with\n" + parameters.table())
-        self._settings = parameters.settings()
+        self._settings = settings
         self._outputs = Outputs(self, on_listeners_changed=self._follow_listeners)
         self._problem = ""
         return super().on_configure(state)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
+from yolov5_lifecycle.confinement import confined
 from yolov5_lifecycle.detector import Detector, load_detector
 from yolov5_lifecycle.memory import give_back_memory
 from yolov5_lifecycle.setting import Change
@@ -65,7 +66,7 @@ def prepare_model(settings: Settings) -> PreparedModel:
         weights=resolve_package(settings.weights),
         weights_dir=Path(resolve_package(settings.weights_dir)),
         model_size=settings.model_size,
-        weights_dirs=[Path(resolve_package(folder)) for folder in settings.weights_dirs],
+        weights_dirs=_folders(settings),
     )
     weights = load_weights(path, sha256=settings.weights_sha256)
     detector = load_detector(
@@ -77,6 +78,16 @@ def prepare_model(settings: Settings) -> PreparedModel:
     )
     detector.warm_up()
     return PreparedModel(settings, detector, weights.path, weights.sha256)
+
+
+def check_place(settings: Settings) -> None:
+    """Raise ValueError if the weights would come from outside `weights_dirs`; looks for no file."""
+    if folders := _folders(settings):
+        confined(Path(resolve_package(settings.weights or settings.weights_dir)), folders)
+
+
+def _folders(settings: Settings) -> list[Path]:
+    return [Path(resolve_package(folder)) for folder in settings.weights_dirs]
 
 
 def resolve_package(path: str) -> str:
