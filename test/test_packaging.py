@@ -19,7 +19,7 @@ from packaging.utils import canonicalize_name
 
 REPOSITORY = Path(__file__).parents[1]
 PACKAGE = "yolov5_lifecycle"
-COMMANDS = ("camera", "convert", "demo", "detector")
+COMMANDS = ("camera", "convert", "demo", "detector", "fetch_weights")
 SHARED_FOLDERS = ("config", "launch", "weights")
 SETS = ("constraints.txt", "constraints-apt.txt")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 import stat
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,16 +38,16 @@ def find_weights(*, weights: str, weights_dir: Path, model_size: str) -> Path:
     A leading ~ is the home folder. Raises WeightsError when there is none.
     """
     if weights:
-        return _expanded(Path(weights))
-    folder = _expanded(weights_dir)
+        return expanded(Path(weights))
+    folder = expanded(weights_dir)
     tried = [folder / f"yolov5{model_size}{suffix}" for suffix in (".safetensors", ".pt")]
     for path in tried:
         if os.path.lexists(path):
             return path
     raise WeightsError(
         f"no weights for model_size '{model_size}': neither {tried[0]} nor {tried[1]} is there. "
-        "Put one of them into that folder, or set the parameter `weights` to a path; "
-        "the command `convert` makes a .safetensors of a .pt."
+        f"`fetch_weights {model_size} --dir {shlex.quote(str(folder))}` downloads the official ones; "
+        "in a workspace with `ros2 run yolov5_lifecycle` before it. Or set the parameter `weights` to a path."
     )
 
 
@@ -68,7 +69,8 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
         raise WeightsError(f"{path}: there is not enough memory to read it; free some.") from None
 
 
-def _expanded(path: Path) -> Path:
+def expanded(path: Path) -> Path:
+    """`path` with a leading ~ as the home folder; raises WeightsError when there is none."""
     try:
         return path.expanduser()
     except RuntimeError:
