@@ -13,11 +13,10 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from colcon_workspace import PACKAGE, REPOSITORY, published_files
+from colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-COMMANDS = ("camera", "convert", "demo", "detector", "fetch_weights")
 SHARED_FOLDERS = ("config", "launch", "weights")
 SETS = ("constraints.txt", "constraints-apt.txt")
 
