@@ -1,16 +1,18 @@
-# The node on apt's ROS 2 Jazzy. Never built by the tests, which have no container engine: read it as a recipe. What the
-# tests do check, with the same numpy and OpenCV, is `make test SET=apt`; and colcon builds this folder in every run.
+# The nodes on apt's ROS 2 Jazzy. Never built by the tests, which have no container engine: docs/docker.md tells what
+# they do check instead.
 #
 #   docker build -t yolov5_lifecycle .
-#   docker run --rm --network host --ipc host yolov5_lifecycle
-#   ros2 lifecycle set /yolov5 configure
-FROM ros:jazzy-ros-base
+#   docker run --rm --network host --ipc host -v yolov5_weights:/home/ubuntu/.ros/yolov5 yolov5_lifecycle fetch_weights n
+#   docker run --rm --network host --ipc host -v yolov5_weights:/home/ubuntu/.ros/yolov5 yolov5_lifecycle
+#
+# For the same image every time, give both bases by digest, ros@sha256:...; apt keeps no old versions to pin.
+ARG BUILD_BASE=ros:jazzy-ros-base
+ARG BASE=ros:jazzy-ros-core
 
+FROM ${BUILD_BASE} AS build
 RUN apt-get update \
- && apt-get install -y --no-install-recommends \
-      python3-opencv python3-venv ros-jazzy-rmw-fastrtps-cpp ros-jazzy-vision-msgs \
+ && apt-get install -y --no-install-recommends python3-numpy python3-venv \
  && rm -rf /var/lib/apt/lists/*
-
 # torch, pydantic 2 and safetensors are not in apt. The environment sees apt's packages, and its numpy stays apt's.
 # PIP_FLAGS tells pip where to find the CPU build of torch; without it the image holds CUDA as well.
 ARG PIP_FLAGS=""
@@ -18,11 +20,28 @@ WORKDIR /workspace/src/yolov5_lifecycle
 COPY requirements requirements
 RUN python3 -m venv --system-site-packages /opt/venv \
  && /opt/venv/bin/pip install --no-cache-dir ${PIP_FLAGS} -c requirements/constraints-apt.txt pydantic safetensors torch
-
 COPY . .
 WORKDIR /workspace
 # The interpreter that runs colcon goes into the first line of the executables: this environment's, which has torch.
 RUN . /opt/ros/jazzy/setup.sh && /opt/venv/bin/python /usr/bin/colcon build
 
-RUN sed -i '$ i source /workspace/install/setup.bash' /ros_entrypoint.sh
-CMD ["ros2", "run", "yolov5_lifecycle", "detector"]
+FROM ${BASE}
+RUN apt-get update \
+ && apt-get install -y --no-install-recommends \
+      python3-numpy python3-opencv ros-jazzy-rmw-fastrtps-cpp ros-jazzy-vision-msgs \
+ && rm -rf /var/lib/apt/lists/*
+COPY --from=build /opt/venv /opt/venv
+COPY --from=build /workspace/install /workspace/install
+COPY docker/entrypoint /entrypoint
+
+# The user that Ubuntu 24.04 brings, number 1000. Shared memory with the host's nodes needs their number: --user.
+RUN install -d -o ubuntu -g ubuntu /home/ubuntu/.ros /home/ubuntu/.ros/yolov5
+USER ubuntu
+ENV HOME=/home/ubuntu
+VOLUME /home/ubuntu/.ros/yolov5
+
+ENV YOLOV5_NODE=/yolov5
+HEALTHCHECK --interval=30s --timeout=20s --start-period=60s \
+  CMD /entrypoint ros2 lifecycle get --no-daemon "$YOLOV5_NODE" | grep -q '^active'
+ENTRYPOINT ["/entrypoint"]
+CMD ["detector", "--ros-args", "-p", "autostart:=true"]

@@ -50,6 +50,7 @@ setup(
             f"convert = {name}.convert:main",
             f"demo = {name}.ros.demo:main",
             f"detector = {name}.ros.detector:main",
+            f"fetch_weights = {name}.fetch_weights:main",
         ]
     },
 )

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from colcon_workspace import REPOSITORY, build_workspace
 from hypothesis import settings
 
 from yolov5_lifecycle.ros.domain import isolated, own_domain
@@ -14,8 +15,6 @@ from yolov5_lifecycle.ros.domain import isolated, own_domain
 # A busy machine is no failure of an example.
 settings.register_profile("suite", deadline=None)
 settings.load_profile("suite")
-
-REPOSITORY = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="session")
@@ -36,6 +35,14 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture(scope="session")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A colcon workspace in which the package has been built."""
+    folder = tmp_path_factory.mktemp("workspace")
+    build_workspace(folder)
+    return folder
 
 
 @pytest.fixture

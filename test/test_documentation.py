@@ -17,11 +17,13 @@ from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
 from yolov5_lifecycle.ros.camera_settings import CameraSettings
 from yolov5_lifecycle.ros.parameters import coerced
 from yolov5_lifecycle.scene import CLASS_NAMES
-from yolov5_lifecycle.settings import SETTINGS, SettingsError, validated
+from yolov5_lifecycle.settings import SETTINGS, SettingsError, meant_setting, validated
 
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
 TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
+LAUNCH = REPOSITORY / "docs" / "launch.md"
+MIGRATION = REPOSITORY / "docs" / "migration.md"
 PAGES = [
     README,
     *(REPOSITORY / name for name in ("CONTRIBUTING.md", "SECURITY.md")),
@@ -157,6 +159,57 @@ def test_the_readme_shows_how_an_unknown_class_is_refused() -> None:
     with pytest.raises(ClassFilterError) as refused:
         class_ids(["circel"], CLASS_NAMES)
     assert f"Setting parameter failed: classes: {refused.value}" in README.read_text()
+
+
+def declared_arguments(launch_file: str) -> dict[str, str]:
+    """Name and default, as far as that is written out, of every launch argument."""
+    calls = [
+        node
+        for node in ast.walk(ast.parse((REPOSITORY / "launch" / launch_file).read_text()))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "DeclareLaunchArgument"
+    ]
+    return {
+        ast.literal_eval(call.args[0]): getattr(call.keywords[0].value, "value", "a file") for call in calls
+    }
+
+
+def test_the_launch_arguments_are_those_of_the_page() -> None:
+    declared = declared_arguments("yolov5.launch.py")
+    rows = {row[0].strip("`"): row[1].strip("`") for row in table(LAUNCH, "The detector")}
+    assert rows.keys() == declared.keys()
+    written = {name: default for name, default in declared.items() if default not in ("", "a file")}
+    assert written.items() <= rows.items()
+
+
+@every_page
+def test_a_launch_argument_that_is_given_exists(page: Path) -> None:
+    for command in typed(page):
+        if found := re.match(r"ros2 launch yolov5_lifecycle (\S+) ?(.*)", command):
+            assert set(re.findall(r"(\w+):=", found[2])) <= declared_arguments(found[1]).keys()
+
+
+@pytest.mark.parametrize("node", re.findall(r"^## (.*)$", MIGRATION.read_text(), re.MULTILINE))
+def test_a_name_that_another_node_is_led_to_exists_here(node: str) -> None:
+    known = (
+        {setting.name for setting in SETTINGS}
+        | {row[0].partition(" ")[2].strip("`") for row in table(README, "Topics")}
+        | {"yolov5"}
+    )
+    named = {name for row in table(MIGRATION, node) for name in re.findall(r"`([^`]+)`", row[1])}
+    assert named <= known
+
+
+def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() -> None:
+    settings = {setting.name for setting in SETTINGS}
+    rows = [
+        row
+        for row in table(MIGRATION, "yolo_ros (mgonzs13/yolo_ros)")
+        if row[1].strip("`") in settings and "service" not in row[0]
+    ]
+    assert len(rows) > 5
+    for row in rows:
+        for name in re.findall(r"`([^`]+)`", row[0]):
+            assert meant_setting(name) == row[1].strip("`")
 
 
 def test_every_reason_for_silence_is_explained() -> None:

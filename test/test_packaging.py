@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import os
 import runpy
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,46 +13,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-REPOSITORY = Path(__file__).parents[1]
-PACKAGE = "yolov5_lifecycle"
-COMMANDS = ("camera", "convert", "demo", "detector")
 SHARED_FOLDERS = ("config", "launch", "weights")
 SETS = ("constraints.txt", "constraints-apt.txt")
-
-
-def published_files() -> list[Path]:
-    """What a clone of the working tree would hold, relative to the repository."""
-    listing = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=REPOSITORY,
-        capture_output=True,
-        check=True,
-    )
-    names = listing.stdout.decode().split("\0")
-    return [Path(name) for name in names if (REPOSITORY / name).is_file()]
-
-
-@pytest.fixture(scope="session")
-def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A colcon workspace in which the package has been built."""
-    workspace = tmp_path_factory.mktemp("workspace")
-    for file in published_files():
-        copy = workspace / "src" / PACKAGE / file
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(REPOSITORY / file, copy)
-    colcon = Path(sys.executable).with_name("colcon")
-    build = subprocess.run(
-        [colcon, "build"],
-        cwd=workspace,
-        env=os.environ | {"COLCON_HOME": str(workspace / "home")},
-        capture_output=True,
-        text=True,
-    )
-    assert build.returncode == 0, build.stdout + build.stderr
-    return workspace
 
 
 @pytest.fixture

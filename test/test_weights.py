@@ -70,8 +70,14 @@ def test_when_nothing_is_found_both_paths_and_the_remedy_are_named(tmp_path: Pat
     with pytest.raises(WeightsError) as refused:
         find_weights(weights="", weights_dir=tmp_path, model_size="m6")
     message = str(refused.value)
-    for part in (tmp_path / "yolov5m6.safetensors", tmp_path / "yolov5m6.pt", "`weights`", "`convert`"):
+    for part in (tmp_path / "yolov5m6.safetensors", tmp_path / "yolov5m6.pt", "`weights`"):
         assert str(part) in message
+    assert f"`fetch_weights m6 --dir {tmp_path}`" in message
+
+
+def test_the_remedy_can_be_typed_for_a_folder_with_a_space(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match=r"`fetch_weights n --dir '.*/my models'`"):
+        find_weights(weights="", weights_dir=tmp_path / "my models", model_size="n")
 
 
 def test_a_link_to_nowhere_is_found_and_then_told(tmp_path: Path) -> None:

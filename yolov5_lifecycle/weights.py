@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
+import shlex
 import stat
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -41,7 +42,7 @@ def find_weights(
     A leading ~ is the home folder. Raises WeightsError when there is none, and unless the file lies in one of
     `weights_dirs`, if there are any.
     """
-    located = functools.partial(confined, folders=weights_dirs) if weights_dirs else _expanded
+    located = functools.partial(confined, folders=weights_dirs) if weights_dirs else expanded
     if weights:
         return located(Path(weights))
     folder = located(weights_dir)
@@ -51,8 +52,8 @@ def find_weights(
             return located(path)
     raise WeightsError(
         f"no weights for model_size '{model_size}': neither {tried[0]} nor {tried[1]} is there. "
-        "Put one of them into that folder, or set the parameter `weights` to a path; "
-        "the command `convert` makes a .safetensors of a .pt."
+        f"`fetch_weights {model_size} --dir {shlex.quote(str(folder))}` downloads the official ones; "
+        "in a workspace with `ros2 run yolov5_lifecycle` before it. Or set the parameter `weights` to a path."
     )
 
 
@@ -74,7 +75,8 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
         raise WeightsError(f"{path}: there is not enough memory to read it; free some.") from None
 
 
-def _expanded(path: Path) -> Path:
+def expanded(path: Path) -> Path:
+    """`path` with a leading ~ as the home folder; raises WeightsError when there is none."""
     try:
         return path.expanduser()
     except RuntimeError:

@@ -1,0 +1,122 @@
+"""The configurations for other programs are valid and name what the node really has."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import shlex
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
+from detector_process import NODE
+
+from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
+from yolov5_lifecycle.settings import SETTINGS
+
+CONFIG = REPOSITORY / "config"
+UNIT = CONFIG / "yolov5.service"
+
+
+def constants() -> set[str]:
+    """Every text in the sources of the nodes."""
+    return {
+        node.value
+        for file in (REPOSITORY / PACKAGE / "ros").glob("*.py")
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+
+
+def topics() -> set[str]:
+    return {
+        f"{NODE}{text.removeprefix('~')}" if text.startswith("~/") else text
+        for text in constants()
+        if re.fullmatch(r"(~/|/)[a-z_/]+", text)
+    }
+
+
+def values(tree: Any, key: str) -> Iterator[Any]:
+    """Whatever stands under `key`, at any depth."""
+    if isinstance(tree, dict):
+        for name, value in tree.items():
+            if name == key:
+                yield value
+            yield from values(value, key)
+    elif isinstance(tree, list):
+        for value in tree:
+            yield from values(value, key)
+
+
+def test_the_node_has_the_name_that_the_configurations_use() -> None:
+    assert NODE.removeprefix("/") in constants()
+    assert {f"{NODE}/image", f"{NODE}/image_raw", f"{NODE}/detections", "/diagnostics"} <= topics()
+
+
+def test_rviz_shows_images_of_the_node() -> None:
+    layout = yaml.safe_load((CONFIG / "yolov5.rviz").read_text())["Visualization Manager"]
+    shown = [display["Topic"]["Value"] for display in layout["Displays"]]
+    assert shown == [f"{NODE}/image", f"{NODE}/image_raw"]
+    assert set(shown) <= topics()
+    assert {display["Class"] for display in layout["Displays"]} == {"rviz_default_plugins/Image"}
+
+
+def test_foxglove_shows_every_panel_once_and_topics_of_the_node() -> None:
+    layout = json.loads((CONFIG / "foxglove.json").read_text())
+    text = json.dumps(layout["layout"])
+    assert all(text.count(json.dumps(panel)) == 1 for panel in layout["configById"])
+    named = [*values(layout, "imageTopic"), *values(layout, "topicPath"), *values(layout, "topicToRender")]
+    assert len(named) == 3
+    assert {name.partition(".")[0] for name in named} <= topics()
+    assert list(values(layout, "selectedHardwareId")) == [NODE]
+
+
+def test_the_manager_of_nav2_leads_the_node_without_a_bond() -> None:
+    (parameters,) = yaml.safe_load((CONFIG / "nav2_lifecycle_manager.yaml").read_text()).values()
+    assert parameters["ros__parameters"] == {
+        "node_names": [NODE.removeprefix("/")],
+        "autostart": True,
+        "bond_timeout": 0.0,
+    }
+    assert isinstance(parameters["ros__parameters"]["bond_timeout"], float), "nav2 declares a double"
+
+
+def unit() -> dict[str, list[str]]:
+    entries: dict[str, list[str]] = {}
+    for line in UNIT.read_text().splitlines():
+        if line and line[0] not in "#[":
+            key, _, value = line.partition("=")
+            entries.setdefault(key, []).append(value)
+    return entries
+
+
+def test_systemd_starts_the_detector_of_a_workspace() -> None:
+    (command,) = unit()["ExecStart"]
+    shell, option, script = shlex.split(command)
+    assert (shell, option) == ("/bin/bash", "-c")
+    assert subprocess.run(["bash", "-n", "-c", script]).returncode == 0
+    (executable,) = re.findall(rf"install/{PACKAGE}/lib/{PACKAGE}/(\w+)", script)
+    assert executable in COMMANDS
+    assert set(re.findall(r"-p (\w+):=", script)) <= {setting.name for setting in SETTINGS}
+    variables = {entry.partition("=")[0] for entry in unit()["Environment"]}
+    assert set(re.findall(r"\$(\w+)", script)) <= variables
+
+
+def test_systemd_restarts_what_has_failed_alone() -> None:
+    assert unit()["Restart"] == ["on-failure"]
+    assert EXIT_DEVICE_LOST != 0
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+def test_systemd_understands_the_unit(tmp_path: Path) -> None:
+    copy = shutil.copy(UNIT, tmp_path)
+    run = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", copy], capture_output=True, text=True, timeout=60
+    )
+    assert "yolov5.service:" not in run.stderr, run.stderr

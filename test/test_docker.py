@@ -1,0 +1,150 @@
+"""The image's recipe agrees with the package; whether it builds is not tried here."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from importlib.metadata import distribution
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from test_packaging import pins
+
+from yolov5_lifecycle.ros.camera_settings import CameraSettings
+from yolov5_lifecycle.settings import SETTINGS, Settings
+
+ENTRYPOINT = REPOSITORY / "docker" / "entrypoint"
+SHARE = f"/workspace/install/{PACKAGE}/share/{PACKAGE}/"
+FROM_APT = {"numpy"}
+
+
+def instructions() -> list[tuple[str, str]]:
+    """The Dockerfile's instructions and their arguments, lines joined, comments left out."""
+    text = re.sub(r"^#.*\n", "", (REPOSITORY / "Dockerfile").read_text(), flags=re.MULTILINE)
+    lines = text.replace("\\\n", " ").splitlines()
+    return [(line.partition(" ")[0], line.partition(" ")[2].strip()) for line in lines if line]
+
+
+def arguments_of(name: str) -> list[str]:
+    return [argument for instruction, argument in instructions() if instruction == name]
+
+
+def pip_installs() -> list[list[str]]:
+    """The words behind every `pip install`."""
+    return [
+        shlex.split(command)
+        for run in arguments_of("RUN")
+        for command in re.findall(r"pip install ([^&|;]*)", run)
+    ]
+
+
+def services() -> dict[str, Any]:
+    found: dict[str, Any] = yaml.safe_load((REPOSITORY / "compose.yaml").read_text())["services"]
+    return found
+
+
+def test_every_package_from_pip_is_one_of_the_apt_constraints() -> None:
+    assert pip_installs()
+    for words in pip_installs():
+        constraints = Path(words[words.index("-c") + 1])
+        assert constraints == Path("requirements/constraints-apt.txt")
+        assert ("COPY", "requirements requirements") in instructions()
+        names = [word for word in words if re.fullmatch(r"[a-z][a-z0-9]*", word)]
+        assert set(names) <= pins(constraints.name).keys()
+        assert set(names) == {word for word in words if not re.match(r"-|\$|requirements/", word)}
+
+
+def test_what_setup_asks_for_is_installed() -> None:
+    needed = {canonicalize_name(Requirement(line).name) for line in distribution(PACKAGE).requires or []}
+    installed = {word for words in pip_installs() for word in words}
+    brought_by_pydantic = {"annotated-types", "pydantic-core"}
+    assert needed - brought_by_pydantic - FROM_APT <= installed
+    assert all(f"python3-{name}" in arguments_of("RUN")[-2] for name in FROM_APT)
+
+
+def test_the_image_runs_without_root_and_keeps_weights_where_the_node_looks() -> None:
+    (user,) = arguments_of("USER")
+    (volume,) = arguments_of("VOLUME")
+    assert user != "root"
+    assert Settings().weights_dir.replace("~", f"/home/{user}") == volume
+    assert any(volume in run and f"-o {user}" in run for run in arguments_of("RUN"))
+
+
+def test_every_base_is_an_argument_with_a_default() -> None:
+    defaults = dict(argument.split("=") for argument in arguments_of("ARG") if "BASE" in argument)
+    bases = [argument.split()[0].strip("${}") for argument in arguments_of("FROM")]
+    assert set(bases) == defaults.keys()
+    assert all(re.fullmatch(r"ros:jazzy-[\w-]+", base) for base in defaults.values())
+
+
+def test_what_is_copied_is_not_ignored() -> None:
+    ignored = (REPOSITORY / ".dockerignore").read_text().splitlines()
+    copied = {"setup.py", "setup.cfg", "package.xml", "resource", PACKAGE, "config", "launch", "weights"}
+    named = {source.split()[0] for source in arguments_of("COPY") if not source.startswith("--from")}
+    tops = copied | {Path(name).parts[0] for name in named if name != "."}
+    assert {file.parts[0] for file in published_files()} >= tops
+    assert tops.isdisjoint(ignored)
+
+
+def check_command(words: list[str]) -> None:
+    """`words` behind the entry point name an executable, parameters and files that exist."""
+    assert words[0] in COMMANDS
+    allowed = {
+        "detector": {setting.name for setting in SETTINGS},
+        "camera": set(CameraSettings.model_fields),
+    }[words[0]]
+    assert set(re.findall(r"-p (\w+):=", " ".join(words))) <= allowed
+    files = [word.removeprefix(SHARE) for word in words if word.startswith("/workspace")]
+    assert [file for file in files if not (REPOSITORY / file).is_file()] == []
+
+
+def test_the_image_starts_the_detector() -> None:
+    (command,) = arguments_of("CMD")
+    check_command(json.loads(command))
+    assert arguments_of("ENTRYPOINT") == ['["/entrypoint"]']
+
+
+@pytest.mark.parametrize("name", ["camera", "detector"])
+def test_a_service_of_compose_starts_a_node_that_shares_memory(name: str) -> None:
+    service = services()[name]
+    check_command(service["command"].split())
+    assert (service["network_mode"], service["ipc"]) == ("host", "host")
+    profile = service["environment"]["FASTRTPS_DEFAULT_PROFILES_FILE"]
+    assert (REPOSITORY / profile.removeprefix(SHARE)).is_file()
+
+
+def test_compose_keeps_the_weights_in_the_volume_of_the_image() -> None:
+    (mount,) = services()["detector"]["volumes"]
+    assert mount.split(":")[1] in arguments_of("VOLUME")
+
+
+def test_a_node_that_is_not_active_is_not_healthy() -> None:
+    (check,) = arguments_of("HEALTHCHECK")
+    pattern = shlex.split(check.partition("| grep -q ")[2])[0]
+    states = ["unconfigured [1]", "inactive [2]", "active [3]", "Node not found"]
+    assert [state for state in states if re.search(pattern, state)] == ["active [3]"]
+    assert dict(entry.split("=") for entry in arguments_of("ENV"))["YOLOV5_NODE"] == "/yolov5"
+
+
+def entered(workspace: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = {"PATH": os.environ["PATH"], "WORKSPACE": str(workspace), "AMENT_PREFIX_PATH": sys.prefix}
+    return subprocess.run([ENTRYPOINT, *words], env=environment, capture_output=True, text=True)
+
+
+def test_the_entry_point_runs_executables_by_name_and_anything_else(workspace: Path) -> None:
+    assert "c d.pt: expected a name that ends" in entered(workspace, "convert", "a.pt", "c d.pt").stderr
+    assert entered(workspace, "echo", "two  blanks").stdout == "two  blanks\n"
+    prefix = entered(workspace, "printenv", "AMENT_PREFIX_PATH").stdout
+    assert prefix.startswith(str(workspace / "install" / PACKAGE))
+    nothing = entered(workspace)
+    assert nothing.returncode != 0
+    assert "an executable, such as detector" in nothing.stderr

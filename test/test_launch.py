@@ -1,0 +1,176 @@
+"""The launch files: what they name exists, and where launch_ros is installed they start what they should."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import os
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+import yaml
+from colcon_workspace import PACKAGE, REPOSITORY
+from detector_process import PARAMETERS, environment
+from vision_msgs.msg import Detection2DArray
+
+from yolov5_lifecycle.ros.child_process import ChildProcess
+from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
+
+FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
+DETECTOR, DEMO = (REPOSITORY / "launch" / f"{name}.launch.py" for name in ("yolov5", "demo"))
+FROM_ROS = {"launch", "launch_ros"}
+LAUNCH = """
+import sys
+from launch import LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+service = LaunchService()
+service.include_launch_description(
+    IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(sys.argv[1]),
+        launch_arguments=[word.split(":=") for word in sys.argv[2:]],
+    )
+)
+sys.exit(service.run())
+"""
+
+every_file = pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
+with_launch = pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in FROM_ROS),
+    reason="launch and launch_ros are not installed",
+)
+
+
+def calls(file: Path, name: str) -> list[dict[str, ast.expr]]:
+    """The arguments of every call of `name`, the first one under ''."""
+    return [
+        {"": node.args[0] if node.args else ast.Constant("")}
+        | {keyword.arg or "": keyword.value for keyword in node.keywords}
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == name
+    ]
+
+
+def texts(node: ast.AST) -> list[str]:
+    return [
+        part.value
+        for part in ast.walk(node)
+        if isinstance(part, ast.Constant) and isinstance(part.value, str)
+    ]
+
+
+@every_file
+def test_a_launch_file_imports_launch_alone(file: Path) -> None:
+    modules = {
+        (node.module or "").partition(".")[0]
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.ImportFrom)
+    }
+    assert modules == FROM_ROS
+    compile(file.read_text(), file, "exec")
+
+
+@every_file
+def test_every_argument_is_declared_described_and_used(file: Path) -> None:
+    declared = [texts(call[""])[0] for call in calls(file, "DeclareLaunchArgument")]
+    assert all(texts(call["description"]) != [""] for call in calls(file, "DeclareLaunchArgument"))
+    assert sorted(declared) == sorted({texts(call[""])[0] for call in calls(file, "LaunchConfiguration")})
+
+
+@every_file
+def test_a_file_of_the_package_that_is_named_exists(file: Path) -> None:
+    named = [
+        Path(*(text for text in texts(call[""]) if text != PACKAGE))
+        for call in calls(file, "PathJoinSubstitution")
+    ]
+    assert named
+    assert [path for path in named if not (REPOSITORY / path).is_file()] == []
+
+
+@contextmanager
+def launched(file: Path, workspace: Path, domain: int, *arguments: str) -> Iterator[ChildProcess]:
+    """The launch file, started with the built package."""
+    prefix = workspace / "install" / PACKAGE
+    variables = environment(domain) | {"AMENT_PREFIX_PATH": f"{prefix}{os.pathsep}{sys.prefix}"}
+    command = [sys.executable, "-W", "ignore", "-c", LAUNCH, str(file), *arguments]
+    with ChildProcess("launch", command, variables) as process:
+        yield process
+        assert process.stop(signal.SIGINT, timeout_s=30) == 0, process.output
+
+
+@with_launch
+def test_the_demo_detects(workspace: Path, ros_domain: int) -> None:
+    with (
+        launched(DEMO, workspace, ros_domain, "rviz:=False") as process,
+        closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
+    ):
+        received: list[Detection2DArray] = []
+        observer.create_subscription(Detection2DArray, "/yolov5/detections", received.append, 10)
+        observer.wait_for(lambda: any(message.detections for message in received), "detections")
+
+
+@with_launch
+@pytest.mark.parametrize(
+    ("autostart", "state"),
+    [("true", "active"), ("True", "active"), ("false", "unconfigured"), ("False", "unconfigured")],
+)
+def test_the_node_of_a_namespace_starts_as_asked(
+    workspace: Path, ros_domain: int, tmp_path: Path, autostart: str, state: str
+) -> None:
+    parameters = tmp_path / "parameters.yaml"
+    parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": PARAMETERS | {"lazy": False}}}))
+    arguments = {
+        "namespace": "robot",
+        "image": "/camera/image_raw",
+        "params_file": str(parameters),
+        "autostart": autostart,
+        "log_level": "warn",
+    }
+    words = [f"{name}:={value}" for name, value in arguments.items()]
+    with (
+        launched(DETECTOR, workspace, ros_domain, *words) as process,
+        closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
+    ):
+        node = RemoteLifecycleNode(observer, "/robot/yolov5")
+        node.wait_until_reachable()
+        observer.wait_for(lambda: node.state() == state, f"the state {state}")
+        subscribers = 1 if state == "active" else 0
+        observer.wait_for(
+            lambda: observer.count_subscribers("/camera/image_raw") == subscribers, "the subscription"
+        )
+
+
+@with_launch
+def test_a_start_that_fails_is_told_and_the_node_stays(
+    workspace: Path, ros_domain: int, tmp_path: Path
+) -> None:
+    parameters = tmp_path / "parameters.yaml"
+    parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"weights_dir": str(tmp_path)}}}))
+    with (
+        launched(DETECTOR, workspace, ros_domain, f"params_file:={parameters}") as process,
+        closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
+    ):
+        process.wait_for_output(f"`fetch_weights n --dir {tmp_path}`", 60)
+        node = RemoteLifecycleNode(observer, "/yolov5")
+        node.wait_until_reachable()
+        observer.wait_for(lambda: node.state() == "inactive", "the state inactive")
+
+
+@with_launch
+def test_a_process_that_dies_is_started_anew(workspace: Path, ros_domain: int, tmp_path: Path) -> None:
+    parameters = tmp_path / "parameters.yaml"
+    parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": PARAMETERS}}))
+    arguments = [f"params_file:={parameters}", "respawn:=True"]
+    with (
+        launched(DETECTOR, workspace, ros_domain, *arguments) as process,
+        closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
+    ):
+        process.wait_for_output("active with weights", 60)
+        (process_id,) = re.findall(r"process started with pid \[(\d+)\]", process.output)
+        os.kill(int(process_id), signal.SIGKILL)
+        observer.wait_for(lambda: process.output.count("active with weights") == 2, "the second process")

@@ -1,0 +1,153 @@
+"""Command `fetch_weights SIZE`: an official checkpoint into the folder where the detector looks for it."""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from yolov5_lifecycle.architecture import SIZES
+from yolov5_lifecycle.convert import convert, report
+from yolov5_lifecycle.download import DownloadError, Progress, download
+from yolov5_lifecycle.model import WeightsError
+from yolov5_lifecycle.settings import Settings
+from yolov5_lifecycle.weights import MAX_FILE_BYTES, WeightsFile, expanded, load_weights
+
+URL = "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5{size}.pt"
+URL_VARIABLE = "YOLOV5_WEIGHTS_URL"
+_LICENCE = "The official YOLOv5 weights are by Ultralytics, under AGPL-3.0 or a licence bought from them.\n"
+_STALL_S = 30.0
+_UNFINISHED = ".partial.pt"
+
+
+def fetch(
+    size: str,
+    folder: Path,
+    *,
+    url: str = URL,
+    sha256: str = "",
+    stall_s: float = _STALL_S,
+    progress: Progress = lambda done_bytes, total_bytes: None,
+) -> WeightsFile:
+    """The checkpoint yolov5`size`.pt in `folder`, downloaded unless it is there.
+
+    `url` has `{size}` in it, which is filled in. What lies there afterwards is whole, readable and, with
+    `sha256`, has that digest. An unfinished download is kept beside it and continued by the next call.
+    Raises DownloadError, WeightsError or OSError.
+    """
+    target = folder / f"yolov5{size}.pt"
+    if os.path.lexists(target):
+        return load_weights(target, sha256=sha256)
+    if "{size}" not in url:
+        raise DownloadError(f"{url}: expected an address with {{size}} in it, as in {URL}")
+    folder.mkdir(parents=True, exist_ok=True)
+    with _alone(folder):
+        unfinished = target.with_suffix(_UNFINISHED)
+        address = url.replace("{size}", size)
+        try:
+            with unfinished.open("ab") as file:
+                download(address, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
+                file.flush()
+                os.fsync(file.fileno())
+        except DownloadError as error:
+            raise DownloadError(f"{error}. Or copy {target.name} into {folder} by other means.") from None
+        fetched = _checked(unfinished, address, sha256)
+        unfinished.replace(target)
+    return replace(fetched, path=target.resolve())
+
+
+def listing(folder: Path) -> str:
+    """The weights files in `folder`, one a line with its size; unfinished downloads are marked."""
+    files = sorted(path for suffix in (".pt", ".safetensors") for path in folder.glob(f"*{suffix}"))
+    if not files:
+        return f"no weights in {folder}; `fetch_weights n --dir {folder}` gets the smallest.\n"
+    return "".join(
+        f"{path.stat().st_size / 1e6:8.1f} MB  {path}"
+        f"{'  (unfinished: fetch it again)' if path.name.endswith(_UNFINISHED) else ''}\n"
+        for path in files
+        if path.is_file()
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    if arguments.list == (arguments.size is not None):
+        parser.error("give a SIZE, or --list")
+    try:
+        folder = expanded(arguments.dir)
+        if arguments.list:
+            sys.stdout.write(listing(folder))
+            return 0
+        sys.stderr.write(_LICENCE)
+        found = fetch(
+            arguments.size, folder, url=arguments.url, sha256=arguments.sha256, progress=_progress()
+        )
+        if arguments.safetensors:
+            found = convert(found.path, found.path.with_suffix(".safetensors"), overwrite=True)
+    except (DownloadError, WeightsError, OSError) as error:
+        sys.stderr.write(f"fetch_weights: {error}\n")
+        return 1
+    except KeyboardInterrupt:
+        sys.stderr.write("\nfetch_weights: interrupted; give the command again, it goes on from there\n")
+        return 130
+    sys.stdout.write(report(found))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="fetch_weights", description="Download an official YOLOv5 checkpoint. " + _LICENCE
+    )
+    parser.add_argument("size", nargs="?", choices=SIZES, metavar="SIZE", help=f"one of {', '.join(SIZES)}")
+    parser.add_argument("--list", action="store_true", help="only show which weights are in the folder")
+    parser.add_argument(
+        "--dir",
+        type=Path,
+        default=Path(Settings().weights_dir),
+        help="folder for the file, the detector's parameter weights_dir (default: %(default)s)",
+    )
+    parser.add_argument("--sha256", default="", metavar="HEX", help="accept only a file with this digest")
+    parser.add_argument("--safetensors", action="store_true", help="convert the file to .safetensors as well")
+    parser.add_argument(
+        "--url",
+        default=os.environ.get(URL_VARIABLE) or URL,
+        help="address with {size} in it, for a mirror; so is the environment variable "
+        f"{URL_VARIABLE} (default: %(default)s)",
+    )
+    return parser
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Two that append to one file would spoil it."""
+    with (folder / ".fetch_weights.lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DownloadError(f"another fetch_weights is at work in {folder}: wait for its end") from None
+        yield
+
+
+def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
+    """What was downloaded, if it is a model; else it is removed, since nothing can be continued from it."""
+    try:
+        return load_weights(path, sha256=sha256)
+    except WeightsError as error:
+        path.unlink()
+        raise WeightsError(f"{url}: {str(error).removeprefix(f'{path}: ')}") from None
+
+
+def _progress() -> Progress:
+    return _show_progress if sys.stderr.isatty() else lambda done_bytes, total_bytes: None
+
+
+def _show_progress(done_bytes: int, total_bytes: int | None) -> None:
+    of_total = f" of {total_bytes / 1e6:.1f}" if total_bytes else ""
+    end = "\n" if done_bytes == total_bytes else ""
+    sys.stderr.write(f"\r{done_bytes / 1e6:.1f}{of_total} MB{end}")
