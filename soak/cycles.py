@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from soak.finding import Finding, number_of
 from soak.subject import Resources, Subject, camera
@@ -14,7 +14,8 @@ _MAX_GROWTH_MB = 5.0
 def complete_cycles(subject: Subject, count: int, warm_up: int, *, weigh: bool = True) -> Finding:
     """Configure, activate, detect, deactivate, clean up, under a camera; memory counts if `weigh`.
 
-    What the process holds is compared after `warm_up` cycles and at the end: the most of some cycles each.
+    What the process holds is compared after `warm_up` cycles and at the end, over some cycles each. A thread
+    may be about to end when it is counted: the least at the end must not be more than the most before.
     """
     subject.reset()
     held: list[Resources] = []
@@ -26,15 +27,15 @@ def complete_cycles(subject: Subject, count: int, warm_up: int, *, weigh: bool =
             subject.bring_to("unconfigured")
             held.append(subject.resources())
     first, last = _parts(held[warm_up:])
-    growth_mb = _most(last, lambda has: has.resident_mb) - _most(first, lambda has: has.resident_mb)
-    threads = [_most(part, lambda has: has.threads) for part in (first, last)]
-    files = [_most(part, lambda has: has.files) for part in (first, last)]
+    growth_mb = max(has.resident_mb for has in last) - max(has.resident_mb for has in first)
+    threads = max(has.threads for has in first), min(has.threads for has in last)
+    files = max(has.files for has in first), min(has.files for has in last)
     is_constant = threads[0] >= threads[1] and files[0] >= files[1]
     return Finding(
         claim="full lifecycle cycles leave nothing behind",
         done=f"{count} cycles at {_RATE_HZ:g} Hz after {warm_up} of warm-up",
-        result=f"0 failed; RSS {growth_mb:+.1f} MB, threads {threads[0]:g} -> {threads[1]:g}, "
-        f"files {files[0]:g} -> {files[1]:g}; {number_of('exceptions', subject.escaped)}",
+        result=f"0 failed; RSS {growth_mb:+.1f} MB, threads {threads[0]} -> {threads[1]}, "
+        f"files {files[0]} -> {files[1]}; {number_of('exceptions', subject.escaped)}",
         limit=f"RSS {f'< {_MAX_GROWTH_MB:+g} MB' if weigh else 'not judged'}, threads and files constant",
         is_met=is_constant and (growth_mb < _MAX_GROWTH_MB or not weigh) and not subject.escaped,
     )
@@ -44,7 +45,3 @@ def _parts(held: Sequence[Resources]) -> tuple[Sequence[Resources], Sequence[Res
     """A tenth, two at least, at the beginning and at the end."""
     size = max(len(held) // 10, 2)
     return held[:size], held[-size:]
-
-
-def _most(held: Sequence[Resources], what: Callable[[Resources], float]) -> float:
-    return max(map(what, held))
