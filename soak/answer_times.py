@@ -19,14 +19,13 @@ def answers_during_inference(subject: Subject, count: int, *, is_timed: bool = T
     """Ask for the state and for a parameter in turn; unless `is_timed`, time is not judged."""
     subject.reset()
     subject.bring_to("active")
-    times_ms = []
+    node, times_ms = subject.node, []
+    questions = (lambda: node.state() == "active", lambda: node.parameter("lazy") is True)
     with camera(subject.domain, rate=_RATE_HZ, width=640, height=480):
         subject.observer.wait_for(lambda: bool(subject.detections), "detections")
         for index in range(count):
             begun_s = time.monotonic()
-            assert (
-                (subject.node.parameter("lazy") is True) if index % 2 else (subject.node.state() == "active")
-            )
+            assert questions[index % 2]()
             times_ms.append((time.monotonic() - begun_s) * 1e3)
             subject.observer.work_for(0.002)
         detected = len(subject.detections)

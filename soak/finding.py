@@ -33,6 +33,16 @@ def found(name: str, trial: Callable[[], Finding]) -> Finding:
         return Finding(name, "broken off", f"{type(error).__name__}: {first_line}", "none", False)
 
 
+def problem(trial: Callable[[], None]) -> str:
+    """Why one trial of many has failed, "" when it has not; the others go on."""
+    try:
+        trial()
+    except (AssertionError, RuntimeError, TimeoutError) as error:
+        traceback.print_exc()
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
 def number_of(what: str, cases: Sequence[str]) -> str:
     """How many cases there were of `what`, and the first."""
     return f"{len(cases)} {what}" + (f" (first: {cases[0][:200]})" if cases else "")

@@ -24,6 +24,7 @@ from yolov5_lifecycle.ros.domain import own_domain
 from yolov5_lifecycle.ros.observer import Observer
 
 _UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
+_START_S = 120.0
 _COMMAND = [sys.executable, faulty_detector.__file__, "--ros-args"]
 
 
@@ -102,11 +103,10 @@ def subject() -> Iterator[Subject]:
 @contextmanager
 def subject_in(domain: int) -> Iterator[Subject]:
     command = [*_COMMAND, *as_arguments(PARAMETERS)]
-    with (
-        ChildProcess("detector", command, environment(domain)) as process,
-        closing(Observer("client", domain=domain, check=process.check_running)) as observer,
-    ):
-        yield Subject(process, observer, domain)
+    with ChildProcess("detector", command, environment(domain)) as process:
+        process.wait_for_output("go on with", _START_S)
+        with closing(Observer("client", domain=domain, check=process.check_running)) as observer:
+            yield Subject(process, observer, domain)
 
 
 @contextmanager

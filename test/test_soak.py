@@ -27,6 +27,7 @@ SEED = 1
 def shared_subject() -> Iterator[Subject]:
     with subject() as shared:
         yield shared
+        shared.status()  # one balance at least
         assert exact_balance([shared.balance]).is_met
 
 
