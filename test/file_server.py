@@ -7,10 +7,10 @@ import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-Behaviour = Callable[["Request"], None]
+Behaviour = Callable[["ServedRequest"], None]
 
 
-class Request(BaseHTTPRequestHandler):
+class ServedRequest(BaseHTTPRequestHandler):
     """One request, answered by the behaviour of its server."""
 
     server: FileServer
@@ -39,7 +39,7 @@ class FileServer(ThreadingHTTPServer):
     """
 
     def __init__(self, behaviour: Behaviour) -> None:
-        super().__init__(("127.0.0.1", 0), Request)
+        super().__init__(("127.0.0.1", 0), ServedRequest)
         self.behaviour = behaviour
         self.requests: list[tuple[str, str]] = []
         self.closing = threading.Event()
@@ -53,7 +53,7 @@ class FileServer(ThreadingHTTPServer):
         self._thread.start()
         return self
 
-    def wait(self, _: Request) -> None:
+    def wait(self, _: ServedRequest) -> None:
         """A behaviour: no word, for as long as the server lives."""
         self.closing.wait()
 
@@ -72,7 +72,7 @@ def sending(body: bytes, **options: object) -> Behaviour:
 def sending_ranges(body: bytes) -> Behaviour:
     """As a good server does: from the byte on that is asked for."""
 
-    def behave(request: Request) -> None:
+    def behave(request: ServedRequest) -> None:
         asked = re.fullmatch(r"bytes=(\d+)-", request.headers.get("Range", ""))
         start = int(asked[1]) if asked else 0
         if start >= len(body):
@@ -89,7 +89,7 @@ def sending_ranges(body: bytes) -> Behaviour:
 def stalling(body: bytes, sent_bytes: int) -> Behaviour:
     """The beginning, and then nothing for as long as the server lives."""
 
-    def behave(request: Request) -> None:
+    def behave(request: ServedRequest) -> None:
         request.answer(body[:sent_bytes], length=len(body))
         request.server.wait(request)
 

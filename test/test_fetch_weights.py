@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import os
@@ -14,7 +15,7 @@ from urllib.request import Request
 
 import pytest
 from checkpoint_builder import official_model, saved, stripped
-from file_server import Behaviour, FileServer, redirecting, sending, sending_ranges, stalling
+from file_server import Behaviour, FileServer, ServedRequest, redirecting, sending, sending_ranges, stalling
 from random_model import CLASS_NAMES
 
 from yolov5_lifecycle.download import DownloadError, SafeRedirects, download
@@ -125,8 +126,8 @@ def test_a_file_that_was_cut_is_continued(folder: Path, checkpoint: bytes) -> No
 
 def test_a_stall_ends_and_what_came_is_kept(folder: Path, checkpoint: bytes) -> None:
     with FileServer(stalling(checkpoint, 1 << 15)) as server:
-        with pytest.raises(DownloadError, match=r"nothing came for 0\.2 s, after 32768 bytes"):
-            fetch_from(server, folder, stall_s=0.2)
+        with pytest.raises(DownloadError, match="nothing came for 3 s, after 32768 bytes"):
+            fetch_from(server, folder, stall_s=3)  # long enough for the beginning on a busy machine
         assert unfinished(folder).stat().st_size == 1 << 15
         server.behaviour = sending_ranges(checkpoint)
         assert fetch_from(server, folder).path.read_bytes() == checkpoint
@@ -220,16 +221,14 @@ def test_an_error_of_the_server_is_told_with_the_address_and_another_way(folder:
 
 @pytest.mark.parametrize("announced", [True, False], ids=["announced", "found out"])
 def test_more_than_the_limit_is_not_taken(tmp_path: Path, announced: bool) -> None:
-    def endless(request: object) -> None:
-        request.send_response(200)  # type: ignore[attr-defined]
+    def endless(request: ServedRequest) -> None:
+        request.send_response(200)
         if announced:
-            request.send_header("Content-Length", str(10**12))  # type: ignore[attr-defined]
-        request.end_headers()  # type: ignore[attr-defined]
-        try:
+            request.send_header("Content-Length", str(10**12))
+        request.end_headers()
+        with contextlib.suppress(OSError):
             while True:
-                request.wfile.write(bytes(1 << 16))  # type: ignore[attr-defined]
-        except OSError:
-            pass
+                request.wfile.write(bytes(1 << 16))
 
     with FileServer(endless) as server, (tmp_path / "file").open("ab") as file:
         with pytest.raises(DownloadError, match="at most 1000000 are taken"):
@@ -237,21 +236,9 @@ def test_more_than_the_limit_is_not_taken(tmp_path: Path, announced: bool) -> No
         assert file.tell() <= 10**6 + (1 << 14)
 
 
-def closed_port() -> int:
-    with socket.socket() as momentary:
-        momentary.bind(("127.0.0.1", 0))
-        return int(momentary.getsockname()[1])
-
-
 @pytest.mark.parametrize(
     ("url", "told"),
     [
-        pytest.param(
-            f"http://127.0.0.1:{closed_port()}/{{size}}.pt", "no answer ([Errno 111]", id="nobody there"
-        ),
-        pytest.param(
-            "http://nowhere.invalid/{size}.pt", "check the address and the network", id="no such host"
-        ),
         pytest.param("http://[/{size}.pt", "Invalid IPv6 URL", id="no address"),
         pytest.param("file:///etc/{size}", "begins with https:// or http://", id="another scheme"),
         pytest.param("yolov5{size}.pt", "begins with https:// or http://", id="no scheme"),
@@ -267,11 +254,21 @@ def test_an_address_that_cannot_be_used_is_one_line(
     assert told in line
 
 
+def test_a_server_that_is_not_there_is_told(folder: Path) -> None:
+    with socket.socket() as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{deaf.getsockname()[1]}/{{size}}.pt"
+        with pytest.raises(
+            DownloadError, match=r"no answer \(.*refused\); check the address and the network"
+        ):
+            fetch("n", folder, url=url)
+
+
 def test_two_at_a_time_do_not_mix_their_files(folder: Path, checkpoint: bytes) -> None:
-    def second(request: object) -> None:
+    def second(request: ServedRequest) -> None:
         with pytest.raises(DownloadError, match="another fetch_weights is at work"):
             fetch_from(server, folder)
-        sending(checkpoint)(request)  # type: ignore[arg-type]
+        sending(checkpoint)(request)
 
     with FileServer(second) as server:
         assert fetch_from(server, folder).path.read_bytes() == checkpoint

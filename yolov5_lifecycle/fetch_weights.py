@@ -47,18 +47,21 @@ def fetch(
         raise DownloadError(f"{url}: expected an address with {{size}} in it, as in {URL}")
     folder.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
-        unfinished = target.with_suffix(_UNFINISHED)
-        address = url.replace("{size}", size)
-        try:
-            with unfinished.open("ab") as file:
-                download(address, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
-                file.flush()
-                os.fsync(file.fileno())
-        except DownloadError as error:
-            raise DownloadError(f"{error}. Or copy {target.name} into {folder} by other means.") from None
-        fetched = _checked(unfinished, address, sha256)
-        unfinished.replace(target)
-    return replace(fetched, path=target.resolve())
+        return _downloaded(url.replace("{size}", size), target, sha256, stall_s, progress)
+
+
+def _downloaded(url: str, target: Path, sha256: str, stall_s: float, progress: Progress) -> WeightsFile:
+    unfinished = target.with_suffix(_UNFINISHED)
+    try:
+        with unfinished.open("ab") as file:
+            download(url, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
+            file.flush()
+            os.fsync(file.fileno())
+    except DownloadError as error:
+        raise DownloadError(f"{error}. Or copy {target.name} into {target.parent} by other means.") from None
+    downloaded = _checked(unfinished, url, sha256)
+    unfinished.replace(target)
+    return replace(downloaded, path=target.resolve())
 
 
 def listing(folder: Path) -> str:
@@ -80,24 +83,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.list == (arguments.size is not None):
         parser.error("give a SIZE, or --list")
     try:
-        folder = expanded(arguments.dir)
-        if arguments.list:
-            sys.stdout.write(listing(folder))
-            return 0
-        sys.stderr.write(_LICENCE)
-        found = fetch(
-            arguments.size, folder, url=arguments.url, sha256=arguments.sha256, progress=_progress()
-        )
-        if arguments.safetensors:
-            found = convert(found.path, found.path.with_suffix(".safetensors"), overwrite=True)
+        sys.stdout.write(_run(arguments))
     except (DownloadError, WeightsError, OSError) as error:
         sys.stderr.write(f"fetch_weights: {error}\n")
         return 1
     except KeyboardInterrupt:
         sys.stderr.write("\nfetch_weights: interrupted; give the command again, it goes on from there\n")
         return 130
-    sys.stdout.write(report(found))
     return 0
+
+
+def _run(arguments: argparse.Namespace) -> str:
+    """Do what is asked for; what there is to tell."""
+    folder = expanded(arguments.dir)
+    if arguments.list:
+        return listing(folder)
+    sys.stderr.write(_LICENCE)
+    found = fetch(arguments.size, folder, url=arguments.url, sha256=arguments.sha256, progress=_progress())
+    if arguments.safetensors:
+        found = convert(found.path, found.path.with_suffix(".safetensors"), overwrite=True)
+    return report(found)
 
 
 def _parser() -> argparse.ArgumentParser:
