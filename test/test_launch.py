@@ -25,10 +25,12 @@ FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
 DETECTOR, DEMO = (REPOSITORY / "launch" / f"{name}.launch.py" for name in ("yolov5", "demo"))
 FROM_ROS = {"launch", "launch_ros"}
 LAUNCH = """
+import signal
 import sys
 from launch import LaunchService
 from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever starts the tests may ignore it
 service = LaunchService()
 service.include_launch_description(
     IncludeLaunchDescription(
@@ -99,8 +101,11 @@ def launched(file: Path, workspace: Path, domain: int, *arguments: str) -> Itera
     variables = environment(domain) | {"AMENT_PREFIX_PATH": f"{prefix}{os.pathsep}{sys.prefix}"}
     command = [sys.executable, "-W", "ignore", "-c", LAUNCH, str(file), *arguments]
     with ChildProcess("launch", command, variables) as process:
-        yield process
-        assert process.stop(signal.SIGINT, timeout_s=30) == 0, process.output
+        try:
+            yield process
+        finally:  # killed, it would leave its nodes behind
+            code = process.stop(signal.SIGINT, timeout_s=30)
+        assert code == 0, process.output
 
 
 @with_launch
