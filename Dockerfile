@@ -19,7 +19,8 @@ ARG PIP_FLAGS=""
 WORKDIR /workspace/src/yolov5_lifecycle
 COPY requirements requirements
 RUN python3 -m venv --system-site-packages /opt/venv \
- && /opt/venv/bin/pip install --no-cache-dir ${PIP_FLAGS} -c requirements/constraints-apt.txt pydantic safetensors torch
+ && /opt/venv/bin/pip install --no-cache-dir ${PIP_FLAGS} -c requirements/constraints-apt.txt \
+      onnx onnxruntime pydantic safetensors torch
 COPY . .
 WORKDIR /workspace
 # The interpreter that runs colcon goes into the first line of the executables: this environment's, which has torch.
