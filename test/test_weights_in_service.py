@@ -13,6 +13,7 @@ from random_model import TINY, random_model, random_network
 from served_node import ServedNode
 
 from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.ros.domain import own_domain
 from yolov5_lifecycle.ros.preparation import prepare_model
 from yolov5_lifecycle.safetensors_file import write_safetensors
 from yolov5_lifecycle.settings import SETTINGS
@@ -100,7 +101,7 @@ def test_a_swap_to_a_model_without_a_filtered_class_is_explained(served: ServedN
 
 
 def test_dumped_parameters_fed_back_reproduce_the_configuration(
-    served: ServedNode, good: Path, tmp_path: Path
+    served: ServedNode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert served.set(classes=["0"], confidence_threshold=0.5, lazy=False, max_rate=3.0) == (True, "")
     served.bring_to("active")
@@ -108,6 +109,9 @@ def test_dumped_parameters_fed_back_reproduce_the_configuration(
     values = {setting.name: served.get(setting.name) for setting in SETTINGS}
     dump = tmp_path / "dump.yaml"
     dump.write_text(yaml.dump({"/yolov5": {"ros__parameters": values | {"use_sim_time": False}}}))
-    with ServedNode(prepare_model, arguments=["--ros-args", "--params-file", str(dump)]) as again:
-        again.bring_to("inactive")
-        assert again.values()["configuration"] == digest
+    # In one domain a request would be answered by both nodes of this name.
+    with own_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        with ServedNode(prepare_model, arguments=["--ros-args", "--params-file", str(dump)]) as again:
+            again.bring_to("inactive")
+            assert again.values()["configuration"] == digest
