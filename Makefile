@@ -53,7 +53,7 @@ install: $(PACKAGE)
 
 demo: $(PACKAGE)
 	@mkdir -p build/demo
-	@$(VENV)/bin/demo
+	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo
 
 test: $(PACKAGE)
 	$(VENV)/bin/python -m pytest $(PYTEST_FLAGS)
