@@ -80,7 +80,7 @@ clean:
 $(DEPENDENCIES): requirements/environment.txt requirements/pins.txt $(CONSTRAINTS)
 	@command -v $(PYTHON) > /dev/null || { echo "PYTHON=$(PYTHON): no such program; name a Python 3.10 to 3.13" >&2; exit 1; }
 	@$(PYTHON) requirements/check_machine.py $(SET)
-	@echo "Installing the pinned packages into $(VENV): about 1.5 GB, some minutes the first time."
+	@echo "Installing the pinned packages into $(VENV): about 2 GB, some minutes the first time."
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/environment.txt -c $(CONSTRAINTS)
