@@ -63,7 +63,7 @@ bench: $(PACKAGE)
 
 # It drives the detector with what the tests drive it with.
 soak: $(PACKAGE)
-	PYTHONPATH=test $(VENV)/bin/python -m soak $(SOAK_FLAGS)
+	PYTHONPATH=test XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/python -m soak $(SOAK_FLAGS)
 
 lint: $(PACKAGE)
 	$(VENV)/bin/ruff check .

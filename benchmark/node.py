@@ -32,8 +32,6 @@ class Passage:
     latencies_ms: list[float]
     rate_hz: float
     cpu_ms_per_frame: float
-    cpu_share: float
-    """Of one core."""
 
 
 class DetectorNode:
@@ -77,7 +75,7 @@ class DetectorNode:
             taken_s, cpu_s = time.monotonic() - begun_s, self._cpu_s() - cpu_begun_s
         self._observer.destroy_subscription(subscription)
         latencies_ms = [sighting.latency_ms for sighting in seen]
-        return Passage(latencies_ms, len(seen) / taken_s, 1e3 * cpu_s / len(seen), cpu_s / taken_s)
+        return Passage(latencies_ms, len(seen) / taken_s, 1e3 * cpu_s / len(seen))
 
     def idle_cpu_share(self, picture: Path, *, rate_hz: float, duration_s: float) -> float:
         """Share of a core that the active node takes while a camera runs and nobody listens."""

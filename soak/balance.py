@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from detector_process import is_balanced
+from detector_process import MOST_PENDING, is_balanced
 
 from soak.finding import Finding, number_of
-
-_UNDER_WAY = 2
-"""One frame waits, one is in work."""
 
 
 class BalanceWatch:
@@ -27,8 +24,8 @@ class BalanceWatch:
         pending, received = counts.pop("frames pending"), counts["frames received"]
         counts.pop("frames lost", None)
         fallen = [name for name, count in counts.items() if count < self._counts.get(name, 0)]
-        under_way = _UNDER_WAY if values["state"] == "active" else 0
-        if not is_balanced(values) or not 0 <= pending <= under_way or fallen:
+        under_way = MOST_PENDING if values["state"] == "active" else 0
+        if not is_balanced(values) or pending > under_way or fallen:
             self.problems.append(f"{values}, fallen: {fallen}")
         self.told, self.received, self._counts = self.told + 1, received, counts
 
@@ -41,6 +38,6 @@ def exact_balance(watches: Sequence[BalanceWatch]) -> Finding:
         claim="every frame is in exactly one count",
         done=f"{told} diagnostics of {len(watches)} processes, {received} frames",
         result=number_of("unbalanced", problems),
-        limit="0; at most 2 frames under way, none unless active",
+        limit=f"0; at most {MOST_PENDING} frames under way, none unless active",
         is_met=told > 0 and not problems,
     )

@@ -40,6 +40,8 @@ WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"
 PARAMETERS: dict[str, object] = {"weights": WEIGHTS, "image_size": 320, "device": "cpu"}
 SEED = 8
 SCENE = Scene(SEED, (240, 320))
+MOST_PENDING = 2
+"""Frames under way: one waits, one is in work."""
 _ANSWER_S = 2.0
 _STEPS = {
     ("unconfigured", "inactive"): "configure",
@@ -192,6 +194,7 @@ def scene_truth(index: int = 0, *, scene: Scene = SCENE) -> Sighting:
 
 
 def is_balanced(status: Mapping[str, str]) -> bool:
-    """Whether every frame received is in exactly one count."""
+    """Whether every frame received is in exactly one count, and no more are under way than can be."""
     ends = [*(outcome.value for outcome in Outcome), "pending"]
-    return int(status["frames received"]) == sum(int(status[f"frames {end}"]) for end in ends)
+    counts = [int(status[f"frames {end}"]) for end in ends]
+    return int(status["frames received"]) == sum(counts) and 0 <= counts[-1] <= MOST_PENDING
