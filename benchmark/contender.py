@@ -86,10 +86,12 @@ def _call_of(task: Task) -> Callable[[], object]:
 
 def _serve() -> None:
     fields = json.loads(sys.argv[1])
-    call = _call_of(Task(**fields | {"picture_hw": tuple(fields["picture_hw"])}))
+    task = Task(**fields | {"picture_hw": tuple(fields["picture_hw"])})
+    call = _call_of(task)
     for line in sys.stdin:
         times_ms = []
         for _ in range(int(line)):
+            time.sleep(task.pause_s)
             begun_s = time.perf_counter()
             call()
             times_ms.append(1e3 * (time.perf_counter() - begun_s))

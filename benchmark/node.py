@@ -70,12 +70,13 @@ class DetectorNode:
             self._observer.wait_for(lambda: bool(seen), "the first detections")
             self._observer.work_for(_SETTLING_S)
             seen.clear()
-            begun_s, cpu_begun_s = time.monotonic(), self._cpu_s()
+            cpu_begun_s = self._cpu_s()
             self._observer.wait_for(lambda: len(seen) >= frames, f"{frames} detections")
-            taken_s, cpu_s = time.monotonic() - begun_s, self._cpu_s() - cpu_begun_s
+            cpu_s = self._cpu_s() - cpu_begun_s
         self._observer.destroy_subscription(subscription)
         latencies_ms = [sighting.latency_ms for sighting in seen]
-        return Passage(latencies_ms, len(seen) / taken_s, 1e3 * cpu_s / len(seen))
+        taken_s = (seen[-1].arrival_ns - seen[0].arrival_ns) / 1e9
+        return Passage(latencies_ms, (len(seen) - 1) / taken_s, 1e3 * cpu_s / len(seen))
 
     def idle_cpu_share(self, picture: Path, *, rate_hz: float, duration_s: float) -> float:
         """Share of a core that the active node takes while a camera runs and nobody listens."""

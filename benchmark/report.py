@@ -55,13 +55,13 @@ def row(what: str, name: str, busy: int, values: Sequence[float], *, unit: str =
 def table(rows: Iterable[Row]) -> str:
     """Rows as lines; the ratio is that to the smallest median of the same thing under the same load."""
     rows = list(rows)
-    heads = f"{'':10}{'':28}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"
+    heads = f"{'':10}{'':34}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"
     lines = [heads, "-" * len(heads)]
     for each in rows:
         best = min(other.median for other in rows if (other.what, other.busy) == (each.what, each.busy))
         ratio = f"{each.median / best:.2f}" if best and each.unit == "ms" else ""
         lines.append(
-            f"{each.what:10}{each.name:28}{each.busy:4}{each.median:10.2f}{each.p95:10.2f}"
+            f"{each.what:10}{each.name:34}{each.busy:4}{each.median:10.2f}{each.p95:10.2f}"
             f"{each.spread:8.0%}{ratio:>7} {each.unit}"
         )
     return "\n".join(lines)
