@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import re
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 from yolov5_lifecycle.frame_balance import Outcome
 from yolov5_lifecycle.offline.detect_files import detect_files
-from yolov5_lifecycle.offline.detecting import Account, DetectingError
+from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineDetector
 from yolov5_lifecycle.parameter_file import assigned_value, file_values
+from yolov5_lifecycle.preparation import Prepare, prepare_model
 from yolov5_lifecycle.progress import show_progress
 from yolov5_lifecycle.rate import RateLimit
 from yolov5_lifecycle.runtimes.runtime import InferenceError
@@ -70,7 +72,7 @@ def report(account: Account) -> str:
     )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
     parser = _parser()
     arguments = parser.parse_args(argv)
     if not arguments.source.exists():
@@ -79,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(problem)
     try:
         with _unwound_by_sigterm(), closing(_Terminal()) as terminal:
-            account = _run(arguments, terminal)
+            account = _run(arguments, functools.partial(OfflineDetector, watch=terminal, prepare=prepare))
     except SettingsError as error:
         problems = "".join(f"\n  {problem}" for problem in error.problems)
         return _complain(f"{len(error.problems)} problem(s) in the settings:{problems}")
@@ -92,11 +94,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _run(arguments: argparse.Namespace, terminal: _Terminal) -> Account:
+def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetector]) -> Account:
     settings = wanted_settings(arguments.params_file, arguments.assignments, arguments.node)
     source, output = arguments.source, arguments.output
     if not is_recording(source):
-        return detect_files(source, output, annotated=arguments.annotated, settings=settings, watch=terminal)
+        return detect_files(source, output, annotated=arguments.annotated, load=lambda: load(settings))
     try:
         from yolov5_lifecycle.offline.detect_recording import detect_recording
     except ImportError as error:
@@ -110,8 +112,7 @@ def _run(arguments: argparse.Namespace, terminal: _Terminal) -> Account:
         topic=arguments.topic,
         node=arguments.node,
         images=arguments.images,
-        settings=settings,
-        watch=terminal,
+        load=lambda: load(settings),
     )
 
 

@@ -11,7 +11,7 @@ from yolov5_lifecycle.detections import Detections
 from yolov5_lifecycle.frame_balance import FrameBalance, FrameCounter, Outcome
 from yolov5_lifecycle.images import ImageError, Picture
 from yolov5_lifecycle.offline.stored_picture import StoredPicture
-from yolov5_lifecycle.preparation import prepare_model
+from yolov5_lifecycle.preparation import Prepare, prepare_model
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.selection import model_problems, selection
 from yolov5_lifecycle.settings import Settings, SettingsError
@@ -59,15 +59,15 @@ class Watch(Protocol):
 
 
 class OfflineDetector:
-    """Owns the model that `settings` name and obeys their rules, picture by picture.
+    """Owns the model that `settings` name, made by `prepare`, and obeys their rules picture by picture.
 
     Raises ValueError or OSError like `prepare_model`, and SettingsError for a class that the model has not.
     """
 
-    def __init__(self, settings: Settings, watch: Watch) -> None:
+    def __init__(self, settings: Settings, watch: Watch, *, prepare: Prepare = prepare_model) -> None:
         self.settings = settings
         self._watch = watch
-        self._detector = prepare_model(settings).detector
+        self._detector = prepare(settings).detector
         self.class_names = self._detector.class_names
         if problems := model_problems(settings, self.class_names):
             raise SettingsError(problems)
@@ -120,4 +120,10 @@ class OfflineDetector:
         self._failures += 1
         too_many = self._failures >= self.settings.max_consecutive_failures
         if too_many or isinstance(error, DeviceLostError):
-            raise DetectingError(f"given up after {self._failures} failed pictures in a row") from error
+            raise DetectingError(
+                f"given up after {self._failures} failed pictures in a row: {error}"
+            ) from error
+
+
+LoadDetector = Callable[[], OfflineDetector]
+"""Loads the model, once everything else is known to be right."""
