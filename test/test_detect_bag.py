@@ -134,8 +134,7 @@ def test_a_recording_gets_what_the_node_would_have_published(
     expected = [message for image in images for message in published(image)]
     assert [message for _, _, message in written[1:]] == expected
     assert [message.header.stamp.sec for message in expected[::2]] == [stamp_s(n) for n in range(COUNT)]
-    labels = messages.label_info(CLASS_NAMES, 0.25, written[0][2].header.stamp)  # type: ignore[attr-defined]
-    assert written[0][2] == labels
+    assert written[0][2] == messages.label_info(CLASS_NAMES, 0.25, images[0].header.stamp)
 
 
 def test_what_is_shown_is_found(drive: Path, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def report(account: Account) -> str:
 
 
 def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
-    parser = _parser()
+    parser = command_parser()
     arguments = parser.parse_args(argv)
     if not arguments.source.exists():
         return _complain(f"{arguments.source}: there is no such file or folder")
@@ -160,7 +160,8 @@ def _usage_problem(arguments: argparse.Namespace) -> str:
     return f"{arguments.source} is no recording; only those have a use for --{useless[0]}" if useless else ""
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
+    """What the command understands."""
     parser = argparse.ArgumentParser(
         prog="detect_bag",
         description="Detect objects in every image of a recording, a video or a folder of pictures.",

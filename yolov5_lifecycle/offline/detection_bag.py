@@ -43,7 +43,7 @@ class DetectionBag:
         """What the node makes of `image`, with the header of that and at the time of its recording."""
         timestamp_ns, header = image.timestamp_ns, image.message.header
         if not self._is_labelled:
-            labels = _label_info(self._class_names, self._threshold, timestamp_ns)
+            labels = _label_info(self._class_names, self._threshold, header.stamp)
             self._add(self._labels, timestamp_ns, labels)
             self._is_labelled = True
         found = found_objects(detections, self._class_names)
@@ -94,9 +94,7 @@ def _no_pose() -> Any:
     return _new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
 
 
-def _label_info(class_names: Sequence[str], threshold: float, timestamp_ns: int) -> Any:
-    sec, nanosec = divmod(timestamp_ns, 10**9)
-    stamp = _new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+def _label_info(class_names: Sequence[str], threshold: float, stamp: Any) -> Any:
     return _new(
         _LABELS,
         header=_new("std_msgs/msg/Header", stamp=stamp, frame_id=""),
