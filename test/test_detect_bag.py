@@ -157,6 +157,24 @@ def test_one_file_of_a_recording_is_enough_and_the_node_has_the_name_that_is_giv
         }
 
 
+@pytest.mark.parametrize("storage", [MCAP, SQLITE], ids=["MCAP", "SQLite"])
+def test_metadata_that_describes_a_topic_otherwise_than_the_file_hides_no_image(
+    storage: StoragePlugin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = record(tmp_path / "drive", [raw(0)], storage=storage)
+    metadata = source / "metadata.yaml"
+    never = "{sec: 0, nsec: 0}"
+    other_qos = (
+        "offered_qos_profiles: [{history: keep_last, depth: 7, reliability: reliable, durability: volatile, "
+        f"deadline: {never}, lifespan: {never}, liveliness: automatic, liveliness_lease_duration: {never}, "
+        "avoid_ros_namespace_conventions: false}]"
+    )
+    metadata.write_text(metadata.read_text().replace("offered_qos_profiles: []", other_qos))
+    assert other_qos in metadata.read_text()
+    assert run([str(source), "--output", str(tmp_path / "found"), *SET_MODEL]) == 0
+    assert "pictures    1: 1 detected" in capsys.readouterr().err
+
+
 def test_labels_are_latched(drive: Path, tmp_path: Path) -> None:
     assert run([str(drive), "--output", str(tmp_path / "found"), *SET_MODEL]) == 0
     with Reader(tmp_path / "found") as reader:
@@ -276,7 +294,7 @@ def a_good_one(folder: Path) -> Path:
         pytest.param(
             two_topics, ["--topic", "/up"], "no image topic /up, only:\n  /left", id="no such topic"
         ),
-        pytest.param(all_unreadable, [], "none of 1 pictures could be used", id="all unreadable"),
+        pytest.param(all_unreadable, [], "of 1 pictures none could be used", id="all unreadable"),
         pytest.param(without_its_end, [], "`mcap recover` may mend it", id="without its end"),
         pytest.param(with_damaged_pages, [], "the recording cannot be read", id="damaged pages"),
         pytest.param(without_metadata, [], "the recording cannot be read", id="without metadata"),

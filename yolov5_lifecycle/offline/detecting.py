@@ -92,7 +92,7 @@ class OfflineDetector:
             account.finish(self._detect(stored, write, account.objects))
             self._watch.progress(account)
         if not account.balance[Outcome.DETECTED]:
-            raise DetectingError(f"none of {account.balance.received} pictures could be used")
+            raise DetectingError(f"of {account.balance.received} pictures none could be used")
         return account
 
     def _detect(

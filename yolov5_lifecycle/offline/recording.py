@@ -11,6 +11,7 @@ from typing import Any
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin
+from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.serde import SerdeError
 
 from yolov5_lifecycle.images import ImageError, Picture, decode_compressed, decode_raw
@@ -109,11 +110,20 @@ class Recording:
             yield RecordedImage(timestamp_ns, topic.type_name, data)
 
     def _image_topics(self) -> list[ImageTopic]:
+        by_topic: dict[tuple[str, str], list[Connection]] = {}
+        for connection in self._connections():
+            if connection.msgtype in (_RAW, _COMPRESSED):
+                by_topic.setdefault((connection.topic, connection.msgtype), []).append(connection)
         return [
-            ImageTopic(name, info.msgtype, info.msgcount, tuple(info.connections))
-            for name, info in self._reader.topics.items()
-            if info.msgtype in (_RAW, _COMPRESSED)
+            ImageTopic(name, type_name, sum(one.msgcount for one in connections), tuple(connections))
+            for (name, type_name), connections in sorted(by_topic.items())
         ]
+
+    def _connections(self) -> list[Connection]:
+        """Those of the files: rosbags leaves out messages that metadata.yaml describes otherwise than they."""
+        storage = self._reader.storage
+        files = storage.storages if isinstance(storage, DirectoryReader) else [storage]
+        return [connection for file in files for connection in file.connections]
 
 
 @contextmanager
