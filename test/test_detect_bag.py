@@ -39,10 +39,10 @@ from yolov5_lifecycle.detector import Detector
 from yolov5_lifecycle.images import Order
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.recorded_types import TYPES
-from yolov5_lifecycle.preparation import PreparedModel, prepare_model
+from yolov5_lifecycle.preparation import Prepare, PreparedModel, prepare_model
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.sighting import Sighting
-from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.scene import CLASS_NAMES, Truth
 from yolov5_lifecycle.selection import selection
 from yolov5_lifecycle.settings import Settings
@@ -205,43 +205,48 @@ def test_unreadable_images_are_told_counted_and_left_out(
     assert len(as_ros(tmp_path / "found")) == 2
 
 
-class NeverRuntime:
-    """Fails with every picture."""
+class RaisingRuntime:
+    """Raises the same with every picture."""
 
-    name, device, precision = "never", "cpu", "fp32"
+    name, device, precision = "raising", "cpu", "fp32"
+
+    def __init__(self, error: BaseException) -> None:
+        self._error = error
 
     def __call__(self, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
-        raise InferenceError("out of memory")
+        raise self._error
 
     def close(self) -> None:
         pass
 
 
-def never(settings: Settings) -> PreparedModel:
-    detector = Detector(NeverRuntime(), class_names=CLASS_NAMES, image_size=320, stride=32)
-    return PreparedModel(settings, detector, Path("/never.pt"), "0" * 64)
+def prepare_raising(error: BaseException) -> Prepare:
+    detector = Detector(RaisingRuntime(error), class_names=CLASS_NAMES, image_size=320, stride=32)
+    return lambda settings: PreparedModel(settings, detector, Path("/raising.pt"), "0" * 64)
 
 
-def test_inference_that_fails_again_and_again_is_given_up(
-    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("error", "failures"),
+    [
+        pytest.param(InferenceError("out of memory"), 2, id="again and again"),
+        pytest.param(DeviceLostError("the GPU is gone"), 1, id="device lost"),
+    ],
+)
+def test_inference_that_cannot_go_on_is_given_up(
+    error: InferenceError, failures: int, drive: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [str(drive), "--output", str(tmp_path / "found"), "--set", "max_consecutive_failures=2"]
-    assert main(words, prepare=never) == 1
-    told = capsys.readouterr().err
-    assert told.endswith("detect_bag: given up after 2 failed pictures in a row: out of memory\n")
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["drive"]
+    words = [str(drive), "--output", str(drive.parent / "found"), "--set", "max_consecutive_failures=2"]
+    assert main(words, prepare=prepare_raising(error)) == 1
+    given_up = f"detect_bag: given up after {failures} failed pictures in a row: {error}\n"
+    assert capsys.readouterr().err.endswith(given_up)
+    assert list(drive.parent.iterdir()) == [drive]
 
 
-def interrupted(settings: Settings) -> PreparedModel:
-    raise KeyboardInterrupt
-
-
-def test_an_interrupt_leaves_nothing_half_written(
-    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([str(drive), "--output", str(tmp_path / "found")], prepare=interrupted) == 130
+def test_an_interrupt_leaves_nothing_half_written(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [str(drive), "--output", str(drive.parent / "found")]
+    assert main(words, prepare=prepare_raising(KeyboardInterrupt())) == 130
     assert capsys.readouterr().err == "detect_bag: interrupted; what was unfinished is removed\n"
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["drive"]
+    assert list(drive.parent.iterdir()) == [drive]
 
 
 def no_images(folder: Path) -> Path:

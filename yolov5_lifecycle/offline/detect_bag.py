@@ -36,10 +36,10 @@ examples:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether `path` is a file or folder of rosbag2."""
+    """Whether `path` is a file of rosbag2 or a folder with such files, which may be compressed."""
     if not path.is_dir():
         return path.suffix in _RECORDING_SUFFIXES
-    return any(file.suffix in _RECORDING_SUFFIXES or file.name == "metadata.yaml" for file in path.iterdir())
+    return any(suffix in _RECORDING_SUFFIXES for file in path.iterdir() for suffix in file.suffixes)
 
 
 def wanted_settings(parameter_file: Path | None, assignments: Sequence[str], node: str) -> Settings:

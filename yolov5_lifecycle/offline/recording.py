@@ -120,7 +120,7 @@ class Recording:
         ]
 
     def _connections(self) -> list[Connection]:
-        """Those of the files: rosbags leaves out messages that metadata.yaml describes otherwise than they."""
+        """Those of the files: rosbags leaves out what metadata.yaml describes otherwise than they do."""
         storage = self._reader.storage
         files = storage.storages if isinstance(storage, DirectoryReader) else [storage]
         return [connection for file in files for connection in file.connections]
