@@ -75,12 +75,10 @@ def report(account: Account) -> str:
 def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
     parser = command_parser()
     arguments = parser.parse_args(argv)
-    if not arguments.source.exists():
-        return _complain(f"{arguments.source}: there is no such file or folder")
-    if problem := _usage_problem(arguments):
-        parser.error(problem)
     try:
-        with _unwound_by_sigterm(), closing(_Terminal()) as terminal:
+        if problem := _usage_problem(arguments):
+            parser.error(problem)
+        with _unwound_by_sigterm(), closing(_Terminal(shows_progress=bool(arguments.output))) as terminal:
             account = _run(arguments, functools.partial(OfflineDetector, watch=terminal, prepare=prepare))
     except SettingsError as error:
         problems = "".join(f"\n  {problem}" for problem in error.problems)
@@ -95,8 +93,10 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
 
 
 def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetector]) -> Account:
-    settings = wanted_settings(arguments.params_file, arguments.assignments, arguments.node)
     source, output = arguments.source, arguments.output
+    if not source.exists():
+        raise FileNotFoundError(f"{source}: there is no such file or folder")
+    settings = wanted_settings(arguments.params_file, arguments.assignments, arguments.node)
     if not is_recording(source):
         return detect_files(source, output, annotated=arguments.annotated, load=lambda: load(settings))
     try:
@@ -117,9 +117,10 @@ def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetect
 
 
 class _Terminal:
-    """Tells on stderr how it goes: the first problems, and the progress if somebody watches."""
+    """Tells on stderr how it goes: the first problems, and the progress where no lines go to stdout."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, shows_progress: bool) -> None:
+        self._shows_progress = shows_progress
         self._lost = 0
         self._rate_limit = RateLimit()
         self._is_line_open = False
@@ -133,9 +134,10 @@ class _Terminal:
             _complain("further ones are only counted")
 
     def progress(self, account: Account) -> None:
-        if self._rate_limit.admits(time.monotonic(), _PROGRESS_HZ):
+        if self._shows_progress and self._rate_limit.admits(time.monotonic(), _PROGRESS_HZ):
             of_all = f" of {account.expected}" if account.expected else ""
-            show_progress(f"{account.balance.received}{of_all} pictures, {account.rate_hz:.1f} per second")
+            text = f"{account.balance.received}{of_all} pictures, {account.rate_hz:.1f} per second"
+            show_progress(f"{text:<60}")  # over all of a longer one
             self._is_line_open = True
 
     def close(self) -> None:

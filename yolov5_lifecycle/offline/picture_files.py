@@ -27,6 +27,7 @@ class PictureFile:
 
     @property
     def identity(self) -> dict[str, str | int]:
+        """What names it in a line of JSON."""
         return {"file": str(self.path)}
 
     def load(self) -> Picture:
@@ -50,6 +51,7 @@ class VideoFrame:
 
     @property
     def identity(self) -> dict[str, str | int]:
+        """What names it in a line of JSON."""
         return {"frame": self.number}
 
     def load(self) -> Picture:
