@@ -196,11 +196,11 @@ def test_unreadable_images_are_told_counted_and_left_out(
     storage: StoragePlugin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut_off = bytes(TYPES.serialize_cdr(raw(1), IMAGE))[:60]
-    source = record(tmp_path / "drive", [raw(0), cut_off, raw(2, encoding="16UC1")], storage=storage)
+    source = record(tmp_path / "drive", [raw(0), cut_off, raw(2, encoding="32FC1")], storage=storage)
     assert run([str(source), "--output", str(tmp_path / "found"), *SET_MODEL]) == 0
     told = capsys.readouterr().err
     assert "detect_bag: 1700000000.540000007: rejected: " in told
-    assert "detect_bag: 1700000000.580000007: rejected: Encoding '16UC1' is not supported" in told
+    assert "detect_bag: 1700000000.580000007: rejected: Encoding '32FC1' is not supported" in told
     assert "pictures    3: 1 detected, 2 rejected, 0 failed\n" in told
     assert len(as_ros(tmp_path / "found")) == 2
 
@@ -258,7 +258,7 @@ def two_topics(folder: Path) -> Path:
 
 
 def all_unreadable(folder: Path) -> Path:
-    return record(folder / "bag", [raw(0, encoding="16UC1")], storage=SQLITE)
+    return record(folder / "bag", [raw(0, encoding="32FC1")], storage=SQLITE)
 
 
 def without_its_end(folder: Path) -> Path:

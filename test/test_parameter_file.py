@@ -58,6 +58,8 @@ def test_a_file_speaks_to_the_nodes_it_names(
         pytest.param("", "found of: none.", id="empty"),
         pytest.param("a: [", "this is no YAML", id="no YAML"),
         pytest.param("a: \udcff", "this is no YAML", id="no text"),
+        pytest.param("a: 2001-99-99", "month must be in", id="no date"),
+        pytest.param("a: &a {ros__parameters: *a}", "recursion", id="endless"),
     ],
 )
 def test_a_file_that_says_nothing_to_the_node_is_an_error(path: Path, text: str, told: str) -> None:

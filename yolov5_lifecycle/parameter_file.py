@@ -14,6 +14,8 @@ FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_se
 """Parameters that ROS declares on every node, when it pleases."""
 
 _PARAMETERS = "ros__parameters"
+# A date or number that cannot be one is a ValueError; so are bytes that are no text.
+_UNREADABLE = (yaml.YAMLError, ValueError, RecursionError)
 _BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 
@@ -28,9 +30,10 @@ def file_values(path: Path, node: str) -> dict[str, object]:
     file speaks to other nodes only, and OSError.
     """
     try:
-        sections = list(_sections(yaml.safe_load(path.read_bytes()), ""))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterFileError(f"{path}: this is no YAML: {' '.join(str(error).split())}.") from None
+        tree = yaml.safe_load(path.read_bytes())
+        sections = [(pattern, dict(_flat(values))) for pattern, values in _sections(tree, "")]
+    except _UNREADABLE as error:
+        raise ParameterFileError(f"{path}: this is no YAML of parameters: {_in_a_line(error)}.") from None
     meant = [values for pattern, values in sections if _matches(pattern, node)]
     if not meant:
         found = ", ".join(pattern for pattern, _ in sections) or "none"
@@ -38,9 +41,9 @@ def file_values(path: Path, node: str) -> dict[str, object]:
             f"{path}: expected parameters ({_PARAMETERS}) of the node {node}, found of: {found}."
         )
     return {
-        name: coerced(name, value)
+        name: _coerced(name, value)
         for values in meant
-        for name, value in _flat(values)
+        for name, value in values.items()
         if not name.startswith(FOREIGN_PREFIXES)
     }
 
@@ -51,16 +54,18 @@ def assigned_value(assignment: str) -> tuple[str, object]:
     if not (name and equals):
         raise ParameterFileError(f"{assignment!r}: expected NAME=VALUE, as in confidence_threshold=0.4.")
     try:
-        return name, coerced(name, yaml.safe_load(text) if text else "")
-    except yaml.YAMLError as error:
-        raise ParameterFileError(
-            f"{assignment!r}: its value is no YAML: {' '.join(str(error).split())}."
-        ) from None
+        return name, _coerced(name, yaml.safe_load(text) if text else "")
+    except _UNREADABLE as error:
+        raise ParameterFileError(f"{assignment!r}: its value is no YAML: {_in_a_line(error)}.") from None
 
 
-def coerced(name: str, value: object) -> object:
+def _coerced(name: str, value: object) -> object:
     """`value` in the type of the setting `name`, if there is one and the meaning is plain."""
     return _BY_NAME[name].coerced(value) if name in _BY_NAME else value
+
+
+def _in_a_line(error: Exception) -> str:
+    return " ".join(str(error).split()).removesuffix(".")
 
 
 def _sections(tree: object, prefix: str) -> Iterator[tuple[str, Mapping[object, object]]]:
