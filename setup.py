@@ -40,6 +40,7 @@ setup(
         "torch>=2.10",
     ],
     extras_require={
+        "bag": ["rosbags>=0.11"],
         "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
     },
@@ -49,6 +50,7 @@ setup(
             f"camera = {name}.ros.camera:main",
             f"convert = {name}.convert:main",
             f"demo = {name}.ros.demo:main",
+            f"detect_bag = {name}.offline.detect_bag:main",
             f"detector = {name}.ros.detector:main",
             f"fetch_weights = {name}.fetch_weights:main",
         ]

@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images import Order
+from yolov5_lifecycle.preparation import PreparedModel, prepare_model
 from yolov5_lifecycle.ros.detector import main
-from yolov5_lifecycle.ros.preparation import PreparedModel, prepare_model
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, Runtime
 from yolov5_lifecycle.settings import Settings
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[1]
 PACKAGE = "yolov5_lifecycle"
-COMMANDS = ("camera", "convert", "demo", "detector", "fetch_weights")
+COMMANDS = ("camera", "convert", "demo", "detect_bag", "detector", "fetch_weights")
 
 
 def published_files() -> list[Path]:

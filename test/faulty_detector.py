@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from served_node import Preparations
 
+from yolov5_lifecycle.preparation import PreparedModel
 from yolov5_lifecycle.ros.detector import main
-from yolov5_lifecycle.ros.preparation import PreparedModel
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings import Settings
 

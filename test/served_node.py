@@ -28,8 +28,8 @@ from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from yolov5_lifecycle.detector import Detector
 from yolov5_lifecycle.images import Order
+from yolov5_lifecycle.preparation import Prepare, PreparedModel
 from yolov5_lifecycle.ros.node import DetectorNode
-from yolov5_lifecycle.ros.preparation import Prepare, PreparedModel
 from yolov5_lifecycle.settings import Settings
 
 PATIENCE_S = 20.0

@@ -33,12 +33,15 @@ RANKS = [
         "frame_balance",
         "rate",
         "memory",
+        "package_path",
+        "progress",
         "setting",
         "scene",
         "download",
     },
-    {"network", "boxes", "class_filter", "settings", "image_encoding", "picture_source"},
+    {"network", "boxes", "class_filter", "settings", "image_encoding", "picture_source", "found_objects"},
     {"model"},
+    {"parameter_file", "selection"},
     {"annotate", "checkpoint_archive", "confinement", "pickle_operations", "yaml_architecture", "runtimes"},
     {"pickled_names"},
     {"pickle_program"},
@@ -46,13 +49,13 @@ RANKS = [
     {"module_settings"},
     {"checkpoint", "safetensors_file"},
     {"weights", "detector"},
-    {"worker", "convert"},
-    {"fetch_weights"},
+    {"worker", "convert", "preparation"},
+    {"fetch_weights", "offline"},
     {"ros"},
 ]
-# What a user starts: the nodes, and the command that must know where they look.
-EDGE = {"ros", "fetch_weights"}
-PEERS = {("ros", "ros"), ("runtimes", "runtimes")}
+# What a user starts: the nodes and the commands that work like them; and what makes a detector of settings.
+EDGE = {"ros", "fetch_weights", "offline", "parameter_file", "preparation", "selection"}
+PEERS = {("ros", "ros"), ("runtimes", "runtimes"), ("offline", "offline")}
 
 
 def _imports(path: Path) -> set[str]:

@@ -11,7 +11,7 @@ from random_model import random_model
 from served_node import ServedNode
 
 from yolov5_lifecycle.model import WeightsError
-from yolov5_lifecycle.ros.preparation import prepare_model
+from yolov5_lifecycle.preparation import prepare_model
 from yolov5_lifecycle.safetensors_file import write_safetensors
 from yolov5_lifecycle.weights import find_weights, load_weights
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import runpy
+import shlex
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import yaml
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
+from yolov5_lifecycle.offline.detect_bag import command_parser, wanted_settings
 from yolov5_lifecycle.ros.camera_settings import CameraSettings
 from yolov5_lifecycle.ros.parameters import coerced
 from yolov5_lifecycle.scene import CLASS_NAMES
@@ -105,6 +107,14 @@ def test_a_parameter_in_a_command_exists(page: Path) -> None:
     asked = set(re.findall(r"ros2 param \w+ /\S+ ([a-z]\w*)", text))
     assert asked <= of_detector
     assert set(re.findall(r"-p (\w+):=", text)) <= of_detector | CameraSettings.model_fields.keys()
+
+
+@every_page
+def test_a_detect_bag_command_is_understood(page: Path) -> None:
+    for command in typed(page):
+        if command.startswith("detect_bag "):
+            arguments = command_parser().parse_args(shlex.split(command)[1:])
+            wanted_settings(None, arguments.assignments, arguments.node)
 
 
 def test_the_picture_is_small_enough_for_a_repository() -> None:

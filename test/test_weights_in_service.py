@@ -13,8 +13,8 @@ from random_model import TINY, random_model, random_network
 from served_node import ServedNode
 
 from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.preparation import prepare_model
 from yolov5_lifecycle.ros.domain import own_domain
-from yolov5_lifecycle.ros.preparation import prepare_model
 from yolov5_lifecycle.safetensors_file import write_safetensors
 from yolov5_lifecycle.settings import SETTINGS
 

@@ -15,6 +15,7 @@ from yolov5_lifecycle.architecture import SIZES
 from yolov5_lifecycle.convert import convert, report
 from yolov5_lifecycle.download import DownloadError, Progress, download
 from yolov5_lifecycle.model import WeightsError
+from yolov5_lifecycle.progress import show_progress
 from yolov5_lifecycle.settings import Settings
 from yolov5_lifecycle.weights import MAX_FILE_BYTES, WeightsFile, expanded, load_weights
 
@@ -99,7 +100,7 @@ def _run(arguments: argparse.Namespace) -> str:
     if arguments.list:
         return listing(folder)
     sys.stderr.write(_LICENCE)
-    found = fetch(arguments.size, folder, url=arguments.url, sha256=arguments.sha256, progress=_progress())
+    found = fetch(arguments.size, folder, url=arguments.url, sha256=arguments.sha256, progress=_show_bytes)
     if arguments.safetensors:
         found = convert(found.path, found.path.with_suffix(".safetensors"), overwrite=True)
     return report(found)
@@ -148,11 +149,6 @@ def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
         raise WeightsError(f"{url}: {str(error).removeprefix(f'{path}: ')}") from None
 
 
-def _progress() -> Progress:
-    return _show_progress if sys.stderr.isatty() else lambda done_bytes, total_bytes: None
-
-
-def _show_progress(done_bytes: int, total_bytes: int | None) -> None:
+def _show_bytes(done_bytes: int, total_bytes: int | None) -> None:
     of_total = f" of {total_bytes / 1e6:.1f}" if total_bytes else ""
-    end = "\n" if done_bytes == total_bytes else ""
-    sys.stderr.write(f"\r{done_bytes / 1e6:.1f}{of_total} MB{end}")
+    show_progress(f"{done_bytes / 1e6:.1f}{of_total} MB", done=done_bytes == total_bytes)

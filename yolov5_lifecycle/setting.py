@@ -44,6 +44,22 @@ class Setting:
             return f"{_TYPE_WORDS[self.type]} from {self.minimum:g} to {self.maximum:g}{multiple}"
         return _TYPE_WORDS[self.type]
 
+    def coerced(self, value: object) -> object:
+        """`value` in the type of this setting where the user's meaning is plain; otherwise as it is.
+
+        A whole number for a number, a number or a list of numbers for texts (`device: 0`, `classes: [0, 2]`),
+        and the YAML 1.1 boolean that `n` is read as where that is a choice.
+        """
+        if self.type is float and type(value) is int:
+            return float(value)
+        if self.type is str and type(value) is int:
+            return str(value)
+        if value is False and "n" in self.choices:
+            return "n"
+        if self.type is tuple and isinstance(value, list) and all(type(entry) is int for entry in value):
+            return [str(entry) for entry in value]
+        return value
+
 
 _TYPE_WORDS = {
     bool: "true or false",

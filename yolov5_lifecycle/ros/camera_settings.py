@@ -10,7 +10,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
 from yolov5_lifecycle.images import MAX_SIDE_PX
-from yolov5_lifecycle.ros.parameters import FOREIGN_PREFIXES
+from yolov5_lifecycle.parameter_file import FOREIGN_PREFIXES
 from yolov5_lifecycle.settings import Problem, SettingsError
 from yolov5_lifecycle.suggestion import did_you_mean
 

@@ -7,12 +7,13 @@ from collections.abc import Callable
 from rclpy.lifecycle import LifecycleNode
 
 from yolov5_lifecycle.empty_frames import EmptyFrames
+from yolov5_lifecycle.preparation import PreparedModel
 from yolov5_lifecycle.rate import LatencyWindow, RateLimit
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.image_input import ImageInput, InputStatus, ReceivedFrame
 from yolov5_lifecycle.ros.outputs import Outputs
-from yolov5_lifecycle.ros.pipeline import Pipeline, selection
-from yolov5_lifecycle.ros.preparation import PreparedModel
+from yolov5_lifecycle.ros.pipeline import Pipeline
+from yolov5_lifecycle.selection import selection
 from yolov5_lifecycle.setting import Change
 from yolov5_lifecycle.settings import Settings
 from yolov5_lifecycle.worker import Worker

@@ -14,9 +14,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from yolov5_lifecycle.preparation import Prepare, prepare_model
 from yolov5_lifecycle.ros.command_line import complain, explain
 from yolov5_lifecycle.ros.node import DetectorNode
-from yolov5_lifecycle.ros.preparation import Prepare, prepare_model
 from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.settings import SETTINGS
 

@@ -8,8 +8,8 @@ from concurrent.futures import Future
 
 from rclpy.node import Node
 
+from yolov5_lifecycle.preparation import Prepare, PreparedModel
 from yolov5_lifecycle.ros.background import Background
-from yolov5_lifecycle.ros.preparation import Prepare, PreparedModel
 from yolov5_lifecycle.settings import Settings
 
 Preparation = Future[PreparedModel]

@@ -21,6 +21,7 @@ from vision_msgs.msg import (
 )
 
 from yolov5_lifecycle.detections import Detections
+from yolov5_lifecycle.found_objects import FoundObject, found_objects
 from yolov5_lifecycle.images import Picture, decode_compressed, decode_raw
 
 
@@ -53,22 +54,15 @@ def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> I
 
 def detection_array(detections: Detections, class_names: Sequence[str], header: Header) -> Detection2DArray:
     """Detections in source pixels with the header of the image they are from."""
-    rows = zip(
-        detections.boxes_xyxy.tolist(), detections.scores.tolist(), detections.class_ids.tolist(), strict=True
-    )
-    return Detection2DArray(
-        header=header,
-        detections=[_detection(box, score, class_names[class_id], header) for box, score, class_id in rows],
-    )
+    found = found_objects(detections, class_names)
+    return Detection2DArray(header=header, detections=[_detection(one, header) for one in found])
 
 
-def _detection(box_xyxy: list[float], score: float, class_name: str, header: Header) -> Detection2D:
-    x1, y1, x2, y2 = box_xyxy
-    bbox = BoundingBox2D(size_x=x2 - x1, size_y=y2 - y1)
-    bbox.center.position.x = (x1 + x2) / 2
-    bbox.center.position.y = (y1 + y2) / 2
-    hypothesis = ObjectHypothesisWithPose(hypothesis=ObjectHypothesis(class_id=class_name, score=score))
-    return Detection2D(header=header, results=[hypothesis], bbox=bbox)
+def _detection(found: FoundObject, header: Header) -> Detection2D:
+    bbox = BoundingBox2D(size_x=found.size_xy[0], size_y=found.size_xy[1])
+    bbox.center.position.x, bbox.center.position.y = found.centre_xy
+    hypothesis = ObjectHypothesis(class_id=found.class_name, score=found.score)
+    return Detection2D(header=header, results=[ObjectHypothesisWithPose(hypothesis=hypothesis)], bbox=bbox)
 
 
 def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:

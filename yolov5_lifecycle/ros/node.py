@@ -11,17 +11,17 @@ from typing import Any
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
+from yolov5_lifecycle.preparation import Prepare, check_place, prepare_model
 from yolov5_lifecycle.ros.detection import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.loading import ModelLoader, Preparation
 from yolov5_lifecycle.ros.outputs import Outputs
-from yolov5_lifecycle.ros.pipeline import model_problems
-from yolov5_lifecycle.ros.preparation import Prepare, check_place, prepare_model
 from yolov5_lifecycle.ros.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.status import Status
+from yolov5_lifecycle.selection import model_problems
 from yolov5_lifecycle.settings import Settings
 from yolov5_lifecycle.worker import Worker
 

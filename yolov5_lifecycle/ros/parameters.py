@@ -10,6 +10,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from yolov5_lifecycle.parameter_file import FOREIGN_PREFIXES
 from yolov5_lifecycle.setting import Change, Setting
 from yolov5_lifecycle.settings import (
     SETTINGS,
@@ -32,8 +33,6 @@ _TYPES = {
     tuple: Parameter.Type.STRING_ARRAY,
 }
 _BY_NAME = {setting.name: setting for setting in SETTINGS}
-# Declared by rclpy itself, when it pleases.
-FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 
 
 class Source(Enum):
@@ -217,29 +216,16 @@ def descriptor(setting: Setting) -> ParameterDescriptor:
 def coerced(parameter: Parameter, *, may_be_unset: bool = False) -> Parameter:
     """`parameter` in the type of its setting where the user's meaning is plain; otherwise as it is.
 
-    A whole number for a number, a number or a list of numbers for texts (`device: 0`, `classes: [0, 2]`), an
-    empty list of any type, and the YAML 1.1 booleans that `n` and `y` are read as where a text is expected.
+    As in `Setting.coerced`; and an empty list may be of any type.
     """
     setting = _BY_NAME.get(parameter.name)
     if setting is None:
         return parameter
-    value, type_ = parameter.value, _TYPES[setting.type]
-    if setting.type is float and parameter.type_ is Parameter.Type.INTEGER:
-        return Parameter(parameter.name, type_, float(value))
-    if setting.type is str and parameter.type_ is Parameter.Type.INTEGER:
-        return Parameter(parameter.name, type_, str(value))
-    if (
-        setting.type is str
-        and parameter.type_ is Parameter.Type.BOOL
-        and "n" in setting.choices
-        and not value
-    ):
-        return Parameter(parameter.name, type_, "n")
-    if setting.type is tuple and parameter.type_ is Parameter.Type.INTEGER_ARRAY:
-        return Parameter(parameter.name, type_, [str(entry) for entry in value])
     if setting.type is tuple and _is_empty(parameter, may_be_unset):
-        return Parameter(parameter.name, type_, [])
-    return parameter
+        return Parameter(parameter.name, _TYPES[tuple], [])
+    value = list(parameter.value) if _is_list(parameter.value) else parameter.value
+    meant = setting.coerced(value)
+    return parameter if meant is value else Parameter(parameter.name, _TYPES[setting.type], meant)
 
 
 def _is_empty(parameter: Parameter, may_be_unset: bool) -> bool:

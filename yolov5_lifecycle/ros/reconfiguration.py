@@ -9,12 +9,12 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from yolov5_lifecycle.preparation import PreparedModel
 from yolov5_lifecycle.ros.detection import Detection
 from yolov5_lifecycle.ros.loading import ModelLoader
 from yolov5_lifecycle.ros.parameters import SettingsParameters, refusal
-from yolov5_lifecycle.ros.pipeline import model_problems
-from yolov5_lifecycle.ros.preparation import PreparedModel
 from yolov5_lifecycle.ros.services import Handler
+from yolov5_lifecycle.selection import model_problems
 from yolov5_lifecycle.setting import Change
 from yolov5_lifecycle.settings import Problem, Settings
 

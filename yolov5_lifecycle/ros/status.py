@@ -8,9 +8,9 @@ from rclpy.qos import ReliabilityPolicy
 
 from yolov5_lifecycle.empty_frames import EmptyRun
 from yolov5_lifecycle.frame_balance import FrameBalance, Outcome
+from yolov5_lifecycle.preparation import PreparedModel
 from yolov5_lifecycle.rate import LatencySummary
 from yolov5_lifecycle.ros.image_input import InputStatus
-from yolov5_lifecycle.ros.preparation import PreparedModel
 from yolov5_lifecycle.settings import Settings
 
 MANY_LOST = 4

@@ -6,16 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-
 from yolov5_lifecycle.confinement import confined
 from yolov5_lifecycle.detector import Detector, load_detector
 from yolov5_lifecycle.memory import give_back_memory
+from yolov5_lifecycle.package_path import resolve_package
 from yolov5_lifecycle.setting import Change
 from yolov5_lifecycle.settings import Settings
 from yolov5_lifecycle.weights import find_weights, load_weights
-
-_PACKAGE_SCHEME = "package://"
 
 
 @dataclass(frozen=True)
@@ -88,20 +85,3 @@ def check_place(settings: Settings) -> None:
 
 def _folders(settings: Settings) -> list[Path]:
     return [Path(resolve_package(folder)) for folder in settings.weights_dirs]
-
-
-def resolve_package(path: str) -> str:
-    """`package://PACKAGE/PATH` as a path in the package's share folder; anything else as it is.
-
-    Raises ValueError when there is no such package.
-    """
-    if not path.startswith(_PACKAGE_SCHEME):
-        return path
-    package, _, rest = path.removeprefix(_PACKAGE_SCHEME).partition("/")
-    try:
-        return str(Path(get_package_share_directory(package)) / rest)
-    except (PackageNotFoundError, ValueError, OSError):  # the last without AMENT_PREFIX_PATH
-        raise ValueError(
-            f"{path}: no package '{package}' is installed in this environment. "
-            "Source the workspace that has it, or give the path of the file."
-        ) from None

@@ -1,0 +1,1 @@
+"""Detection in what was recorded, without ROS."""

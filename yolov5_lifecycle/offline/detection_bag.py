@@ -1,0 +1,142 @@
+"""Detections as a rosbag2 recording: what the node would have published."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import Writer
+
+from yolov5_lifecycle.annotate import annotate
+from yolov5_lifecycle.detections import Detections
+from yolov5_lifecycle.found_objects import FoundObject, found_objects
+from yolov5_lifecycle.images import Picture
+from yolov5_lifecycle.offline.recorded_types import TYPES
+from yolov5_lifecycle.offline.recording import RecordedImage
+
+_DETECTIONS = "vision_msgs/msg/Detection2DArray"
+_LABELS = "vision_msgs/msg/LabelInfo"
+_IMAGE = "sensor_msgs/msg/Image"
+
+
+class DetectionBag:
+    """Adds detections, labels and, with `images`, annotated images to what `writer` writes.
+
+    Topics and their quality of service are those of the node called `node`.
+    """
+
+    def __init__(
+        self, writer: Writer, *, node: str, class_names: Sequence[str], threshold: float, images: bool
+    ) -> None:
+        self._writer = writer
+        self._class_names = class_names
+        self._threshold = threshold
+        self._is_labelled = False
+        self._labels = self._topic(f"{node}/label_info", _LABELS, depth=1, durability=_LATCHED)
+        self._detections = self._topic(f"{node}/detections", _DETECTIONS, depth=10)
+        self._images = self._topic(f"{node}/image", _IMAGE, depth=1) if images else None
+
+    def write(self, image: RecordedImage, picture: Picture, detections: Detections) -> None:
+        """What the node makes of `image`, with the header of that and at the time of its recording."""
+        timestamp_ns, header = image.timestamp_ns, image.message.header
+        if not self._is_labelled:
+            labels = _label_info(self._class_names, self._threshold, header.stamp)
+            self._add(self._labels, timestamp_ns, labels)
+            self._is_labelled = True
+        found = found_objects(detections, self._class_names)
+        self._add(self._detections, timestamp_ns, detection_array(found, header))
+        if self._images is not None:
+            drawn = annotate(picture, detections, self._class_names)
+            self._add(self._images, timestamp_ns, _image(drawn, f"{picture.order}8", header))
+
+    def _topic(
+        self, name: str, type_name: str, *, depth: int, durability: QosDurability = QosDurability.VOLATILE
+    ) -> Any:
+        return self._writer.add_connection(
+            name, type_name, typestore=TYPES, offered_qos_profiles=[_qos(depth, durability)]
+        )
+
+    def _add(self, connection: Any, timestamp_ns: int, message: Any) -> None:
+        data = TYPES.serialize_cdr(message, connection.msgtype)
+        self._writer.write(connection, timestamp_ns, data)
+
+
+def detection_array(found: Sequence[FoundObject], header: Any) -> Any:
+    """A vision_msgs/Detection2DArray of rosbags with the header of the image that the objects are in."""
+    return _new(_DETECTIONS, header=header, detections=[_detection(one, header) for one in found])
+
+
+def _detection(found: FoundObject, header: Any) -> Any:
+    position = _new("vision_msgs/msg/Point2D", x=found.centre_xy[0], y=found.centre_xy[1])
+    centre = _new("vision_msgs/msg/Pose2D", position=position, theta=0.0)
+    hypothesis = _new("vision_msgs/msg/ObjectHypothesis", class_id=found.class_name, score=found.score)
+    return _new(
+        "vision_msgs/msg/Detection2D",
+        header=header,
+        results=[_new("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=_no_pose())],
+        bbox=_new(
+            "vision_msgs/msg/BoundingBox2D", center=centre, size_x=found.size_xy[0], size_y=found.size_xy[1]
+        ),
+        id="",
+    )
+
+
+def _no_pose() -> Any:
+    """ROS's own defaults."""
+    pose = _new(
+        "geometry_msgs/msg/Pose",
+        position=_new("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
+        orientation=_new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+    return _new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
+
+
+def _label_info(class_names: Sequence[str], threshold: float, stamp: Any) -> Any:
+    return _new(
+        _LABELS,
+        header=_new("std_msgs/msg/Header", stamp=stamp, frame_id=""),
+        class_map=[
+            _new("vision_msgs/msg/VisionClass", class_id=index, class_name=name)
+            for index, name in enumerate(class_names)
+        ],
+        threshold=threshold,
+    )
+
+
+def _image(pixels: NDArray[np.uint8], encoding: str, header: Any) -> Any:
+    height, width, channels = pixels.shape
+    return _new(
+        _IMAGE,
+        header=header,
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=width * channels,
+        data=np.ascontiguousarray(pixels).reshape(-1),
+    )
+
+
+def _new(type_name: str, **fields: Any) -> Any:
+    return TYPES.types[type_name](**fields)
+
+
+_LATCHED = QosDurability.TRANSIENT_LOCAL
+_ANY_TIME = QosTime(0, 0)
+
+
+def _qos(depth: int, durability: QosDurability) -> Qos:
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=depth,
+        reliability=QosReliability.RELIABLE,
+        durability=durability,
+        deadline=_ANY_TIME,
+        lifespan=_ANY_TIME,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_ANY_TIME,
+        avoid_ros_namespace_conventions=False,
+    )
