@@ -20,14 +20,16 @@ from vision_msgs.msg import (
     VisionClass,
 )
 
+from yolov5_lifecycle.compressed_image import decode_compressed
 from yolov5_lifecycle.detections import Detections
-from yolov5_lifecycle.images import Picture, decode_compressed, decode_raw
+from yolov5_lifecycle.images import Picture
+from yolov5_lifecycle.raw_image import decode_raw
 
 
 def picture(message: Image | CompressedImage) -> Picture:
     """The picture in `message`, without a copy where the encoding allows; raises ImageError."""
     if isinstance(message, CompressedImage):
-        return decode_compressed(message.data)
+        return decode_compressed(message.data, format_text=message.format)
     return decode_raw(
         message.data,
         encoding=message.encoding,
