@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 
-from yolov5_lifecycle.ros.qos_overrides import overridden_reliability, subscription_options
+from yolov5_lifecycle.ros.qos_overrides import overridden_reliability, overriding_options
 from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE_RAW, IMAGE_RAW, endpoint_name, full_name
 
 Transport = Literal["raw", "compressed"]
@@ -116,7 +116,7 @@ class ImageInput:
             endpoint_name(self._node, self._topic),
             self._take,
             qos,
-            qos_overriding_options=subscription_options(self._node, self._topic),
+            qos_overriding_options=overriding_options(self._node, self._topic),
         )
 
     def _offers(self) -> list[ReliabilityPolicy]:

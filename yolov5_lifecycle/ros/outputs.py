@@ -16,7 +16,7 @@ from vision_msgs.msg import Detection2DArray, LabelInfo
 from yolov5_lifecycle.compressed_image import encode_jpeg
 from yolov5_lifecycle.images import ImageError, Picture
 from yolov5_lifecycle.ros.messages import compressed_image_message, image_message
-from yolov5_lifecycle.ros.qos_overrides import PUBLISHER_OPTIONS
+from yolov5_lifecycle.ros.qos_overrides import overriding_options
 from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE, DETECTIONS, IMAGE, LABEL_INFO, endpoint_name
 
 
@@ -82,7 +82,7 @@ class Outputs:
             endpoint_name(self._node, topic),
             qos,
             event_callbacks=self._events,
-            qos_overriding_options=PUBLISHER_OPTIONS,
+            qos_overriding_options=overriding_options(self._node, topic),
         )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSPolicyKind, ReliabilityPolicy
@@ -14,7 +12,6 @@ from yolov5_lifecycle.settings import Problem, Settings
 from yolov5_lifecycle.suggestion import did_you_mean
 
 PREFIX = "qos_overrides."
-PUBLISHER_OPTIONS = QoSOverridingOptions.with_default_policies()
 MAX_DEPTH = 10_000
 
 _CHOICES = {
@@ -32,7 +29,8 @@ def parameter_overrides(node: Node) -> dict[str, Parameter]:
 
 def qos_problems(node: Node) -> list[Problem]:
     """Overrides of QoS that no topic of `node` can obey; only another start can mend them."""
-    policy_of = dict(_policies(node))
+    topics = (*PUBLISHED, *SUBSCRIBED)
+    policy_of = {_name(node, topic, policy): policy for topic in topics for policy in _POLICIES}
     problems = []
     for name, override in parameter_overrides(node).items():
         if name not in policy_of and name.startswith(PREFIX):
@@ -47,7 +45,7 @@ def qos_contradictions(node: Node, settings: Settings) -> list[Problem]:
     if settings.image_reliability == "auto":
         return []
     overrides = parameter_overrides(node)
-    names = [name for topic in SUBSCRIBED if (name := _reliability_name(node, topic)) in overrides]
+    names = [name for topic in SUBSCRIBED if (name := _name(node, topic, "reliability")) in overrides]
     return [
         Problem(
             "image_reliability",
@@ -60,29 +58,24 @@ def qos_contradictions(node: Node, settings: Settings) -> list[Problem]:
 
 def overridden_reliability(node: Node, topic: str) -> ReliabilityPolicy | None:
     """What a valid override asks of the subscription to `topic`, None when there is none."""
-    override = parameter_overrides(node).get(_reliability_name(node, topic))
+    override = parameter_overrides(node).get(_name(node, topic, "reliability"))
     return None if override is None else ReliabilityPolicy[override.value.upper()]
 
 
-def subscription_options(node: Node, topic: str) -> QoSOverridingOptions:
-    """For the subscription to `topic`: its reliability is fixed only when the user has fixed it."""
-    # rclpy would declare the reliability of the first subscription and give it to all that follow.
-    kinds = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH]
-    if overridden_reliability(node, topic) is not None:
-        kinds.append(QoSPolicyKind.RELIABILITY)
-    return QoSOverridingOptions(kinds)
+def overriding_options(node: Node, topic: str) -> QoSOverridingOptions:
+    """For the endpoint of `topic`: the policies that valid overrides name, and no others."""
+    # rclpy keeps the first value of every policy that is named here: an unasked-for reliability of the images
+    # could no longer follow the camera.
+    overrides = parameter_overrides(node)
+    return QoSOverridingOptions(
+        [QoSPolicyKind[policy.upper()] for policy in _POLICIES if _name(node, topic, policy) in overrides]
+    )
 
 
-def _policies(node: Node) -> Iterator[tuple[str, str]]:
-    """Name of every override that has a meaning, and its policy."""
-    for kind, topics in (("publisher", PUBLISHED), ("subscription", SUBSCRIBED)):
-        for topic in topics:
-            for policy in _POLICIES:
-                yield f"{PREFIX}{full_name(node, topic)}.{kind}.{policy}", policy
-
-
-def _reliability_name(node: Node, topic: str) -> str:
-    return f"{PREFIX}{full_name(node, topic)}.subscription.reliability"
+def _name(node: Node, topic: str, policy: str) -> str:
+    """The parameter that overrides `policy` of the endpoint of `topic`."""
+    kind = "publisher" if topic in PUBLISHED else "subscription"
+    return f"{PREFIX}{full_name(node, topic)}.{kind}.{policy}"
 
 
 def _unknown(name: str, known: dict[str, str]) -> str:
