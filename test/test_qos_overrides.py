@@ -68,7 +68,9 @@ def test_a_parameter_file_is_obeyed_through_every_cycle_of_a_process(ros_domain:
                 observer.wait_for(offers(subscriptions, CAMERA, BEST_EFFORT), "the subscription")
                 publishers = observer.get_publishers_info_by_topic
                 observer.wait_for(offers(publishers, f"{NODE}/image", BEST_EFFORT), "the publisher")
-        assert detector.status()["image reliability"] == "best_effort"
+        observer.wait_for(
+            lambda: detector.status().get("image reliability") == "best_effort", "the node to subscribe"
+        )
         name = f"qos_overrides.{CAMERA}.subscription.reliability"
         assert detector.node.parameter(name) == "best_effort"
         assert "read-only" in detector.node.set_parameters(**{name: "reliable"})
