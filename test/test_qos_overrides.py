@@ -111,11 +111,14 @@ def test_a_wrong_override_is_named_with_the_remedy(
         assert problem.message.endswith("Correct it and start again.")
 
 
-def test_every_topic_may_be_overridden_in_history_depth_and_reliability(ros_domain: int) -> None:
+@pytest.mark.parametrize("reliability", ["system_default", "reliable", "best_effort", "best_available"])
+def test_every_topic_may_be_overridden_in_history_depth_and_reliability(
+    ros_domain: int, reliability: str
+) -> None:
     with started() as node:
         names = [f"{full_name(node, topic)}.publisher" for topic in PUBLISHED]
         names += [f"{full_name(node, topic)}.subscription" for topic in SUBSCRIBED]
-    policies = {"history": "keep_all", "depth": 7, "reliability": "best_effort"}
+    policies = {"history": "keep_all", "depth": 7, "reliability": reliability}
     words = [
         word
         for name in names
@@ -134,9 +137,9 @@ def test_every_topic_may_be_overridden_in_history_depth_and_reliability(ros_doma
         for endpoint in ours:
             assert endpoint.qos_profile.history.name == "KEEP_ALL"
             assert endpoint.qos_profile.depth == 7
-            assert endpoint.qos_profile.reliability is BEST_EFFORT
+            assert endpoint.qos_profile.reliability.name == reliability.upper()
         for image_input in inputs:
-            assert image_input.look().reliability is BEST_EFFORT
+            assert image_input.look().reliability.name == reliability.upper()
             image_input.close()
         outputs.close()
 

@@ -75,7 +75,9 @@ class ImageInput:
         self._node = node
         self._on_frame = on_frame
         self._topic, self._message_type = _TOPICS[transport]
-        self._wanted = overridden_reliability(node, self._topic) or _POLICIES[reliability]
+        overridden = overridden_reliability(node, self._topic)
+        # Not `or`: system_default is 0.
+        self._wanted = _POLICIES[reliability] if overridden is None else overridden
         self._single_publisher = True
         self._sequence_number: int | None = None
         self._last_frame_s = time.monotonic()
@@ -83,7 +85,7 @@ class ImageInput:
         self._received = 0
         self._seen = (0, lost)  # received and lost at the last look
         offers = self._offers()
-        self._reliability = self._wanted or _common(offers)
+        self._reliability = self._policy(offers)
         self._subscription = self._subscribe()
 
     def look(self) -> InputStatus:
@@ -91,8 +93,8 @@ class ImageInput:
         offers = self._offers()
         received, lost = self._received - self._seen[0], self.lost - self._seen[1]
         self._seen = (self._received, self.lost)
-        if self._wanted is None and _common(offers) is not self._reliability:
-            self._reliability = _common(offers)
+        if self._policy(offers) is not self._reliability:
+            self._reliability = self._policy(offers)
             self._node.destroy_subscription(self._subscription)
             self._subscription = self._subscribe()
         return InputStatus(
@@ -108,6 +110,9 @@ class ImageInput:
 
     def close(self) -> None:
         self._node.destroy_subscription(self._subscription)
+
+    def _policy(self, offers: list[ReliabilityPolicy]) -> ReliabilityPolicy:
+        return _common(offers) if self._wanted is None else self._wanted
 
     def _subscribe(self) -> Any:
         qos = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=self._reliability)
