@@ -17,7 +17,7 @@ from soak.service_requests import Fuzz
 from yolov5_lifecycle.images import MAX_SIDE_PX
 
 _CHANNELS = {"rgb8": 3, "bgr8": 3, "mono8": 1, "rgba8": 4, "bgra8": 4}
-_ENCODINGS = (*_CHANNELS, "", "RGB8", "rgb8 ", "bayer_rggb8", "yuv422", "16UC1", "32FC3", "x" * 100_000)
+_ENCODINGS = (*_CHANNELS, "", "RGB8", "rgb8 ", "bayer_rggb16", "yuv444", "32FC1", "32FC3", "x" * 100_000)
 _NUMBERS = (0, 1, 2, 7, 48, 64, 640, MAX_SIDE_PX, MAX_SIDE_PX + 1, 2**31 - 1, 2**31, 2**32 - 1)
 _SIZES = (0, 1, 7, 191, 48 * 64, 48 * 64 * 3, 48 * 64 * 4, 1_000_000)
 MakeImage = Callable[[Fuzz], Image | CompressedImage | bytes]

@@ -98,6 +98,17 @@ def test_the_whole_label_is_inside_wherever_the_box_is(box_xyxy: tuple[float, ..
     assert ink_of_class_1(drawn) == ink_of_class_1(in_the_middle)
 
 
+@settings(max_examples=40)
+@given(height=st.integers(30, 200), width=st.integers(120, 300), x=st.floats(0, 1), y=st.floats(0, 1))
+def test_no_label_loses_a_letter_at_the_edge_of_a_picture_of_any_size(
+    height: int, width: int, x: float, y: float
+) -> None:
+    in_the_middle = annotate(black(height, width), one(5, height / 2, 9, height / 2, class_id=1), NAMES)
+    corner_xy = (x * width, y * height)
+    drawn = annotate(black(height, width), one(*corner_xy, *corner_xy, class_id=1), NAMES)
+    assert ink_of_class_1(drawn) == ink_of_class_1(in_the_middle) > 0
+
+
 def test_labels_grow_with_the_picture() -> None:
     colour = class_colour(0, "rgb")
     heights = []
@@ -156,6 +167,10 @@ def test_a_better_detection_covers_a_worse_one() -> None:
 )
 def test_letters_that_cannot_be_drawn_are_replaced(name: str, expected: str) -> None:
     assert printable(name) == expected
+
+
+def test_the_classes_of_coco_have_80_colours() -> None:
+    assert len({class_colour(class_id, "rgb") for class_id in range(80)}) == 80
 
 
 def test_classes_have_colours_of_their_own() -> None:

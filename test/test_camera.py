@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from itertools import islice
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -17,8 +18,10 @@ from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.image_encoding import encoded
-from yolov5_lifecycle.images import ENCODINGS, Order, Picture, decode_raw
+from yolov5_lifecycle.images import Order, Picture
 from yolov5_lifecycle.picture_source import SourceError, open_source
+from yolov5_lifecycle.raw_image import decode_raw
+from yolov5_lifecycle.ros.camera_settings import CameraSettings
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.messages import picture
 from yolov5_lifecycle.ros.observer import Observer
@@ -129,7 +132,7 @@ def test_a_video_that_goes_away_ends_with_the_reason(video: Path) -> None:
         next(frames)
 
 
-@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("encoding", get_args(CameraSettings.model_fields["encoding"].annotation))
 @pytest.mark.parametrize("order", ["rgb", "bgr"])
 def test_what_is_encoded_is_decoded_to_the_same_colours(order: Order, encoding: str) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)

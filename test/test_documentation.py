@@ -16,14 +16,17 @@ from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
 from yolov5_lifecycle.offline.detect_bag import command_parser, wanted_settings
+from yolov5_lifecycle.raw_image import ENCODINGS
 from yolov5_lifecycle.ros.camera_settings import CameraSettings
 from yolov5_lifecycle.ros.parameters import coerced
+from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED
 from yolov5_lifecycle.scene import CLASS_NAMES
 from yolov5_lifecycle.settings import SETTINGS, SettingsError, meant_setting, validated
 
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
 TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
+IMAGES = REPOSITORY / "docs" / "images.md"
 LAUNCH = REPOSITORY / "docs" / "launch.md"
 MIGRATION = REPOSITORY / "docs" / "migration.md"
 PAGES = [
@@ -65,10 +68,12 @@ def table(page: Path, heading: str) -> list[list[str]]:
 
 
 def settings_of(text: str) -> dict[str, Any]:
-    """The parameters in a parameter file, in the types that the node gives them."""
+    """The parameters in a parameter file, in the types that the node gives them; QoS is not among them."""
     (node,) = yaml.safe_load(text).values()
     return {
-        name: coerced(Parameter(name, value=value)).value for name, value in node["ros__parameters"].items()
+        name: coerced(Parameter(name, value=value)).value
+        for name, value in node["ros__parameters"].items()
+        if name != "qos_overrides"
     }
 
 
@@ -138,6 +143,28 @@ def test_the_topics_of_the_readme_are_those_of_the_node() -> None:
     }
     shown = {row[0].partition(" ")[2].strip("`") for row in table(README, "Topics")}
     assert shown == {text for text in texts if re.fullmatch(r"~/[a-z_/]+|/diagnostics", text)}
+
+
+def test_the_encodings_of_the_page_are_those_that_are_understood() -> None:
+    rows = table(IMAGES, "Encodings")
+    sizes = {name: row[2] for row in rows for name in re.findall(r"`([^`]+)`", row[0])}
+    words = {
+        (1, 1, 1): "any",
+        (1, 2, 1): "even width",
+        (2, 2, 1): "even width and height",
+        (1, 1, 3): "at least 3 x 3",
+    }
+    assert sizes == {
+        name: words[(*encoding.block_hw, encoding.least_side_px)] for name, encoding in ENCODINGS.items()
+    }
+
+
+def test_the_topics_whose_qos_may_be_overridden_are_those_of_the_page() -> None:
+    page = " ".join(IMAGES.read_text().split())
+    for kind, topics in (("subscription", SUBSCRIBED), ("publisher", PUBLISHED)):
+        clause = re.search(rf"`{kind}` has ([^;.]+)", page)
+        assert clause is not None
+        assert re.findall(r"`(~[^`]+)`", clause[1]) == list(topics)
 
 
 def test_the_line_for_apt_is_the_one_that_make_gives() -> None:

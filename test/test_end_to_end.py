@@ -113,7 +113,7 @@ def test_a_picture_without_shapes_gives_an_empty_message(active: DetectorProcess
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        pytest.param({"encoding": "yuv422"}, "yuv422", id="encoding"),
+        pytest.param({"encoding": "32FC1"}, "32FC1", id="encoding"),
         pytest.param({"step": 7}, "step", id="step"),
         pytest.param({"height": 4000}, "bytes", id="height"),
         pytest.param({"width": 0}, "width", id="empty"),

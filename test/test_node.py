@@ -17,6 +17,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 from served_node import Preparations, ServedNode, class_ids_of, image, prediction
 
+from yolov5_lifecycle.ros.messages import picture
 from yolov5_lifecycle.settings import SETTINGS
 
 STATES = ("unconfigured", "inactive", "active")
@@ -557,6 +558,17 @@ def test_a_compressed_camera_is_understood(served: ServedNode) -> None:
 
     served.wait_for(is_detected, "a detection")
     assert class_ids_of(served.detections[-1]) == ["cat"]
+
+
+def test_who_listens_to_the_compressed_image_alone_gets_it(served: ServedNode) -> None:
+    served.bring_to("active")
+    drawn: list[CompressedImage] = []
+    served.client.create_subscription(CompressedImage, "/yolov5/image/compressed", drawn.append, 1)
+    for subscription in list(served.client.subscriptions):
+        if subscription.topic == "/yolov5/detections":
+            served.client.destroy_subscription(subscription)
+    served.send_until(lambda: bool(drawn), "a compressed image")
+    assert picture(drawn[0]).size_hw == (48, 64)
 
 
 def test_the_subscription_takes_the_reliability_that_the_cameras_offer(served: ServedNode) -> None:

@@ -10,7 +10,7 @@ from rclpy.node import Node
 from served_node import Preparations, ServedNode
 
 from yolov5_lifecycle.checkpoint_archive import MAX_PICKLE_BYTES, MAX_RECORDS
-from yolov5_lifecycle.images import MAX_COMPRESSED_PX
+from yolov5_lifecycle.compressed_image import MAX_COMPRESSED_PX
 from yolov5_lifecycle.model import MAX_CLASSES, MAX_NAME_LENGTH
 from yolov5_lifecycle.pickle_operations import MAX_OPERATIONS
 from yolov5_lifecycle.pickle_program import MAX_CALLS

@@ -23,7 +23,7 @@ _CONVERSIONS: dict[tuple[Order, str], int | None] = {
 
 
 def encoded(picture: Picture, encoding: str) -> NDArray[np.uint8]:
-    """Pixels (H, W, channels) in `encoding`, one of the names of images.ENCODINGS; else KeyError."""
+    """Pixels (H, W, channels) in `encoding`, rgb8, bgr8, mono8, rgba8 or bgra8; else KeyError."""
     conversion = _CONVERSIONS[picture.order, encoding]
     if conversion is None:
         return picture.pixels

@@ -14,7 +14,9 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.serde import SerdeError
 
-from yolov5_lifecycle.images import ImageError, Picture, decode_compressed, decode_raw
+from yolov5_lifecycle.compressed_image import decode_compressed
+from yolov5_lifecycle.images import ImageError, Picture
+from yolov5_lifecycle.raw_image import decode_raw
 from yolov5_lifecycle.offline.recorded_types import TYPES
 
 _RAW = "sensor_msgs/msg/Image"

@@ -20,15 +20,17 @@ from vision_msgs.msg import (
     VisionClass,
 )
 
+from yolov5_lifecycle.compressed_image import decode_compressed
 from yolov5_lifecycle.detections import Detections
 from yolov5_lifecycle.found_objects import FoundObject, found_objects
-from yolov5_lifecycle.images import Picture, decode_compressed, decode_raw
+from yolov5_lifecycle.images import Order, Picture
+from yolov5_lifecycle.raw_image import decode_raw
 
 
 def picture(message: Image | CompressedImage) -> Picture:
     """The picture in `message`, without a copy where the encoding allows; raises ImageError."""
     if isinstance(message, CompressedImage):
-        return decode_compressed(message.data)
+        return decode_compressed(message.data, format_text=message.format)
     return decode_raw(
         message.data,
         encoding=message.encoding,
@@ -45,11 +47,23 @@ def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> I
     message = Image(
         header=header, height=height, width=width, encoding=encoding, is_bigendian=0, step=width * channels
     )
-    # The setter iterates over every byte of anything but an array (ros2/rclpy#836): 127 ms for 640x480.
-    buffer = array("B")
-    buffer.frombytes(np.ascontiguousarray(pixels).data.cast("B"))
-    message.data = buffer
+    message.data = _array_of(pixels)
     return message
+
+
+def compressed_image_message(jpeg: NDArray[np.uint8], order: Order, header: Header) -> CompressedImage:
+    """A CompressedImage of the bytes of a JPEG file that was made of a picture in `order`."""
+    # Written as image_transport writes it: what was compressed, how, and in which order of colours.
+    message = CompressedImage(header=header, format=f"{order}8; jpeg compressed bgr8")
+    message.data = _array_of(jpeg)
+    return message
+
+
+def _array_of(values: NDArray[np.uint8]) -> array[int]:
+    # Messages iterate over every byte of anything but an array (ros2/rclpy#836): 127 ms for 640x480 pixels.
+    buffer = array("B")
+    buffer.frombytes(np.ascontiguousarray(values).data.cast("B"))
+    return buffer
 
 
 def detection_array(detections: Detections, class_names: Sequence[str], header: Header) -> Detection2DArray:

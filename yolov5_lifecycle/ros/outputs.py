@@ -4,35 +4,44 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+from yolov5_lifecycle.compressed_image import encode_jpeg
+from yolov5_lifecycle.images import ImageError, Picture
+from yolov5_lifecycle.ros.messages import compressed_image_message, image_message
+from yolov5_lifecycle.ros.qos_overrides import overriding_options
+from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE, DETECTIONS, IMAGE, LABEL_INFO, endpoint_name
 
 
 class Outputs:
     """Owns the publishers of detections, annotated images and labels.
 
-    `on_listeners_changed()` is called in the executor when somebody starts or stops to listen.
+    `on_listeners_changed()` is called in the executor when somebody starts or stops to listen. `encode` makes
+    the bytes of a JPEG file of a picture and raises ImageError when it cannot.
     """
 
-    def __init__(self, node: LifecycleNode, *, on_listeners_changed: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        node: LifecycleNode,
+        *,
+        on_listeners_changed: Callable[[], None],
+        encode: Callable[[Picture], NDArray[np.uint8]] = encode_jpeg,
+    ) -> None:
         self._node = node
-        events = PublisherEventCallbacks(matched=lambda _: on_listeners_changed())
-        self.detections: LifecyclePublisher = node.create_lifecycle_publisher(
-            Detection2DArray, "~/detections", QoSProfile(depth=10), event_callbacks=events
-        )
-        self.image: LifecyclePublisher = node.create_lifecycle_publisher(
-            Image,
-            "~/image",
-            QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE),
-            event_callbacks=events,
-        )
-        self.label_info: LifecyclePublisher = node.create_lifecycle_publisher(
-            LabelInfo, "~/label_info", _LATCHED
+        self._encode = encode
+        self._events = PublisherEventCallbacks(matched=lambda _: on_listeners_changed())
+        self.detections = self._publisher(Detection2DArray, DETECTIONS, QoSProfile(depth=10))
+        self._image = self._publisher(Image, IMAGE, _newest())
+        self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, _newest())
+        self.label_info = self._publisher(
+            LabelInfo, LABEL_INFO, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         )
 
     @property
@@ -42,9 +51,40 @@ class Outputs:
 
     @property
     def image_listeners(self) -> int:
-        return int(self.image.get_subscription_count())
+        """Subscriptions that need frames to be drawn."""
+        return sum(
+            int(publisher.get_subscription_count()) for publisher in (self._image, self._compressed_image)
+        )
+
+    def publish_image(self, picture: Picture, header: Header) -> None:
+        """Publish an annotated picture in the forms that somebody listens to."""
+        if self._image.get_subscription_count():
+            self._image.publish(image_message(picture.pixels, f"{picture.order}8", header))
+        if self._compressed_image.get_subscription_count():
+            try:
+                jpeg = self._encode(picture)
+            except ImageError as error:
+                # The frame has been detected: only its picture is missing.
+                self._node.get_logger().warning(
+                    f"no image on {COMPRESSED_IMAGE}: {error}", throttle_duration_sec=5.0
+                )
+                return
+            self._compressed_image.publish(compressed_image_message(jpeg, picture.order, header))
 
     def close(self) -> None:
-        for publisher in (self.detections, self.image, self.label_info):
+        for publisher in (self.detections, self._image, self._compressed_image, self.label_info):
             # destroy_publisher would leave it among the managed entities.
             self._node.destroy_lifecycle_publisher(publisher)
+
+    def _publisher(self, message_type: type, topic: str, qos: QoSProfile) -> LifecyclePublisher:
+        return self._node.create_lifecycle_publisher(
+            message_type,
+            endpoint_name(self._node, topic),
+            qos,
+            event_callbacks=self._events,
+            qos_overriding_options=overriding_options(self._node, topic),
+        )
+
+
+def _newest() -> QoSProfile:
+    return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.parameter_file import FOREIGN_PREFIXES
+from yolov5_lifecycle.ros.qos_overrides import parameter_overrides, qos_contradictions, qos_problems
 from yolov5_lifecycle.setting import Change, Setting
 from yolov5_lifecycle.settings import (
     SETTINGS,
@@ -61,8 +62,7 @@ class SettingsParameters:
         self._commit = commit
         self._bad_overrides: dict[str, Problem] = {}
         self._sources = dict.fromkeys(_BY_NAME, Source.DEFAULT)
-        # rclpy has no public way to list overrides that nobody declared.
-        overrides: dict[str, Parameter] = dict(getattr(node, "_parameter_overrides", {}))
+        overrides = parameter_overrides(node)
         for setting in SETTINGS:
             if (override := overrides.pop(setting.name, None)) is not None:
                 on_command_line = setting.name in names_on_command_line(arguments)
@@ -81,7 +81,11 @@ class SettingsParameters:
 
     def problems(self) -> list[Problem]:
         """What is wrong with the current values and the overrides that gave them."""
-        return [*self._bad_overrides.values(), *_problems(self._values())]
+        return [
+            *self._bad_overrides.values(),
+            *qos_problems(self._node),
+            *self._problems(self._values()),
+        ]
 
     def settings(self) -> Settings:
         """The current values; raises SettingsError when they contradict each other."""
@@ -116,6 +120,13 @@ class SettingsParameters:
         """Drop the complaint about an override with an unknown name; False when there was none."""
         return name not in _BY_NAME and self._bad_overrides.pop(name, None) is not None
 
+    def _problems(self, values: dict[str, object]) -> list[Problem]:
+        try:
+            settings = validated(values)
+        except SettingsError as error:
+            return error.problems
+        return qos_contradictions(self._node, settings)
+
     def _stays(self, parameter: Parameter) -> bool:
         name = parameter.name
         if not self._node.has_parameter(name) or not self._node.describe_parameter(name).read_only:
@@ -126,8 +137,8 @@ class SettingsParameters:
     def _new_problems(self, parameters: Iterable[Parameter]) -> list[Problem]:
         """What `parameters` would break that is not broken already; an older problem may stay."""
         values = self._values()
-        known = _problems(values)
-        broken = _problems(values | plain_values(map(coerced, parameters)))
+        known = self._problems(values)
+        broken = self._problems(values | plain_values(map(coerced, parameters)))
         return [problem for problem in broken if problem not in known]
 
     def _unknown_names(self, parameters: Iterable[Parameter]) -> list[str]:
@@ -140,7 +151,7 @@ class SettingsParameters:
         parameter = Parameter(setting.name, _TYPES[setting.type], _ros_value(setting.default))
         if override is not None:
             wanted = coerced(override, may_be_unset=True)
-            problems = _problems(plain_values([wanted]))
+            problems = self._problems(plain_values([wanted]))
             if any(problem.setting == setting.name for problem in problems):
                 self._bad_overrides[setting.name] = problems[0]
             else:
@@ -158,7 +169,7 @@ class SettingsParameters:
 
     def _judge(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         problems = self._new_problems(parameters)
-        if not problems and not _problems(self._values()):
+        if not problems and not self._problems(self._values()):
             problems = self._review(self.candidate(parameters))
         return refusal(problems) if problems else SetParametersResult(successful=True)
 
@@ -169,7 +180,8 @@ class SettingsParameters:
             self._bad_overrides.pop(parameter.name, None)
             for unknown in [name for name in self._bad_overrides if meant_setting(name) == parameter.name]:
                 del self._bad_overrides[unknown]
-        if not self.problems():  # else configure will name them
+        is_ours = any(parameter.name in _BY_NAME for parameter in parameters)
+        if is_ours and not self.problems():  # else configure will name them
             self._commit(self.settings())
 
 
@@ -249,11 +261,3 @@ def _is_list(value: object) -> bool:
 
 def _ros_value(default: object) -> object:
     return list(default) if isinstance(default, tuple) else default
-
-
-def _problems(values: dict[str, object]) -> list[Problem]:
-    try:
-        validated(values)
-    except SettingsError as error:
-        return error.problems
-    return []

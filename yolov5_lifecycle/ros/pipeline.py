@@ -42,4 +42,4 @@ class Pipeline:
         self.empty_frames.add(now_s, len(detections))
         if self.outputs.image_listeners:
             drawn = annotate(picture, detections, class_names)
-            self.outputs.image.publish(messages.image_message(drawn, f"{picture.order}8", header))
+            self.outputs.publish_image(Picture(drawn, picture.order), header)
