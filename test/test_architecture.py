@@ -38,7 +38,7 @@ RANKS = [
         "download",
     },
     {"network", "boxes", "class_filter", "settings", "image_encoding", "picture_source"},
-    {"model"},
+    {"model", "playback"},
     {"annotate", "checkpoint_archive", "confinement", "pickle_operations", "yaml_architecture", "runtimes"},
     {"pickled_names"},
     {"pickle_program"},

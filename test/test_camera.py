@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from detector_process import as_arguments, environment
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import Image
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.image_encoding import encoded
@@ -26,6 +28,9 @@ from yolov5_lifecycle.ros.sighting import Sighting, stamp_ns
 from yolov5_lifecycle.scene import CLASS_NAMES, Scene
 
 GREYS = (10, 90, 170, 250)
+RELIABLE = QoSProfile(depth=10)
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+RAW_QOS = "qos_overrides./image_raw.publisher"
 
 
 @pytest.fixture
@@ -51,15 +56,19 @@ def video(tmp_path: Path) -> Path:
 
 def greys(source: Path, count: int, *, loop: bool) -> list[int]:
     """The brightness of the first pictures, to the nearest of GREYS."""
-    frames = islice(open_source(str(source), loop=loop), count)
-    return [min(GREYS, key=lambda grey: abs(grey - frame.picture.pixels.mean())) for frame in frames]
+    frames = islice(open_source(str(source), loop=loop).frames, count)
+    return [nearest_grey(frame.picture) for frame in frames]
+
+
+def nearest_grey(picture: Picture) -> int:
+    return min(GREYS, key=lambda grey: abs(grey - picture.pixels.mean()))
 
 
 # Sources
 
 
 def test_the_scene_comes_with_its_truth() -> None:
-    frames = list(islice(open_source("synthetic", seed=4, size_hw=(120, 160)), 3))
+    frames = list(islice(open_source("synthetic", seed=4, size_hw=(120, 160)).frames, 3))
     for index, frame in enumerate(frames):
         pixels, truth = Scene(4, (120, 160)).frame(index)
         assert (frame.picture.pixels == pixels).all()
@@ -87,8 +96,15 @@ def test_pictures_of_files_get_the_size_that_was_asked_for(
     source: str, request: pytest.FixtureRequest
 ) -> None:
     path = request.getfixturevalue(source)
-    frames = [next(open_source(str(path), size_hw=size_hw)) for size_hw in (None, (12, 40))]
+    frames = [next(open_source(str(path), size_hw=size_hw).frames) for size_hw in (None, (12, 40))]
     assert [frame.picture.size_hw for frame in frames] == [(24, 32), (12, 40)]
+
+
+@pytest.mark.parametrize(("source", "rate_hz"), [("video", 10.0), ("folder", 30.0)])
+def test_a_video_has_its_own_rate_and_pictures_a_usual_one(
+    source: str, rate_hz: float, request: pytest.FixtureRequest
+) -> None:
+    assert open_source(str(request.getfixturevalue(source))).rate_hz == pytest.approx(rate_hz)
 
 
 def test_a_source_that_is_nothing_is_refused(tmp_path: Path) -> None:
@@ -115,14 +131,14 @@ def test_a_device_that_is_not_there_is_refused() -> None:
 
 def test_a_damaged_picture_is_named_when_its_turn_comes(folder: Path) -> None:
     (folder / "1.png").write_bytes(b"damaged")
-    frames = open_source(str(folder))
+    frames = open_source(str(folder)).frames
     next(frames)
     with pytest.raises(SourceError, match=r"1\.png cannot be read"):
         next(frames)
 
 
 def test_a_video_that_goes_away_ends_with_the_reason(video: Path) -> None:
-    frames = open_source(str(video), loop=True)
+    frames = open_source(str(video), loop=True).frames
     assert len(list(islice(frames, len(GREYS)))) == len(GREYS)
     video.unlink()
     with pytest.raises(SourceError, match="can be read no longer"):
@@ -165,21 +181,28 @@ def observer(ros_domain: int) -> Iterator[Observer]:
         yield observer
 
 
+def collected(
+    observer: Observer, message_type: type, topic: str, qos: QoSProfile = RELIABLE
+) -> dict[int, Any]:
+    """What comes on `topic` from now on, by its stamp."""
+    messages: dict[int, Any] = {}
+
+    def take(message: Any) -> None:
+        messages[stamp_ns(message.header)] = message
+
+    observer.create_subscription(message_type, topic, take, qos)
+    return messages
+
+
 def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer, ros_domain: int) -> None:
-    images: dict[int, Image] = {}
-    truths: dict[int, Sighting] = {}
-
-    def take_image(message: Image) -> None:
-        images[stamp_ns(message.header)] = message
-
-    def take_truth(message: Detection2DArray) -> None:
-        truths[stamp_ns(message.header)] = Sighting.now(message)
-
-    observer.create_subscription(Image, "/image_raw", take_image, QoSProfile(depth=10))
-    observer.create_subscription(Detection2DArray, "/camera/truth", take_truth, QoSProfile(depth=10))
+    images = collected(observer, Image, "/image_raw")
+    unreliable = collected(observer, Image, "/image_raw", BEST_EFFORT)
+    truths = collected(observer, Detection2DArray, "/camera/truth")
     parameters = {"width": 160, "height": 120, "seed": 4, "encoding": "bgr8", "frame_id": "lens"}
     with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
-        observer.wait_for(lambda: len(images.keys() & truths.keys()) >= 5, "images and their truths")
+        observer.wait_for(
+            lambda: len(images.keys() & truths.keys()) >= 5 and bool(unreliable), "images and their truths"
+        )
         assert camera.stop(signal.SIGTERM) == 0
     scene = Scene(4, (120, 160))
     index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
@@ -187,19 +210,99 @@ def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer
     indices = [index_of[picture(images[stamp]).pixels[..., ::-1].tobytes()] for stamp in stamps]
     assert indices == sorted(set(indices))
     for stamp, index in zip(stamps, indices, strict=True):
-        image, told, truth = images[stamp], truths[stamp], scene.frame(index)[1]
+        image, told, truth = images[stamp], Sighting.now(truths[stamp]), scene.frame(index)[1]
         assert (image.encoding, image.step, image.header.frame_id) == ("bgr8", 480, "lens")
         assert told.class_names == tuple(CLASS_NAMES[class_id] for class_id in truth.class_ids)
         assert np.allclose(told.boxes_xyxy, truth.boxes_xyxy, atol=1e-3)
 
 
-def test_without_loop_the_process_ends_with_the_files(
+def test_what_is_played_once_reaches_whoever_listens_as_a_whole(
     observer: Observer, ros_domain: int, video: Path
 ) -> None:
-    arguments = as_arguments({"source": str(video), "loop": "false", "rate": 100})
+    images: list[Image] = []
+    observer.create_subscription(Image, "/image_raw", images.append, RELIABLE)
+    arguments = as_arguments({"source": str(video), "loop": "false", "rate": 1000})
     with camera_process(ros_domain, "--ros-args", *arguments) as camera:
+        observer.wait_for(lambda: len(images) == len(GREYS), "every picture")
         assert camera.wait(20.0) == 0
+    assert [nearest_grey(picture(image)) for image in images] == [*GREYS]
     assert camera.output == ""
+
+
+def test_every_transport_sends_the_same_pictures_where_the_images_are_led_to(
+    observer: Observer, ros_domain: int
+) -> None:
+    raws = collected(observer, Image, "/front/image_raw")
+    jpegs = collected(observer, CompressedImage, "/front/image_raw/compressed")
+    infos = collected(observer, CameraInfo, "/front/camera_info")
+    parameters = {"image_transport": "both", "width": 160, "height": 120, "frame_id": "lens"}
+    arguments = ["-r", "image_raw:=/front/image_raw", *as_arguments(parameters)]
+    with camera_process(ros_domain, "--ros-args", *arguments):
+        observer.wait_for(lambda: bool(raws.keys() & jpegs.keys() & infos.keys()), "one picture everywhere")
+    stamp = min(raws.keys() & jpegs.keys() & infos.keys())
+    raw, jpeg, info = raws[stamp], jpegs[stamp], infos[stamp]
+    assert raw.header == jpeg.header == info.header
+    assert (info.header.frame_id, info.width, info.height, info.k[0]) == ("lens", 160, 120, 0.0)
+    assert jpeg.format == "rgb8; jpeg compressed bgr8"
+    difference = picture(raw).pixels[..., ::-1].astype(int) - picture(jpeg).pixels
+    assert np.abs(difference).mean() < 3
+
+
+def test_compressed_images_come_alone_and_with_the_quality_of_service_that_was_asked_for(
+    observer: Observer, ros_domain: int
+) -> None:
+    jpegs = collected(observer, CompressedImage, "/image_raw/compressed", BEST_EFFORT)
+    parameters = {"image_transport": "compressed", "encoding": "mono8", "width": 160, "height": 120}
+    override = {"qos_overrides./image_raw/compressed.publisher.reliability": "best_effort"}
+
+    def offers() -> list[ReliabilityPolicy]:
+        publishers = observer.get_publishers_info_by_topic("/image_raw/compressed")
+        return [publisher.qos_profile.reliability for publisher in publishers]
+
+    with camera_process(ros_domain, "--ros-args", *as_arguments(parameters | override)):
+        observer.wait_for(lambda: bool(jpegs and offers()), "a picture and its publisher")
+        assert offers() == [ReliabilityPolicy.BEST_EFFORT]
+        assert observer.count_publishers("/image_raw") == 0
+    assert {jpeg.format for jpeg in jpegs.values()} == {"mono8; jpeg compressed "}
+
+
+def first_info(observer: Observer) -> CameraInfo:
+    infos: list[CameraInfo] = []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    observer.create_subscription(CameraInfo, "/camera_info", infos.append, latched)
+    observer.wait_for(lambda: bool(infos), "the camera's info")
+    return infos[0]
+
+
+def test_camera_info_is_kept_for_late_subscribers(observer: Observer, ros_domain: int, folder: Path) -> None:
+    once_in_a_thousand_seconds = as_arguments({"source": str(folder / "0.png"), "rate": 0.001})
+    with camera_process(ros_domain, "--ros-args", *once_in_a_thousand_seconds):
+        assert first_info(observer) == first_info(observer)
+
+
+def test_a_source_that_hangs_does_not_hold_up_the_end(ros_domain: int, tmp_path: Path) -> None:
+    hanging = tmp_path / "video.mp4"
+    os.mkfifo(hanging)
+    with (
+        camera_process(ros_domain, "--ros-args", *as_arguments({"source": str(hanging)})) as camera,
+        hanging.open("wb"),  # waits until the camera reads
+    ):
+        assert camera.stop(signal.SIGINT) == 0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        pytest.param({"source": "/nowhere.mp4"}, "'/nowhere.mp4' is neither", id="no file"),
+        pytest.param({"width": 20, "height": 20}, "at least 64 pixels", id="too small a scene"),
+    ],
+)
+def test_a_source_that_cannot_be_opened_ends_the_process_with_the_reason(
+    ros_domain: int, parameters: dict[str, object], told: str
+) -> None:
+    with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
+        assert camera.wait(20.0) == 1
+    assert told in camera.output
 
 
 def test_a_source_that_fails_later_ends_the_process_with_the_reason(ros_domain: int, folder: Path) -> None:
@@ -213,13 +316,15 @@ def test_a_source_that_fails_later_ends_the_process_with_the_reason(ros_domain: 
 @pytest.mark.parametrize(
     ("parameters", "told"),
     [
-        pytest.param({"source": "/nowhere.mp4"}, ["'/nowhere.mp4' is neither"], id="source"),
-        pytest.param({"rate": "0.0", "seed": "-1"}, ["rate: 0.0", "seed: -1"], id="ranges"),
+        pytest.param({"rate": "-1.0", "seed": "-1"}, ["rate: -1.0", "seed: -1"], id="ranges"),
         pytest.param({"encoding": "yuv"}, ["encoding: 'yuv'", "'bgr8'"], id="choice"),
         pytest.param({"rate": "fast"}, ["rate: 'fast'"], id="type"),
         pytest.param({"width": 640}, ["width and height go together"], id="one side"),
-        pytest.param({"width": 20, "height": 20}, ["at least 64 pixels"], id="too small"),
         pytest.param({"sorce": "0"}, ["sorce", "Did you mean 'source'?"], id="unknown name"),
+        pytest.param(
+            {f"{RAW_QOS}.reliability": "maybe"}, ["`reliability`: `maybe`"], id="quality of service"
+        ),
+        pytest.param({f"{RAW_QOS}.deph": 5}, ["Did you mean", f"{RAW_QOS}.depth"], id="unknown quality"),
     ],
 )
 def test_a_wrong_parameter_is_explained(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,9 @@ from yolov5_lifecycle.images import Picture
 from yolov5_lifecycle.scene import Scene, Truth
 
 SYNTHETIC = "synthetic"
+PICTURE_RATE_HZ = 30.0
+"""Of what has no rate of its own."""
+_MAX_VIDEO_RATE_HZ = 1000.0
 _DEFAULT_SCENE_HW = (480, 640)
 _PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 
@@ -31,15 +34,27 @@ class SourceFrame:
     truth: Truth | None = None
 
 
+@dataclass(frozen=True)
+class PictureSource:
+    """Frames, and how many a second it takes to show them as they are meant.
+
+    `rate_hz` is None for a device: that gives a frame when it has one, whether somebody asks or not.
+    """
+
+    frames: Iterator[SourceFrame]
+    rate_hz: float | None
+
+
 def open_source(
     source: str, *, size_hw: tuple[int, int] | None = None, seed: int = 0, loop: bool = True
-) -> Iterator[SourceFrame]:
+) -> PictureSource:
     """The frames of `source`: "synthetic", the number of a device, the path of a video, picture or folder.
 
     `size_hw` is the size that every picture gets, None that of the source (the scene: 480 x 640). Files begin
     anew at their end when `loop`, else the iterator ends; a device and the scene never end.
 
     Raises SourceError here when `source` cannot be opened, and in the iterator when it can be read no longer.
+    Both may take as long as a device or a disk pleases.
     """
     if source == SYNTHETIC:
         return _synthetic(seed, size_hw or _DEFAULT_SCENE_HW)
@@ -52,21 +67,23 @@ def open_source(
             "nor a file or folder that exists."
         )
     if path.is_dir() or path.suffix.lower() in _PICTURE_SUFFIXES:
-        return _pictures(_picture_paths(path), size_hw, loop)
+        paths = _picture_paths(path)
+        return PictureSource(_pictures(itertools.cycle(paths) if loop else paths, size_hw), PICTURE_RATE_HZ)
     return _video(path, size_hw, loop)
 
 
-def _synthetic(seed: int, size_hw: tuple[int, int]) -> Iterator[SourceFrame]:
+def _synthetic(seed: int, size_hw: tuple[int, int]) -> PictureSource:
     try:
         scene = Scene(seed, size_hw)
     except ValueError as error:
         raise SourceError(str(error)) from None
-    return (
+    frames = (
         SourceFrame(Picture(pixels, "rgb"), truth) for pixels, truth in map(scene.frame, itertools.count())
     )
+    return PictureSource(frames, PICTURE_RATE_HZ)
 
 
-def _device(number: int, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
+def _device(number: int, size_hw: tuple[int, int] | None) -> PictureSource:
     capture = cv2.VideoCapture(number)
     if not capture.isOpened():
         raise SourceError(f"Device {number} cannot be opened: is it plugged in, free, and may you read it?")
@@ -78,31 +95,33 @@ def _device(number: int, size_hw: tuple[int, int] | None) -> Iterator[SourceFram
         yield from _captured(capture, size_hw)
         raise SourceError(f"Device {number} gives no more pictures: was it unplugged?")
 
-    return frames()
+    return PictureSource(frames(), rate_hz=None)
 
 
-def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> Iterator[SourceFrame]:
+def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> PictureSource:
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise SourceError(f"{path} can be read neither as a picture nor as a video.")
+    told_hz = capture.get(cv2.CAP_PROP_FPS)
+    rate_hz = told_hz if 0 < told_hz <= _MAX_VIDEO_RATE_HZ else PICTURE_RATE_HZ
     captured = _captured(capture, size_hw)
     first = next(captured, None)
     if first is None:
         raise SourceError(f"{path} is a video without a picture that can be read.")
+    repeated = _repeated(path, size_hw) if loop else ()
+    return PictureSource(itertools.chain([first], captured, repeated), rate_hz)
 
-    def frames() -> Iterator[SourceFrame]:
+
+def _repeated(path: Path, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
+    """The video from its beginning, over and over."""
+    while True:
+        # Many formats cannot go back to their beginning, all can be opened again.
+        captured = _captured(cv2.VideoCapture(str(path)), size_hw)
+        first = next(captured, None)
+        if first is None:
+            raise SourceError(f"{path} can be read no longer: was it moved or unplugged?")
         yield first
         yield from captured
-        while loop:
-            # Many formats cannot go back to their beginning, all can be opened again.
-            again = _captured(cv2.VideoCapture(str(path)), size_hw)
-            beginning = next(again, None)
-            if beginning is None:
-                raise SourceError(f"{path} can be read no longer: was it moved or unplugged?")
-            yield beginning
-            yield from again
-
-    return frames()
 
 
 def _captured(capture: cv2.VideoCapture, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
@@ -125,8 +144,8 @@ def _picture_paths(path: Path) -> list[Path]:
     return paths
 
 
-def _pictures(paths: list[Path], size_hw: tuple[int, int] | None, loop: bool) -> Iterator[SourceFrame]:
-    for path in itertools.cycle(paths) if loop else paths:
+def _pictures(paths: Iterable[Path], size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
+    for path in paths:
         pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if pixels is None:
             raise SourceError(f"{path} cannot be read as a picture.")
