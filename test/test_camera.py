@@ -203,7 +203,7 @@ def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer
         observer.wait_for(
             lambda: len(images.keys() & truths.keys()) >= 5 and bool(unreliable), "images and their truths"
         )
-        assert camera.stop(signal.SIGTERM) == 0
+        assert camera.stop(signal.SIGTERM, timeout_s=20.0) == 0
     scene = Scene(4, (120, 160))
     index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
     stamps = sorted(images.keys() & truths.keys())
@@ -287,7 +287,7 @@ def test_a_source_that_hangs_does_not_hold_up_the_end(ros_domain: int, tmp_path:
         camera_process(ros_domain, "--ros-args", *as_arguments({"source": str(hanging)})) as camera,
         hanging.open("wb"),  # waits until the camera reads
     ):
-        assert camera.stop(signal.SIGINT) == 0
+        assert camera.stop(signal.SIGINT, timeout_s=20.0) == 0
 
 
 @pytest.mark.parametrize(
