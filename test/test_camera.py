@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import signal
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -13,21 +15,28 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from detector_process import as_arguments, environment
+from detector_process import PARAMETERS, SCENE, as_arguments, detector_process, environment
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.image_encoding import encoded
 from yolov5_lifecycle.images import ENCODINGS, Order, Picture, decode_raw
 from yolov5_lifecycle.picture_source import SourceError, open_source
+from yolov5_lifecycle.ros.camera_settings import CameraSettings
+from yolov5_lifecycle.ros.camera_transport import jpeg_message
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.messages import picture
 from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.sighting import Sighting, stamp_ns
 from yolov5_lifecycle.scene import CLASS_NAMES, Scene
 
+REPOSITORY = Path(__file__).parents[1]
+README = REPOSITORY / "README.md"
+CAMERA_PAGE = REPOSITORY / "docs" / "camera.md"
 GREYS = (10, 90, 170, 250)
+END_S = 60.0
 RELIABLE = QoSProfile(depth=10)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 RAW_QOS = "qos_overrides./image_raw.publisher"
@@ -35,9 +44,9 @@ RAW_QOS = "qos_overrides./image_raw.publisher"
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Evenly grey pictures, 24 x 32, whose names sort in the order of GREYS, and a file that is none."""
-    for index, grey in enumerate(GREYS):
-        assert cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((24, 32, 3), grey, np.uint8))
+    """Evenly grey pictures, 24 x 32, whose numbers have the order of GREYS, and a file that is none."""
+    for number, grey in enumerate(GREYS, start=8):
+        assert cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((24, 32, 3), grey, np.uint8))
     (tmp_path / "notes.txt").write_text("not a picture")
     return tmp_path
 
@@ -87,8 +96,8 @@ def test_files_begin_anew_with_loop(source: str, request: pytest.FixtureRequest)
 
 
 def test_one_picture_is_a_source(folder: Path) -> None:
-    assert greys(folder / "2.png", 3, loop=True) == [170, 170, 170]
-    assert greys(folder / "2.png", 3, loop=False) == [170]
+    assert greys(folder / "10.png", 3, loop=True) == [170, 170, 170]
+    assert greys(folder / "10.png", 3, loop=False) == [170]
 
 
 @pytest.mark.parametrize("source", ["folder", "video"])
@@ -130,10 +139,10 @@ def test_a_device_that_is_not_there_is_refused() -> None:
 
 
 def test_a_damaged_picture_is_named_when_its_turn_comes(folder: Path) -> None:
-    (folder / "1.png").write_bytes(b"damaged")
+    (folder / "9.png").write_bytes(b"damaged")
     frames = open_source(str(folder)).frames
     next(frames)
-    with pytest.raises(SourceError, match=r"1\.png cannot be read"):
+    with pytest.raises(SourceError, match=r"9\.png cannot be read"):
         next(frames)
 
 
@@ -163,6 +172,21 @@ def test_what_is_encoded_is_decoded_to_the_same_colours(order: Order, encoding: 
     )
     same = decoded.pixels if decoded.order == order else decoded.pixels[..., ::-1]
     assert (same == pixels).all()
+
+
+@pytest.mark.parametrize(
+    ("encoding", "format_"),
+    [
+        ("rgb8", "rgb8; jpeg compressed bgr8"),
+        ("bgra8", "bgra8; jpeg compressed bgr8"),
+        ("mono8", "mono8; jpeg compressed "),
+    ],
+)
+def test_a_jpeg_has_the_colours_and_tells_the_encoding(encoding: str, format_: str) -> None:
+    rgb = (90, 90, 90) if encoding == "mono8" else (200, 90, 20)
+    message = jpeg_message(Picture(np.full((16, 16, 3), rgb, np.uint8), "rgb"), encoding, Header())
+    assert np.allclose(picture(message).pixels, rgb[::-1], atol=3)
+    assert message.format == format_
 
 
 # The executable
@@ -203,7 +227,7 @@ def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer
         observer.wait_for(
             lambda: len(images.keys() & truths.keys()) >= 5 and bool(unreliable), "images and their truths"
         )
-        assert camera.stop(signal.SIGTERM, timeout_s=20.0) == 0
+        assert camera.stop(signal.SIGTERM, timeout_s=END_S) == 0
     scene = Scene(4, (120, 160))
     index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
     stamps = sorted(images.keys() & truths.keys())
@@ -224,7 +248,7 @@ def test_what_is_played_once_reaches_whoever_listens_as_a_whole(
     arguments = as_arguments({"source": str(video), "loop": "false", "rate": 1000})
     with camera_process(ros_domain, "--ros-args", *arguments) as camera:
         observer.wait_for(lambda: len(images) == len(GREYS), "every picture")
-        assert camera.wait(20.0) == 0
+        assert camera.wait(END_S) == 0
     assert [nearest_grey(picture(image)) for image in images] == [*GREYS]
     assert camera.output == ""
 
@@ -243,9 +267,7 @@ def test_every_transport_sends_the_same_pictures_where_the_images_are_led_to(
     raw, jpeg, info = raws[stamp], jpegs[stamp], infos[stamp]
     assert raw.header == jpeg.header == info.header
     assert (info.header.frame_id, info.width, info.height, info.k[0]) == ("lens", 160, 120, 0.0)
-    assert jpeg.format == "rgb8; jpeg compressed bgr8"
-    difference = picture(raw).pixels[..., ::-1].astype(int) - picture(jpeg).pixels
-    assert np.abs(difference).mean() < 3
+    assert jpeg == jpeg_message(picture(raw), "rgb8", raw.header)
 
 
 def test_compressed_images_come_alone_and_with_the_quality_of_service_that_was_asked_for(
@@ -275,9 +297,50 @@ def first_info(observer: Observer) -> CameraInfo:
 
 
 def test_camera_info_is_kept_for_late_subscribers(observer: Observer, ros_domain: int, folder: Path) -> None:
-    once_in_a_thousand_seconds = as_arguments({"source": str(folder / "0.png"), "rate": 0.001})
+    once_in_a_thousand_seconds = as_arguments({"source": str(folder / "8.png"), "rate": 0.001})
     with camera_process(ros_domain, "--ros-args", *once_in_a_thousand_seconds):
         assert first_info(observer) == first_info(observer)
+
+
+@pytest.fixture
+def scene_video(tmp_path: Path) -> Path:
+    """A second of the scene that the small model knows."""
+    path = tmp_path / "video.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (320, 240))
+    assert writer.isOpened()
+    for index in range(30):
+        writer.write(cv2.cvtColor(SCENE.frame(index)[0], cv2.COLOR_RGB2BGR))
+    writer.release()
+    return path
+
+
+def readme_commands() -> dict[str, str]:
+    """The words behind `camera` and `detector` in the README's section on a video."""
+    section = README.read_text().partition("\n## Your video instead of a camera\n")[2].partition("\n## ")[0]
+    return dict(re.findall(r"^(camera|detector) (.*)$", section, re.MULTILINE))
+
+
+def test_the_objects_in_a_video_are_detected_with_the_commands_of_the_readme(scene_video: Path) -> None:
+    words = readme_commands()
+    of_camera = words["camera"].replace("video.mp4", str(scene_video)).split()
+    of_detector = words["detector"].split() + as_arguments(PARAMETERS | {"runtime": "torch"})
+    assert of_detector.pop(0) == "--ros-args"
+    with detector_process(*of_detector) as detector, camera_process(detector.domain, *of_camera):
+        detector.observer.wait_for(
+            lambda: any(message.detections for message in detector.detections), "detections of something"
+        )
+
+
+def parameter_rows() -> list[tuple[str, object, str]]:
+    section = CAMERA_PAGE.read_text().partition("\n## Parameters\n")[2].partition("\n## ")[0]
+    cells = re.findall(r"^\| `(\w+)` \| `(.*?)` \| (.*) \|$", section, re.MULTILINE)
+    return [(name, json.loads(default), description) for name, default, description in cells]
+
+
+def test_the_page_of_the_camera_tells_its_parameters() -> None:
+    assert parameter_rows() == [
+        (name, field.default, field.description) for name, field in CameraSettings.model_fields.items()
+    ]
 
 
 def test_a_source_that_hangs_does_not_hold_up_the_end(ros_domain: int, tmp_path: Path) -> None:
@@ -287,7 +350,7 @@ def test_a_source_that_hangs_does_not_hold_up_the_end(ros_domain: int, tmp_path:
         camera_process(ros_domain, "--ros-args", *as_arguments({"source": str(hanging)})) as camera,
         hanging.open("wb"),  # waits until the camera reads
     ):
-        assert camera.stop(signal.SIGINT, timeout_s=20.0) == 0
+        assert camera.stop(signal.SIGINT, timeout_s=END_S) == 0
 
 
 @pytest.mark.parametrize(
@@ -301,16 +364,16 @@ def test_a_source_that_cannot_be_opened_ends_the_process_with_the_reason(
     ros_domain: int, parameters: dict[str, object], told: str
 ) -> None:
     with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
-        assert camera.wait(20.0) == 1
+        assert camera.wait(END_S) == 1
     assert told in camera.output
 
 
 def test_a_source_that_fails_later_ends_the_process_with_the_reason(ros_domain: int, folder: Path) -> None:
-    (folder / "3.png").write_bytes(b"damaged")
+    (folder / "11.png").write_bytes(b"damaged")
     arguments = as_arguments({"source": str(folder), "rate": 100})
     with camera_process(ros_domain, "--ros-args", *arguments) as camera:
-        assert camera.wait(20.0) == 1
-    assert "3.png cannot be read" in camera.output
+        assert camera.wait(END_S) == 1
+    assert "11.png cannot be read" in camera.output
 
 
 @pytest.mark.parametrize(
@@ -331,7 +394,7 @@ def test_a_wrong_parameter_is_explained(
     ros_domain: int, parameters: dict[str, object], told: list[str]
 ) -> None:
     with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
-        assert camera.wait(20.0) == 2
+        assert camera.wait(END_S) == 2
     assert all(word in camera.output for word in told), camera.output
     assert "Traceback" not in camera.output
 
@@ -348,5 +411,5 @@ def test_a_wrong_parameter_is_explained(
 )
 def test_the_command_line_is_explained(ros_domain: int, words: list[str], code: int, told: str) -> None:
     with camera_process(ros_domain, *words) as camera:
-        assert camera.wait(20.0) == code
+        assert camera.wait(END_S) == code
     assert told in camera.output

@@ -16,7 +16,7 @@ from yolov5_lifecycle.images import Picture
 from yolov5_lifecycle.picture_source import PictureSource, SourceError, SourceFrame
 from yolov5_lifecycle.playback import Playback
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 def frame(number: int) -> SourceFrame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -138,10 +139,17 @@ def _captured(capture: cv2.VideoCapture, size_hw: tuple[int, int] | None) -> Ite
 def _picture_paths(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
-    paths = sorted(file for file in path.iterdir() if file.suffix.lower() in _PICTURE_SUFFIXES)
+    found = (file for file in path.iterdir() if file.suffix.lower() in _PICTURE_SUFFIXES)
+    paths = sorted(found, key=_natural_order)
     if not paths:
         raise SourceError(f"The folder {path} has no pictures ({', '.join(_PICTURE_SUFFIXES)}).")
     return paths
+
+
+def _natural_order(path: Path) -> list[tuple[str, int]]:
+    """9.png comes before 10.png."""
+    pairs = re.findall(r"(\D*)(\d*)", path.name)
+    return [(text, int(number or 0)) for text, number in pairs]
 
 
 def _pictures(paths: Iterable[Path], size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
