@@ -60,10 +60,10 @@ class CameraOutputs:
         header = Header(stamp=self._node.get_clock().now().to_msg(), frame_id=self._settings.frame_id)
         if frame.truth is not None:
             self._truths.publish(detection_array(_certain(frame.truth), CLASS_NAMES, header))
-        height, width = frame.picture.size_hw
-        self._infos.publish(CameraInfo(header=header, height=height, width=width))
         for publisher, message in self._images:
             publisher.publish(message(frame.picture, self._settings.encoding, header))
+        height, width = frame.picture.size_hw
+        self._infos.publish(CameraInfo(header=header, height=height, width=width))
 
     def wait_until_delivered(self, timeout_s: float) -> None:
         """Wait until reliable subscribers have everything, but no longer than `timeout_s`."""
