@@ -10,7 +10,7 @@ from collections.abc import Callable
 from yolov5_lifecycle.images import ImageError
 from yolov5_lifecycle.picture_source import PictureSource, SourceError, SourceFrame
 
-_AWAITED_S = 0.02
+_POLL_S = 0.02
 
 
 class Playback:
@@ -61,7 +61,7 @@ class Playback:
 
     def _play(self, source: PictureSource) -> None:
         while not self._is_awaited():
-            if self._stop.wait(_AWAITED_S):
+            if self._stop.wait(_POLL_S):
                 return
         rate_hz = self._rate_hz or source.rate_hz
         period_s = 1 / rate_hz if rate_hz else 0.0

@@ -25,7 +25,7 @@ from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.settings import SettingsError
 
 _DELIVERY_S = 1.0
-_END_S = 1.0
+_END_S = 2.0  # longer than a frame under way may take to be delivered
 _USAGE = """\
 camera: publishes images on image_raw or image_raw/compressed, their size on camera_info beside it, and
 what the synthetic scene shows on ~/truth.
@@ -47,6 +47,8 @@ class CameraNode(Node):
         self._outputs = CameraOutputs(self, self._settings)
         check_qos_overrides(self)
         harden(self, {})
+        if not self._settings.loop:
+            self.get_logger().info(f"waiting for a subscriber to {' or '.join(self._outputs.image_topics)}")
         self._playback = Playback(
             partial(
                 open_source,
@@ -105,11 +107,12 @@ def _run(arguments: list[str]) -> int:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     spin(executor, node, until=lambda: stop.is_set() or node.is_finished)
+    failure = node.failure  # as it was when the end began
     node.close()
     rclpy.try_shutdown()
-    if node.failure:
-        sys.stderr.write(f"camera: {node.failure}\n")
-    return 1 if node.failure else 0
+    if failure:
+        sys.stderr.write(f"camera: {failure}\n")
+    return 1 if failure else 0
 
 
 def _parameters() -> list[tuple[str, str | None, object]]:

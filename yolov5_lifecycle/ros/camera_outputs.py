@@ -51,6 +51,11 @@ class CameraOutputs:
         self._truths = node.create_publisher(Detection2DArray, "~/truth", 10)
 
     @property
+    def image_topics(self) -> list[str]:
+        """The full names of the topics that have the images."""
+        return [publisher.topic_name for publisher, _ in self._images]
+
+    @property
     def is_heard(self) -> bool:
         """Whether somebody has subscribed to the images."""
         return any(publisher.get_subscription_count() for publisher, _ in self._images)
