@@ -49,7 +49,7 @@ RANKS = [
         "picture_source",
         "found_objects",
     },
-    {"model", "compressed_image"},
+    {"model", "compressed_image", "playback"},
     {"parameter_file", "selection"},
     {"annotate", "checkpoint_archive", "confinement", "pickle_operations", "yaml_architecture", "runtimes"},
     {"pickled_names"},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -59,11 +59,14 @@ def decode_compressed(data: Any, *, format_text: str = "") -> Picture:
     return Picture(pixels, "rgb" if "compressed rgb" in format_text else "bgr")
 
 
-def encode_jpeg(picture: Picture) -> NDArray[np.uint8]:
-    """The bytes (N,) of a JPEG file with that picture; raises ImageError when OpenCV cannot make it."""
+def encode_jpeg(picture: Picture, encoding: Literal["bgr8", "mono8"] = "bgr8") -> NDArray[np.uint8]:
+    """The bytes (N,) of a JPEG file with that picture, in colours or in greys.
+
+    Raises ImageError when OpenCV cannot make it.
+    """
     try:
         is_encoded, data = cv2.imencode(
-            ".jpg", encoded(picture, "bgr8"), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
+            ".jpg", encoded(picture, encoding), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
         )
     except cv2.error as error:
         raise ImageError(f"OpenCV cannot compress the picture: {error.err}.") from None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,8 +16,11 @@ from yolov5_lifecycle.images import Picture
 from yolov5_lifecycle.scene import Scene, Truth
 
 SYNTHETIC = "synthetic"
+PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+PICTURE_RATE_HZ = 30.0
+"""Of what has no rate of its own."""
+_MAX_VIDEO_RATE_HZ = 1000.0
 _DEFAULT_SCENE_HW = (480, 640)
-_PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 
 
 class SourceError(ValueError):
@@ -31,15 +35,27 @@ class SourceFrame:
     truth: Truth | None = None
 
 
+@dataclass(frozen=True)
+class PictureSource:
+    """Frames, and how many a second it takes to show them as they are meant.
+
+    `rate_hz` is None for a device: that gives a frame when it has one, whether somebody asks or not.
+    """
+
+    frames: Iterator[SourceFrame]
+    rate_hz: float | None
+
+
 def open_source(
     source: str, *, size_hw: tuple[int, int] | None = None, seed: int = 0, loop: bool = True
-) -> Iterator[SourceFrame]:
+) -> PictureSource:
     """The frames of `source`: "synthetic", the number of a device, the path of a video, picture or folder.
 
     `size_hw` is the size that every picture gets, None that of the source (the scene: 480 x 640). Files begin
     anew at their end when `loop`, else the iterator ends; a device and the scene never end.
 
     Raises SourceError here when `source` cannot be opened, and in the iterator when it can be read no longer.
+    Both may take as long as a device or a disk pleases.
     """
     if source == SYNTHETIC:
         return _synthetic(seed, size_hw or _DEFAULT_SCENE_HW)
@@ -51,22 +67,24 @@ def open_source(
             f"'{source}' is neither '{SYNTHETIC}', nor the number of a device, "
             "nor a file or folder that exists."
         )
-    if path.is_dir() or path.suffix.lower() in _PICTURE_SUFFIXES:
-        return _pictures(_picture_paths(path), size_hw, loop)
+    if path.is_dir() or path.suffix.lower() in PICTURE_SUFFIXES:
+        paths = picture_paths(path)
+        return PictureSource(_pictures(itertools.cycle(paths) if loop else paths, size_hw), PICTURE_RATE_HZ)
     return _video(path, size_hw, loop)
 
 
-def _synthetic(seed: int, size_hw: tuple[int, int]) -> Iterator[SourceFrame]:
+def _synthetic(seed: int, size_hw: tuple[int, int]) -> PictureSource:
     try:
         scene = Scene(seed, size_hw)
     except ValueError as error:
         raise SourceError(str(error)) from None
-    return (
+    frames = (
         SourceFrame(Picture(pixels, "rgb"), truth) for pixels, truth in map(scene.frame, itertools.count())
     )
+    return PictureSource(frames, PICTURE_RATE_HZ)
 
 
-def _device(number: int, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
+def _device(number: int, size_hw: tuple[int, int] | None) -> PictureSource:
     capture = cv2.VideoCapture(number)
     if not capture.isOpened():
         raise SourceError(f"Device {number} cannot be opened: is it plugged in, free, and may you read it?")
@@ -78,31 +96,33 @@ def _device(number: int, size_hw: tuple[int, int] | None) -> Iterator[SourceFram
         yield from _captured(capture, size_hw)
         raise SourceError(f"Device {number} gives no more pictures: was it unplugged?")
 
-    return frames()
+    return PictureSource(frames(), rate_hz=None)
 
 
-def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> Iterator[SourceFrame]:
+def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> PictureSource:
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise SourceError(f"{path} can be read neither as a picture nor as a video.")
+    told_hz = capture.get(cv2.CAP_PROP_FPS)
+    rate_hz = told_hz if 0 < told_hz <= _MAX_VIDEO_RATE_HZ else PICTURE_RATE_HZ
     captured = _captured(capture, size_hw)
     first = next(captured, None)
     if first is None:
         raise SourceError(f"{path} is a video without a picture that can be read.")
+    repeated = _repeated(path, size_hw) if loop else ()
+    return PictureSource(itertools.chain([first], captured, repeated), rate_hz)
 
-    def frames() -> Iterator[SourceFrame]:
+
+def _repeated(path: Path, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
+    """The video from its beginning, over and over."""
+    while True:
+        # Many formats cannot go back to their beginning, all can be opened again.
+        captured = _captured(cv2.VideoCapture(str(path)), size_hw)
+        first = next(captured, None)
+        if first is None:
+            raise SourceError(f"{path} can be read no longer: was it moved or unplugged?")
         yield first
         yield from captured
-        while loop:
-            # Many formats cannot go back to their beginning, all can be opened again.
-            again = _captured(cv2.VideoCapture(str(path)), size_hw)
-            beginning = next(again, None)
-            if beginning is None:
-                raise SourceError(f"{path} can be read no longer: was it moved or unplugged?")
-            yield beginning
-            yield from again
-
-    return frames()
 
 
 def _captured(capture: cv2.VideoCapture, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
@@ -116,17 +136,25 @@ def _captured(capture: cv2.VideoCapture, size_hw: tuple[int, int] | None) -> Ite
         capture.release()
 
 
-def _picture_paths(path: Path) -> list[Path]:
+def picture_paths(path: Path) -> list[Path]:
+    """`path` itself, or the pictures in that folder as a person would sort them; SourceError without any."""
     if not path.is_dir():
         return [path]
-    paths = sorted(file for file in path.iterdir() if file.suffix.lower() in _PICTURE_SUFFIXES)
+    found = (file for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES)
+    paths = sorted(found, key=_natural_order)
     if not paths:
-        raise SourceError(f"The folder {path} has no pictures ({', '.join(_PICTURE_SUFFIXES)}).")
+        raise SourceError(f"The folder {path} has no pictures ({', '.join(PICTURE_SUFFIXES)}).")
     return paths
 
 
-def _pictures(paths: list[Path], size_hw: tuple[int, int] | None, loop: bool) -> Iterator[SourceFrame]:
-    for path in itertools.cycle(paths) if loop else paths:
+def _natural_order(path: Path) -> list[tuple[str, int]]:
+    """9.png comes before 10.png."""
+    pairs = re.findall(r"(\D*)(\d*)", path.name)
+    return [(text, int(number or 0)) for text, number in pairs]
+
+
+def _pictures(paths: Iterable[Path], size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
+    for path in paths:
         pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if pixels is None:
             raise SourceError(f"{path} cannot be read as a picture.")

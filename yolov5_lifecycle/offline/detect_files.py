@@ -54,8 +54,7 @@ def _detect_pictures(source: Path, lines: TextIO, drawings: Path | None, load: L
 
 
 def _detect_video(source: Path, lines: TextIO, drawings: Path | None, load: LoadDetector) -> Account:
-    video = VideoFile.look(source)
-    frames = video.frames()
+    video = VideoFile.open(source)
     with ExitStack() as stack:
         output = stack.enter_context(closing(VideoOutput(drawings, video.rate_hz))) if drawings else None
         detector = load()
@@ -65,7 +64,7 @@ def _detect_video(source: Path, lines: TextIO, drawings: Path | None, load: Load
             if output:
                 output.add(_drawn(picture, detections, detector))
 
-        return detector.run(frames, expected=video.claimed_frames, write=write)
+        return detector.run(video.frames, expected=video.claimed_frames, write=write)
 
 
 def _drawn(picture: Picture, detections: Detections, detector: OfflineDetector) -> Picture:

@@ -9,10 +9,13 @@ from pathlib import Path
 import cv2
 
 from yolov5_lifecycle.images import ImageError, Picture
-from yolov5_lifecycle.picture_source import SourceError, open_source
-
-_PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
-_USUAL_RATE_HZ = 30.0
+from yolov5_lifecycle.picture_source import (
+    PICTURE_RATE_HZ,
+    PICTURE_SUFFIXES,
+    SourceError,
+    open_source,
+    picture_paths,
+)
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class PictureFile:
     def load(self) -> Picture:
         try:
             # As an absolute path it is never taken for the number of a camera.
-            return next(open_source(str(self.path.absolute()), loop=False)).picture
+            return next(open_source(str(self.path.absolute()), loop=False).frames).picture
         except SourceError as error:
             raise ImageError(str(error)) from None
 
@@ -60,35 +63,28 @@ class VideoFrame:
 
 def is_picture(path: Path) -> bool:
     """Whether `path` has the name of a picture; any other file may be a video."""
-    return path.suffix.lower() in _PICTURE_SUFFIXES
+    return path.suffix.lower() in PICTURE_SUFFIXES
 
 
 def picture_files(path: Path) -> list[PictureFile]:
-    """The picture `path`, or those that lie in it, by name; raises SourceError for a folder without any."""
-    if not path.is_dir():
-        return [PictureFile(path)]
-    files = [PictureFile(file) for file in sorted(path.iterdir()) if is_picture(file)]
-    if not files:
-        raise SourceError(f"The folder {path} has no pictures ({', '.join(_PICTURE_SUFFIXES)}).")
-    return files
+    """The picture `path`, or those that lie in it; raises SourceError for a folder without any."""
+    return [PictureFile(file) for file in picture_paths(path)]
 
 
 @dataclass(frozen=True)
 class VideoFile:
-    """A video: its rate, and how many frames it claims to have, 0 when it does not say."""
+    """A video: its frames, its rate, and how many frames it claims to have, 0 when it does not say."""
 
-    path: Path
+    frames: Iterator[VideoFrame]
     rate_hz: float
     claimed_frames: int
 
     @classmethod
-    def look(cls, path: Path) -> VideoFile:
+    def open(cls, path: Path) -> VideoFile:
+        """Raises SourceError when the file is no video."""
+        source = open_source(str(path.absolute()), loop=False)
         capture = cv2.VideoCapture(str(path))
-        rate_hz, frames = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        claimed_frames = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
         capture.release()
-        return cls(path, rate_hz if 0 < rate_hz < 1000 else _USUAL_RATE_HZ, max(int(frames), 0))
-
-    def frames(self) -> Iterator[VideoFrame]:
-        """Every frame; raises SourceError when the file is no video."""
-        frames = open_source(str(self.path.absolute()), loop=False)
-        return (VideoFrame(number, frame.picture) for number, frame in enumerate(frames))
+        frames = (VideoFrame(number, frame.picture) for number, frame in enumerate(source.frames))
+        return cls(frames, source.rate_hz or PICTURE_RATE_HZ, claimed_frames)

@@ -16,8 +16,8 @@ from rosbags.serde import SerdeError
 
 from yolov5_lifecycle.compressed_image import decode_compressed
 from yolov5_lifecycle.images import ImageError, Picture
-from yolov5_lifecycle.raw_image import decode_raw
 from yolov5_lifecycle.offline.recorded_types import TYPES
+from yolov5_lifecycle.raw_image import decode_raw
 
 _RAW = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"

@@ -11,6 +11,9 @@ from rclpy.node import Node
 
 from yolov5_lifecycle.images import MAX_SIDE_PX
 from yolov5_lifecycle.parameter_file import FOREIGN_PREFIXES
+from yolov5_lifecycle.ros.camera_transport import Transport
+from yolov5_lifecycle.ros.qos_overrides import PREFIX as QOS_PREFIX
+from yolov5_lifecycle.ros.qos_overrides import parameter_overrides
 from yolov5_lifecycle.settings import Problem, SettingsError
 from yolov5_lifecycle.suggestion import did_you_mean
 
@@ -29,17 +32,28 @@ class CameraSettings(BaseModel):
         min_length=1,
         description="synthetic (moving shapes), a device's number, the path of a video, picture or folder.",
     )
-    rate: float = Field(30.0, gt=0, le=1000, description="Images per second.")
+    rate: float = Field(
+        0.0,
+        ge=0,
+        le=1000,
+        description="Images per second. 0: what the video says or the device gives, 30 for anything else.",
+    )
     width: int = Field(
         0, ge=0, le=MAX_SIDE_PX, description="Width of the images in pixels. 0: that of the source."
     )
     height: int = Field(
         0, ge=0, le=MAX_SIDE_PX, description="Height of the images in pixels. 0: that of the source."
     )
-    loop: bool = Field(True, description="Begin anew at the end of the files; false: end the process.")
+    loop: bool = Field(
+        True,
+        description="Begin anew at the end of the files. false: play them once to whoever listens and end.",
+    )
     seed: int = Field(0, ge=0, description="Which synthetic scene to draw.")
+    image_transport: Transport = Field(
+        "raw", description="raw: on image_raw. compressed: as JPEG on image_raw/compressed. both: on both."
+    )
     encoding: Literal["rgb8", "bgr8", "mono8", "rgba8", "bgra8"] = Field(
-        "rgb8", description="Layout of the pixels in a message."
+        "rgb8", description="Layout of the pixels in a message; of a JPEG, once unpacked."
     )
     frame_id: str = Field("camera", description="Coordinate frame in the header of the images.")
     reliability: Literal["reliable", "best_effort"] = Field(
@@ -63,11 +77,9 @@ def declared_settings(node: Node) -> CameraSettings:
 
     Raises SettingsError with every problem: values that break a rule, and names that are no parameter.
     """
-    # rclpy has no public way to list overrides that nobody declared.
-    overrides = getattr(node, "_parameter_overrides", {})
     values = {
         name: parameter.value
-        for name, parameter in overrides.items()
+        for name, parameter in parameter_overrides(node).items()
         if not name.startswith(FOREIGN_PREFIXES)
     }
     try:
@@ -80,6 +92,15 @@ def declared_settings(node: Node) -> CameraSettings:
             node.declare_parameter(name, getattr(settings, name), described, ignore_override=True)
         return settings
     raise SettingsError(problems)
+
+
+def check_qos_overrides(node: Node) -> None:
+    """Raise SettingsError for `qos_overrides` that no publisher of `node`, all of them made, has taken."""
+    taken = [f"{QOS_PREFIX}{name}" for name in node.get_parameters_by_prefix(QOS_PREFIX.removesuffix("."))]
+    unused = [name for name in parameter_overrides(node) if name.startswith(QOS_PREFIX) and name not in taken]
+    if unused:
+        reason = "no publisher here has this policy."
+        raise SettingsError([Problem(name, f"{reason}{did_you_mean(name, taken)}") for name in unused])
 
 
 def _problem(details: ErrorDetails) -> Problem:

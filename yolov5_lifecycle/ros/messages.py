@@ -23,7 +23,7 @@ from vision_msgs.msg import (
 from yolov5_lifecycle.compressed_image import decode_compressed
 from yolov5_lifecycle.detections import Detections
 from yolov5_lifecycle.found_objects import FoundObject, found_objects
-from yolov5_lifecycle.images import Order, Picture
+from yolov5_lifecycle.images import Picture
 from yolov5_lifecycle.raw_image import decode_raw
 
 
@@ -51,10 +51,11 @@ def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> I
     return message
 
 
-def compressed_image_message(jpeg: NDArray[np.uint8], order: Order, header: Header) -> CompressedImage:
-    """A CompressedImage of the bytes of a JPEG file that was made of a picture in `order`."""
-    # Written as image_transport writes it: what was compressed, how, and in which order of colours.
-    message = CompressedImage(header=header, format=f"{order}8; jpeg compressed bgr8")
+def compressed_image_message(jpeg: NDArray[np.uint8], encoding: str, header: Header) -> CompressedImage:
+    """A CompressedImage of the bytes of a JPEG file, which image_transport will unpack to `encoding`."""
+    # Written as image_transport writes it: what was compressed, how, and its colours, for greys no word.
+    colours = "" if encoding == "mono8" else "bgr8"
+    message = CompressedImage(header=header, format=f"{encoding}; jpeg compressed {colours}")
     message.data = _array_of(jpeg)
     return message
 

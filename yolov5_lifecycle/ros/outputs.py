@@ -69,7 +69,7 @@ class Outputs:
                     f"no image on {COMPRESSED_IMAGE}: {error}", throttle_duration_sec=5.0
                 )
                 return
-            self._compressed_image.publish(compressed_image_message(jpeg, picture.order, header))
+            self._compressed_image.publish(compressed_image_message(jpeg, f"{picture.order}8", header))
 
     def close(self) -> None:
         for publisher in (self.detections, self._image, self._compressed_image, self.label_info):
