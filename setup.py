@@ -49,7 +49,7 @@ setup(
             f"camera = {name}.ros.camera:main",
             f"convert = {name}.convert:main",
             f"demo = {name}.ros.demo:main",
-            f"detector = {name}.ros.detector:main",
+            f"detector = {name}.ros.detector_command:main",
             f"fetch_weights = {name}.fetch_weights:main",
         ]
     },

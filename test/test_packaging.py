@@ -109,7 +109,7 @@ def _imports(module: ast.Module) -> Iterator[str]:
 
 def declared_packages() -> set[str]:
     """Import names of what package.xml and setup.py ask for."""
-    module_of = {"python3-numpy": "numpy", "python3-opencv": "cv2"}
+    module_of = {"python3-numpy": "numpy", "python3-opencv": "cv2", "python3-yaml": "yaml"}
     keys = [
         element.text or "" for element in ElementTree.parse(REPOSITORY / "package.xml").iter("exec_depend")
     ]
