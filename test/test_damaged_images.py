@@ -93,12 +93,14 @@ def test_a_raw_buffer_gives_its_own_pixels_or_is_refused(
     step = 3 * width + padding
     size = step * (height - 1) + 3 * width - missing
     buffer = data.draw(st.binary(min_size=size, max_size=size))
-    layout = {"encoding": "rgb8", "height": height, "width": width, "step": step, "is_bigendian": False}
+    decode = functools.partial(
+        decode_raw, encoding="rgb8", height=height, width=width, step=step, is_bigendian=False
+    )
     if missing:
         with pytest.raises(ImageError, match=f"found {size}"):
-            decode_raw(buffer, **layout)
+            decode(buffer)
         return
-    pixels = decode_raw(buffer, **layout).pixels
+    pixels = decode(buffer).pixels
     for row, column in np.ndindex(height, width):
         start = row * step + 3 * column
         assert pixels[row, column].tobytes() == buffer[start : start + 3]
