@@ -37,10 +37,11 @@ PACKAGE := $(VENV)/.package
 INTERFACES_BUILD := build/vision_msgs-$(SET)
 TYPED := $(wildcard yolov5_lifecycle test soak tools benchmark launch requirements)
 
-.PHONY: help install demo test soak bench lint docs clean
+.PHONY: help install demo test coverage soak bench lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make test     the test suite          (SET=apt: with the numpy and OpenCV of Ubuntu 24.04, in .venv-apt)'
+	@echo 'make coverage the same, and which lines of the package it reaches, child processes included'
 	@echo 'make bench    how fast each runtime is, quiet and beside a busy process  (BENCH_FLAGS="--quick")'
 	@echo 'make soak     hours of hostile neighbours, faults and signals; table, and build/soak/report.json'
 	@echo 'make lint     ruff and mypy --strict'
@@ -57,6 +58,12 @@ demo: $(PACKAGE)
 
 test: $(PACKAGE)
 	$(VENV)/bin/python -m pytest $(PYTEST_FLAGS)
+
+coverage: $(PACKAGE)
+	rm -rf build/coverage
+	$(VENV)/bin/coverage run -m pytest $(PYTEST_FLAGS)
+	$(VENV)/bin/coverage combine --quiet
+	$(VENV)/bin/coverage report
 
 bench: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.bench $(BENCH_FLAGS)

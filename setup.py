@@ -51,7 +51,7 @@ setup(
             f"convert = {name}.convert:main",
             f"demo = {name}.ros.demo:main",
             f"detect_bag = {name}.offline.detect_bag:main",
-            f"detector = {name}.ros.detector:main",
+            f"detector = {name}.ros.detector_command:main",
             f"fetch_weights = {name}.fetch_weights:main",
         ]
     },

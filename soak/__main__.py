@@ -11,7 +11,7 @@ from soak.answer_times import answers_during_inference
 from soak.balance import BalanceWatch, exact_balance
 from soak.checkpoints import refused_checkpoints
 from soak.cycles import complete_cycles
-from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts
+from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts, clean_starts
 from soak.faults import ended_by_lost_devices, survived_faults
 from soak.finding import Finding, found, table, write_report
 from soak.images import rejected_files, rejected_images, survived_files, survived_messages
@@ -58,6 +58,7 @@ def _trials_of_many(seed: int) -> dict[str, Trial]:
         "shutdowns": answered_shutdowns,
         "lost-devices": lambda: ended_by_lost_devices(_FAULTS),
         "endings": lambda: clean_endings(ENDINGS * _TIMES, seed),
+        "starts": lambda: clean_starts(_TIMES, seed),
         "restarts": lambda: clean_restarts([*MOMENTS] * _TIMES, seed),
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from collections.abc import Callable, Iterable
@@ -9,11 +10,14 @@ from functools import partial
 from random import Random
 
 from soak.finding import Finding, number_of, problem
-from soak.subject import Subject, subject, subject_in
-from yolov5_lifecycle.ros.domain import own_domain
+from soak.subject import Subject, exceptions_in, subject, subject_in
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.domain import isolated, own_domain
 
 _LIMIT_S = 5.0
 _LONGEST_TRANSITION_S = 0.3
+_LONGEST_IMPORT_S = 3.0
+_START_S = 60.0
 
 Ending = tuple[signal.Signals, str]
 """The signal, and a moment of `MOMENTS`."""
@@ -69,6 +73,20 @@ def clean_endings(endings: Iterable[Ending], seed: int) -> Finding:
     )
 
 
+def clean_starts(count: int, seed: int) -> Finding:
+    """Ask the installed detector to end while it imports its modules, or soon after."""
+    random = Random(seed)
+    numbers = [signal.SIGINT, signal.SIGTERM] * count
+    wrong = [*filter(None, (problem(partial(_end_at_start, number, random)) for number in numbers))]
+    return Finding(
+        claim="SIGINT and SIGTERM end the process cleanly while it starts",
+        done=f"{len(numbers)} processes, seed {seed}",
+        result=number_of("other ends", wrong),
+        limit=f"0; exit code 0 within {_LIMIT_S:g} s, no exception",
+        is_met=not wrong,
+    )
+
+
 def clean_restarts(moments: Iterable[str], seed: int) -> Finding:
     """Kill a process at one moment; the next one in its domain must configure, activate and detect."""
     random, moments = Random(seed), list(moments)
@@ -87,6 +105,17 @@ def _end(number: signal.Signals, moment: str, random: Random) -> None:
         _reach(process, moment, random)
         code = process.process.stop(number, timeout_s=_LIMIT_S)
         assert (code, process.escaped) == (0, []), f"{number.name} {moment}: {code}, {process.escaped}"
+
+
+def _end_at_start(number: signal.Signals, random: Random) -> None:
+    environment = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
+    command = [entry_point("detector")]
+    with own_domain() as domain, ChildProcess("detector", command, isolated(environment, domain)) as process:
+        process.wait_for_output(" rclpy\n", _START_S)
+        time.sleep(random.uniform(0, _LONGEST_IMPORT_S))
+        code = process.stop(number, timeout_s=_LIMIT_S)
+    escaped = exceptions_in(process.output)
+    assert (code, escaped) == (0, []), f"{number.name} at the start: {code}, {escaped}"
 
 
 def _restart(moment: str, random: Random) -> None:

@@ -45,7 +45,7 @@ def problem(trial: Callable[[], None]) -> str:
 
 def number_of(what: str, cases: Sequence[str]) -> str:
     """How many cases there were of `what`, and the first."""
-    return f"{len(cases)} {what}" + (f" (first: {cases[0][:200]})" if cases else "")
+    return f"{len(cases)} {what}" + (f" (first: {cases[0].partition(chr(10))[0][:200]})" if cases else "")
 
 
 def table(findings: Sequence[Finding]) -> str:

@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from yolov5_lifecycle.architecture import SIZES, Architecture
-from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.model import Model, blueprint
 from yolov5_lifecycle.network import Network
 
 CLASS_NAMES = ("cat", "dog", "cow")
@@ -31,3 +31,14 @@ def random_network(seed: int, architecture: Architecture = TINY) -> Network:
 
 def random_model(seed: int = 0, architecture: Architecture = TINY) -> Model:
     return Model(architecture, CLASS_NAMES, random_network(seed, architecture).state_dict())
+
+
+def blank_model(architecture: Architecture) -> Model:
+    """A model of any size in no time: every weight is the same, and no picture shows it anything."""
+    state = {
+        key: torch.full_like(tensor, 1 / 1024 if tensor.is_floating_point() else 0, device="cpu")
+        for key, tensor in blueprint(architecture).state_dict().items()
+    }
+    strides = torch.tensor(architecture.strides).view(-1, 1, 1)
+    state[f"model.{len(architecture.layers) - 1}.anchors"] = torch.tensor(architecture.anchors_px) / strides
+    return Model(architecture, tuple(f"class {index}" for index in range(architecture.classes)), state)

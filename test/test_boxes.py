@@ -80,6 +80,21 @@ def test_the_selection_is_that_of_the_slow_one(raw: NDArray[np.float32], selecti
     np.testing.assert_array_equal(raw, before)
 
 
+@pytest.mark.parametrize(
+    ("row", "selection", "best_missed"),
+    [
+        pytest.param((0.5, 0.25, 0.75), {"confidence_threshold": 0.4}, 0.375, id="too low"),
+        pytest.param((0.5, 0.25, 0.75), {"confidence_threshold": 0.3}, 0.0, id="found"),
+        pytest.param((0.5, 0.25, 0.75), {"classes": frozenset({0})}, 0.0, id="another class"),
+        pytest.param((0.0005, 1.0, 0.0), {}, 0.0, id="noise"),
+    ],
+)
+def test_when_nothing_is_found_the_best_score_is_told(
+    row: Row, selection: dict[str, Any], best_missed: float
+) -> None:
+    assert select(raw_rows((10, 10, 4, 4, *row)), Selection(**selection)).best_missed == best_missed
+
+
 def test_corners_are_half_the_size_around_the_centre() -> None:
     corners = cxcywh_to_xyxy(np.array([[10, 20, 4, 6], [0, 0, 1, 3]], np.float32))
     np.testing.assert_array_equal(corners, [[8, 17, 12, 23], [-0.5, -1.5, 0.5, 1.5]])

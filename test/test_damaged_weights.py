@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import io
+import itertools
+import json
+import pickletools
 import zipfile
 from collections.abc import Callable
+from typing import Any
 
 import hostile_archives
 import hostile_safetensors
@@ -115,6 +120,63 @@ def test_a_safetensors_file_with_one_other_byte_in_its_header_is_refused_or_whol
     data = bytearray(safetensors())
     data[place % (8 + int.from_bytes(data[:8], "little"))] = byte
     check(read_safetensors, bytes(data))
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=4),
+    lambda below: st.lists(below, max_size=3) | st.dictionaries(st.text(max_size=4), below, max_size=3),
+    max_leaves=4,
+)
+
+
+def replaced(tree: Any, places: list[int], value: Any) -> Any:
+    """`tree` with what stands at a place replaced: each number picks a branch, until there is none."""
+    keys = list(tree) if isinstance(tree, dict) else list(range(len(tree))) if isinstance(tree, list) else []
+    if not keys or not places:
+        return value
+    key = keys[places[0] % len(keys)]
+    changed = copy.copy(tree)
+    changed[key] = replaced(tree[key], places[1:], value)
+    return changed
+
+
+@_FEW
+@given(st.sampled_from(["architecture", "class_names"]), st.lists(st.integers(0, 99), max_size=5), JSON)
+def test_a_safetensors_file_that_describes_anything_is_refused_or_whole(
+    entry: str, places: list[int], value: object
+) -> None:
+    header, tensors = hostile_safetensors.parted(safetensors())
+    described = replaced(json.loads(header["__metadata__"][entry]), places, value)
+    header["__metadata__"][entry] = json.dumps(described)
+    check(read_safetensors, hostile_safetensors.joined(header, tensors))
+
+
+@_FEW
+@given(st.lists(st.integers(0, 99), max_size=4), JSON)
+def test_a_safetensors_file_with_any_header_is_refused_or_whole(places: list[int], value: object) -> None:
+    header, tensors = hostile_safetensors.parted(safetensors())
+    check(read_safetensors, hostile_safetensors.joined(replaced(header, places, value), tensors))
+
+
+@functools.cache
+def pickled_operations() -> list[bytes]:
+    """The checkpoint's pickle, cut between its operations."""
+    with zipfile.ZipFile(io.BytesIO(checkpoint())) as archive:
+        pickle = archive.read(next(name for name in archive.namelist() if name.endswith("/data.pkl")))
+    starts = [place for *_, place in pickletools.genops(pickle) if place is not None]
+    return [pickle[start:end] for start, end in itertools.pairwise([*starts, len(pickle)])]
+
+
+@settings(_FEW, max_examples=20)
+@given(st.lists(st.tuples(_PLACE, _PLACE, st.integers(0, 3)), min_size=1, max_size=4))
+def test_a_checkpoint_with_its_operations_in_another_order_is_refused_or_whole(
+    moves: list[tuple[float, float, int]],
+) -> None:
+    operations = list(pickled_operations())
+    for source, target, removed in moves:
+        start = int(target * len(operations))
+        operations[start : start + removed] = [operations[int(source * len(operations))]]
+    check(read_checkpoint, with_pickle(lambda _: b"".join(operations)))
 
 
 @pytest.mark.parametrize("read", [read_checkpoint, read_safetensors])

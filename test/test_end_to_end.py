@@ -24,14 +24,17 @@ from detector_process import (
     scene_image,
     scene_truth,
 )
+from random_model import blank_model
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
+from yolov5_lifecycle.architecture import SIZES
 from yolov5_lifecycle.ros.child_process import ChildProcess, ProcessError, entry_point
 from yolov5_lifecycle.ros.messages import image_message, picture
 from yolov5_lifecycle.ros.sighting import Sighting, pairwise_iou, recall, stamp_ns
+from yolov5_lifecycle.safetensors_file import write_safetensors
 from yolov5_lifecycle.scene import CLASS_NAMES
 
 STATES = ("unconfigured", "inactive", "active")
@@ -292,6 +295,39 @@ def test_the_transition_shutdown_ends_the_process_cleanly() -> None:
             detector.transition("shutdown")
         assert detector.process.wait(15.0) == 0
     assert "Traceback" not in detector.process.output
+
+
+# What deactivate gives back
+
+
+def resident_mb(detector: DetectorProcess) -> float:
+    status = Path(f"/proc/{detector.process.process_id}/status").read_text()
+    return int(status.partition("VmRSS:")[2].split()[0]) / 1024
+
+
+@pytest.fixture(scope="module")
+def large_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file whose network takes 85 MB."""
+    path = tmp_path_factory.mktemp("large") / "yolov5m.safetensors"
+    write_safetensors(blank_model(SIZES["m"]), path)
+    return path
+
+
+@pytest.mark.parametrize("runtime", ["torch", "onnxruntime"])
+def test_deactivate_gives_the_memory_of_the_model_back(
+    detector: DetectorProcess, large_weights: Path, runtime: str
+) -> None:
+    if runtime != "torch":
+        pytest.importorskip(runtime)
+    assert detector.node.set_parameters(weights=str(large_weights), runtime=runtime, image_size=64) == ""
+    detector.bring_to("active")
+    detector.bring_to("inactive")  # what a runtime brings once, its code, stays
+    before_mb = resident_mb(detector)
+    for _ in range(2):
+        detector.bring_to("active")
+        assert resident_mb(detector) > before_mb + 80
+        detector.bring_to("inactive")
+        assert resident_mb(detector) < before_mb * 1.1
 
 
 # Parameter files as people write them

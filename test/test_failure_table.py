@@ -63,6 +63,7 @@ PINNED = {
     ],
     "SIGINT, SIGTERM or `shutdown` in any state": [
         "test_end_to_end.py::test_a_signal_ends_the_process_cleanly",
+        "test_process_end.py::test_a_signal_ends_the_process_cleanly_while_it_imports",
         "test_end_to_end.py::test_the_transition_shutdown_ends_the_process_cleanly",
         "test_process_end.py::test_a_signal_ends_the_process_in_time_whatever_hangs",
         "test_node.py::test_shutdown_from_active_frees_the_model",

@@ -42,7 +42,9 @@ GOOD = Status(
     busy_s=0.02,
     recently_rejected="",
 )
-BLIND = dataclasses.replace(GOOD, empty=EmptyRun(0.9, frames=152, begun_s=5.0, ended_s=6.0 + EMPTY_S))
+BLIND = dataclasses.replace(
+    GOOD, empty=EmptyRun(0.9, frames=152, begun_s=5.0, ended_s=6.0 + EMPTY_S, best_missed=0.614)
+)
 
 
 def _with_input(**changes: Any) -> Status:
@@ -87,8 +89,8 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
         pytest.param(dataclasses.replace(GOOD, input=None), _IDLE, id="lazy"),
         pytest.param(
             BLIND,
-            "nothing scored above confidence_threshold 0.9 in the last 152 frames: if there was something, "
-            "lower it, or empty classes",
+            "nothing scored above confidence_threshold 0.9 in the last 152 frames, the best 0.61: if there "
+            "was something, lower it, or empty classes",
             id="below-threshold",
         ),
         pytest.param(
@@ -126,16 +128,18 @@ def test_the_values_hold_every_count_and_the_configuration() -> None:
     assert values["frames lost"] == "3"
     assert values["configuration"] == Settings().digest()
     assert values["latency median ms"] == "21.0"
+    assert BLIND.values()["best score in them"] == "0.61"
 
 
 def test_empty_frames_are_counted_until_something_is_found() -> None:
     frames = EmptyFrames(0.5)
     assert (frames.run.frames, frames.run.duration_s) == (0, 0.0)
-    for now_s in (3.0, 4.0, 6.0):
-        frames.add(now_s, found=0)
+    for now_s, best_missed in ((3.0, 0.1), (4.0, 0.4), (6.0, 0.0)):
+        frames.add(now_s, 0, best_missed)
     assert (frames.run.frames, frames.run.duration_s, frames.run.threshold) == (3, 3.0, 0.5)
-    frames.add(7.0, found=1)
-    assert (frames.run.frames, frames.run.duration_s, frames.run.threshold) == (0, 0.0, 0.5)
+    assert frames.run.best_missed == 0.4
+    frames.add(7.0, 1, 0.0)
+    assert frames.run == EmptyRun(0.5)
 
 
 def test_the_log_says_a_reason_once_whatever_its_numbers(ros_domain: int) -> None:

@@ -14,6 +14,10 @@ MAX_CANDIDATES = 30_000
 """Of more boxes above the threshold only the best enter the suppression, as in YOLOv5."""
 
 
+_TOLD = (0.1, 0.01, 0.001)
+"""Lower scores are noise: YOLOv5 itself drops them even when it validates."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Selection:
     """Which predictions become detections; thresholds in [0, 1], `classes` None means all."""
@@ -38,15 +42,9 @@ def select(raw: NDArray[np.float32], selection: Selection) -> Detections:
     threshold, then suppression within each class, or across classes when agnostic. The score is the product.
     Raises ValueError when a box or score above the threshold is infinite, or a box NaN.
     """
-    rows = raw[raw[:, 4] > selection.confidence_threshold]
-    class_ids = rows[:, 5:].argmax(axis=1).astype(np.int64)
-    scores = rows[:, 4] * rows[np.arange(len(rows)), 5 + class_ids]
-    wanted = scores > selection.confidence_threshold
-    if selection.classes is not None:
-        wanted &= np.isin(class_ids, list(selection.classes))
-    candidates = np.flatnonzero(wanted)
-    order = candidates[np.argsort(-scores[candidates], kind="stable")][:MAX_CANDIDATES]
-    boxes_xyxy, scores, class_ids = cxcywh_to_xyxy(rows[order, :4]), scores[order], class_ids[order]
+    boxes_cxcywh, scores, class_ids = _scored(raw, selection.confidence_threshold, selection.classes)
+    order = np.argsort(-scores, kind="stable")[:MAX_CANDIDATES]
+    boxes_xyxy, scores, class_ids = cxcywh_to_xyxy(boxes_cxcywh[order]), scores[order], class_ids[order]
     if not np.isfinite(boxes_xyxy).all():
         raise ValueError("The boxes of raw predictions must be finite numbers, found NaN or infinity.")
     kept = suppress(
@@ -56,7 +54,30 @@ def select(raw: NDArray[np.float32], selection: Selection) -> Detections:
         iou_threshold=selection.iou_threshold,
         limit=selection.max_detections,
     )
-    return Detections(boxes_xyxy[kept], scores[kept], class_ids[kept])
+    best_missed = 0.0 if len(kept) else _best_score(raw, selection.classes)
+    return Detections(boxes_xyxy[kept], scores[kept], class_ids[kept], best_missed)
+
+
+def _scored(
+    raw: NDArray[np.float32], threshold: float, classes: frozenset[int] | None
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+    """Boxes (n, 4), scores and class ids of the rows of `classes` that score above the threshold."""
+    rows = raw[raw[:, 4] > threshold]
+    class_ids = rows[:, 5:].argmax(axis=1).astype(np.int64)
+    scores = rows[:, 4] * rows[np.arange(len(rows)), 5 + class_ids]
+    wanted = scores > threshold
+    if classes is not None:
+        wanted &= np.isin(class_ids, list(classes))
+    return rows[wanted, :4], scores[wanted], class_ids[wanted]
+
+
+def _best_score(raw: NDArray[np.float32], classes: frozenset[int] | None) -> float:
+    """The highest score; as none is above its objectness, 0.1 ms for 25,200 rows instead of 4."""
+    for threshold in _TOLD:
+        scores = _scored(raw, threshold, classes)[1]
+        if len(scores):
+            return float(scores.max())
+    return 0.0
 
 
 def suppress(

@@ -53,7 +53,9 @@ class Detector:
         found = select(raw, selection)
         boxes_xyxy = letterbox.undo(found.boxes_xyxy)
         visible = (boxes_xyxy[:, :2] < boxes_xyxy[:, 2:]).all(axis=1)
-        return Detections(boxes_xyxy[visible], found.scores[visible], found.class_ids[visible])
+        return Detections(
+            boxes_xyxy[visible], found.scores[visible], found.class_ids[visible], found.best_missed
+        )
 
     def warm_up(self, source_hw: tuple[int, int] = _USUAL_SOURCE_HW) -> None:
         """Detect in grey pictures as large as those to come, as the first runs of a size are slow.

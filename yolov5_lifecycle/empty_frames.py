@@ -13,6 +13,8 @@ class EmptyRun:
     frames: int = 0
     begun_s: float = 0.0
     ended_s: float = 0.0
+    best_missed: float = 0.0
+    """The highest score that was too low."""
 
     @property
     def duration_s(self) -> float:
@@ -26,10 +28,11 @@ class EmptyFrames:
         self._threshold = threshold
         self.run = EmptyRun(threshold)
 
-    def add(self, now_s: float, found: int) -> None:
+    def add(self, now_s: float, found: int, best_missed: float) -> None:
         """A frame in which `found` objects were found at `now_s` (monotonic seconds)."""
         if found:
             self.run = EmptyRun(self._threshold)
         else:
             begun_s = self.run.begun_s if self.run.frames else now_s
-            self.run = EmptyRun(self._threshold, self.run.frames + 1, begun_s, now_s)
+            best_missed = max(best_missed, self.run.best_missed)
+            self.run = EmptyRun(self._threshold, self.run.frames + 1, begun_s, now_s, best_missed)

@@ -29,12 +29,8 @@ def file_values(path: Path, node: str) -> dict[str, object]:
     Names that are no setting are kept, except those of ROS itself. Raises ParameterFileError, also when the
     file speaks to other nodes only, and OSError.
     """
-    try:
-        tree = yaml.safe_load(path.read_bytes())
-        sections = [(pattern, dict(_flat(values))) for pattern, values in _sections(tree, "")]
-    except _UNREADABLE as error:
-        raise ParameterFileError(f"{path}: this is no YAML of parameters: {_in_a_line(error)}.") from None
-    meant = [values for pattern, values in sections if _matches(pattern, node)]
+    sections = _read(path)
+    meant = [values for pattern, values in sections if names_node(pattern, node)]
     if not meant:
         found = ", ".join(pattern for pattern, _ in sections) or "none"
         raise ParameterFileError(
@@ -46,6 +42,21 @@ def file_values(path: Path, node: str) -> dict[str, object]:
         for name, value in values.items()
         if not name.startswith(FOREIGN_PREFIXES)
     }
+
+
+def node_patterns(path: Path) -> list[str]:
+    """The names of nodes, maybe with wildcards, that a parameter file speaks to.
+
+    Raises ParameterFileError and OSError.
+    """
+    return [pattern for pattern, _ in _read(path)]
+
+
+def names_node(pattern: str, node: str) -> bool:
+    """Whether `pattern` is the full name `node`; * stands for one part of it, ** for any number."""
+    wildcards = {"*": r"/[^/]+", "**": r"(/[^/]+)*"}
+    parts = [wildcards.get(part, "/" + re.escape(part)) for part in pattern.strip("/").split("/")]
+    return re.fullmatch("".join(parts), node) is not None
 
 
 def assigned_value(assignment: str) -> tuple[str, object]:
@@ -68,6 +79,15 @@ def _in_a_line(error: Exception) -> str:
     return " ".join(str(error).split()).removesuffix(".")
 
 
+def _read(path: Path) -> list[tuple[str, dict[str, object]]]:
+    """Who is spoken to, and what is said: names with dots and values."""
+    try:
+        tree = yaml.safe_load(path.read_bytes())
+        return [(pattern, dict(_flat(values))) for pattern, values in _sections(tree, "")]
+    except _UNREADABLE as error:
+        raise ParameterFileError(f"{path}: this is no YAML of parameters: {_in_a_line(error)}.") from None
+
+
 def _sections(tree: object, prefix: str) -> Iterator[tuple[str, Mapping[object, object]]]:
     """Every group of parameters with the pattern of the names of its nodes; namespaces may be nested."""
     for key, value in tree.items() if isinstance(tree, dict) else ():
@@ -75,13 +95,6 @@ def _sections(tree: object, prefix: str) -> Iterator[tuple[str, Mapping[object, 
             yield prefix, value or {}
         else:
             yield from _sections(value, f"{prefix}/{str(key).strip('/')}")
-
-
-def _matches(pattern: str, node: str) -> bool:
-    """Whether `pattern` names `node`: * stands for one part of a name, ** for any number of them."""
-    wildcards = {"*": r"/[^/]+", "**": r"(/[^/]+)*"}
-    parts = [wildcards.get(part, "/" + re.escape(part)) for part in pattern.strip("/").split("/")]
-    return re.fullmatch("".join(parts), node) is not None
 
 
 def _flat(values: Mapping[object, object], prefix: str = "") -> Iterator[tuple[str, object]]:

@@ -16,11 +16,11 @@ from rclpy.utilities import remove_ros_args
 
 from yolov5_lifecycle.preparation import Prepare, prepare_model
 from yolov5_lifecycle.ros.command_line import complain, explain
+from yolov5_lifecycle.ros.misaddressed_files import PARAMETER_FILE_FLAG, warnings
 from yolov5_lifecycle.ros.node import DetectorNode
 from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.settings import SETTINGS
 
-_PARAMETER_FILE_FLAG = "--params-file"
 _USAGE = """\
 detector: finds objects in the images on ~/image_raw and publishes them on ~/detections.
 Parameters are given as in `detector --ros-args -p device:=cpu --params-file config/yolov5.yaml`:"""
@@ -51,6 +51,8 @@ def _run(arguments: list[str], prepare: Prepare) -> int:
         node = DetectorNode(prepare=prepare, parameter_file_error=problem, arguments=arguments)
     except RuntimeError as error:
         return complain("detector", f"ROS refuses to start: {error}")
+    for warning in warnings(arguments, node.get_fully_qualified_name()):
+        node.get_logger().warning(warning)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     executor.create_task(node.autostart)
@@ -81,7 +83,7 @@ def _initialise(args: list[str]) -> str:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         return ""
     except RuntimeError as error:
-        if _PARAMETER_FILE_FLAG not in args:
+        if PARAMETER_FILE_FLAG not in args:
             raise
         problem = re.sub(
             r".*'--params-file (.*)'. Error: (.*?), at /.*", r"\1: \2", str(error), flags=re.DOTALL
@@ -94,7 +96,7 @@ def _without_parameter_files(args: list[str]) -> list[str]:
     return [
         word
         for word, before in zip(args, ["", *args], strict=False)
-        if _PARAMETER_FILE_FLAG not in (word, before)
+        if PARAMETER_FILE_FLAG not in (word, before)
     ]
 
 

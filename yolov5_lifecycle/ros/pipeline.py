@@ -39,7 +39,7 @@ class Pipeline:
         self.outputs.detections.publish(messages.detection_array(detections, class_names, header))
         now_s = time.monotonic()
         self.latencies.add(now_s, (now_s - frame.received_s) * 1e3)
-        self.empty_frames.add(now_s, len(detections))
+        self.empty_frames.add(now_s, len(detections), detections.best_missed)
         if self.outputs.image_listeners:
             drawn = annotate(picture, detections, class_names)
             self.outputs.publish_image(Picture(drawn, picture.order), header)

@@ -86,7 +86,8 @@ class Status:
         if self.empty is not None and self.empty.duration_s > EMPTY_S:
             return (
                 f"nothing scored above confidence_threshold {self.empty.threshold:g} in the last "
-                f"{self.empty.frames} frames: if there was something, lower it, or empty classes"
+                f"{self.empty.frames} frames, the best {self.empty.best_missed:.2g}: if there was "
+                "something, lower it, or empty classes"
             )
         return ""
 
@@ -116,4 +117,5 @@ class Status:
             values["latency p95 ms"] = f"{self.latency.p95_ms:.1f}"
         if self.empty is not None:
             values["empty frames in a row"] = str(self.empty.frames)
+            values["best score in them"] = f"{self.empty.best_missed:.2g}"
         return values
