@@ -29,14 +29,10 @@ def file_values(path: Path, node: str) -> dict[str, object]:
     Names that are no setting are kept, except those of ROS itself. Raises ParameterFileError, also when the
     file speaks to other nodes only, and OSError.
     """
-    try:
-        tree = yaml.safe_load(path.read_bytes())
-        sections = [(pattern, dict(_flat(values))) for pattern, values in _sections(tree, "")]
-    except _UNREADABLE as error:
-        raise ParameterFileError(f"{path}: this is no YAML of parameters: {_in_a_line(error)}.") from None
-    meant = [values for pattern, values in sections if _matches(pattern, node)]
+    found_sections = sections(path)
+    meant = [values for pattern, values in found_sections if matches(pattern, node)]
     if not meant:
-        found = ", ".join(pattern for pattern, _ in sections) or "none"
+        found = ", ".join(pattern for pattern, _ in found_sections) or "none"
         raise ParameterFileError(
             f"{path}: expected parameters ({_PARAMETERS}) of the node {node}, found of: {found}."
         )
@@ -46,6 +42,25 @@ def file_values(path: Path, node: str) -> dict[str, object]:
         for name, value in values.items()
         if not name.startswith(FOREIGN_PREFIXES)
     }
+
+
+def sections(path: Path) -> list[tuple[str, dict[str, object]]]:
+    """Each group of parameters in the file, behind the name or pattern of the nodes that it is for.
+
+    Raises ParameterFileError and OSError.
+    """
+    try:
+        tree = yaml.safe_load(path.read_bytes())
+        return [(pattern, dict(_flat(values))) for pattern, values in _sections(tree, "")]
+    except _UNREADABLE as error:
+        raise ParameterFileError(f"{path}: this is no YAML of parameters: {_in_a_line(error)}.") from None
+
+
+def matches(pattern: str, node: str) -> bool:
+    """Whether `pattern` names `node`: * stands for one part of a name, ** for any number of them."""
+    wildcards = {"*": r"/[^/]+", "**": r"(/[^/]+)*"}
+    parts = [wildcards.get(part, "/" + re.escape(part)) for part in pattern.strip("/").split("/")]
+    return re.fullmatch("".join(parts), node) is not None
 
 
 def assigned_value(assignment: str) -> tuple[str, object]:
@@ -69,19 +84,12 @@ def _in_a_line(error: Exception) -> str:
 
 
 def _sections(tree: object, prefix: str) -> Iterator[tuple[str, Mapping[object, object]]]:
-    """Every group of parameters with the pattern of the names of its nodes; namespaces may be nested."""
+    """Namespaces may be keys of their own."""
     for key, value in tree.items() if isinstance(tree, dict) else ():
         if key == _PARAMETERS and (value is None or isinstance(value, dict)):
             yield prefix, value or {}
         else:
             yield from _sections(value, f"{prefix}/{str(key).strip('/')}")
-
-
-def _matches(pattern: str, node: str) -> bool:
-    """Whether `pattern` names `node`: * stands for one part of a name, ** for any number of them."""
-    wildcards = {"*": r"/[^/]+", "**": r"(/[^/]+)*"}
-    parts = [wildcards.get(part, "/" + re.escape(part)) for part in pattern.strip("/").split("/")]
-    return re.fullmatch("".join(parts), node) is not None
 
 
 def _flat(values: Mapping[object, object], prefix: str = "") -> Iterator[tuple[str, object]]:
