@@ -51,7 +51,7 @@ RANKS = [
         "found_objects",
     },
     {"model", "compressed_image", "playback"},
-    {"parameter_file", "selection"},
+    {"parameter_file", "selection", "message_pictures"},
     {"annotate", "checkpoint_archive", "confinement", "pickle_operations", "yaml_architecture", "runtimes"},
     {"pickled_names"},
     {"pickle_program"},

@@ -14,10 +14,9 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.serde import SerdeError
 
-from yolov5_lifecycle.compressed_image import decode_compressed
 from yolov5_lifecycle.images import ImageError, Picture
+from yolov5_lifecycle.message_pictures import compressed_picture, raw_picture
 from yolov5_lifecycle.offline.recorded_types import TYPES
-from yolov5_lifecycle.raw_image import decode_raw
 
 _RAW = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -50,17 +49,8 @@ class RecordedImage:
             ) from None
 
     def load(self) -> Picture:
-        message = self.message
-        if self.type_name == _COMPRESSED:
-            return decode_compressed(message.data)
-        return decode_raw(
-            message.data,
-            encoding=message.encoding,
-            height=message.height,
-            width=message.width,
-            step=message.step,
-            is_bigendian=bool(message.is_bigendian),
-        )
+        decode = compressed_picture if self.type_name == _COMPRESSED else raw_picture
+        return decode(self.message)
 
 
 @dataclass(frozen=True)

@@ -20,25 +20,15 @@ from vision_msgs.msg import (
     VisionClass,
 )
 
-from yolov5_lifecycle.compressed_image import decode_compressed
 from yolov5_lifecycle.detections import Detections
 from yolov5_lifecycle.found_objects import FoundObject, found_objects
 from yolov5_lifecycle.images import Picture
-from yolov5_lifecycle.raw_image import decode_raw
+from yolov5_lifecycle.message_pictures import compressed_picture, raw_picture
 
 
 def picture(message: Image | CompressedImage) -> Picture:
     """The picture in `message`, without a copy where the encoding allows; raises ImageError."""
-    if isinstance(message, CompressedImage):
-        return decode_compressed(message.data, format_text=message.format)
-    return decode_raw(
-        message.data,
-        encoding=message.encoding,
-        height=message.height,
-        width=message.width,
-        step=message.step,
-        is_bigendian=bool(message.is_bigendian),
-    )
+    return compressed_picture(message) if isinstance(message, CompressedImage) else raw_picture(message)
 
 
 def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> Image:
