@@ -61,7 +61,7 @@ test: $(PACKAGE)
 
 coverage: $(PACKAGE)
 	rm -rf build/coverage
-	$(VENV)/bin/coverage run -m pytest $(PYTEST_FLAGS)
+	$(VENV)/bin/coverage run -m pytest -o timeout=600 $(PYTEST_FLAGS)
 	$(VENV)/bin/coverage combine --quiet
 	$(VENV)/bin/coverage report
 

@@ -52,6 +52,7 @@ def test_the_whole_files_are_decoded(kind: str) -> None:
     assert decode_compressed(compressed(kind)).size_hw == (9, 12)
 
 
+@settings(max_examples=60)
 @given(st.sampled_from(KINDS), st.lists(st.tuples(_PLACE, st.integers(0, 7)), min_size=1, max_size=20))
 def test_a_file_with_flipped_bits_is_a_picture_or_refused(kind: str, flips: list[tuple[float, int]]) -> None:
     data = bytearray(compressed(kind))
@@ -60,6 +61,7 @@ def test_a_file_with_flipped_bits_is_a_picture_or_refused(kind: str, flips: list
     check(bytes(data))
 
 
+@settings(max_examples=60)
 @given(st.sampled_from(KINDS), st.sampled_from(KINDS), _PLACE, _PLACE)
 @example("colour.png", "colour.png", 0.0, 0.99)
 def test_parts_of_two_files_are_a_picture_or_refused(

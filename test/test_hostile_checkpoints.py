@@ -74,7 +74,6 @@ def read_all(folder: Path) -> dict[str, Answer]:
         env=os.environ | {"PYTHONPATH": f"{workplace}:{Path(__file__).parents[1]}"},
         capture_output=True,
         text=True,
-        timeout=110,
     )
     assert (reader.returncode, reader.stderr) == (0, "")
     found = [Answer(**json.loads(line)) for line in reader.stdout.splitlines()]

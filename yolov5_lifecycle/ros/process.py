@@ -26,19 +26,20 @@ def stop_event() -> threading.Event:
 
 
 def spin(executor: SingleThreadedExecutor, node: Node, *, until: Callable[[], bool]) -> None:
-    """Work until `until()`, asked several times a second; an exception in a callback is logged, not fatal."""
-    while not until() and _spin_once(executor, node):
-        pass
+    """Work until `until()`, asked several times a second, or until somebody else shuts rclpy down.
+
+    An exception in a callback is logged, not fatal.
+    """
+    while node.context.ok() and not until():
+        _spin_once(executor, node)
 
 
-def _spin_once(executor: SingleThreadedExecutor, node: Node) -> bool:
-    """False when somebody else has shut rclpy down."""
+def _spin_once(executor: SingleThreadedExecutor, node: Node) -> None:
     try:
         executor.spin_once(timeout_sec=_SPIN_S)
     except ExternalShutdownException:
-        return False
+        pass  # the caller asks the context
     except Exception as error:  # noqa: BLE001 - whatever one callback does, the others are served
         node.get_logger().error(
             f"unexpected {type(error).__name__} in a callback: {error}", throttle_duration_sec=1.0
         )
-    return True
