@@ -23,6 +23,7 @@ REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
 TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
 LAUNCH = REPOSITORY / "docs" / "launch.md"
+TUTORIAL = REPOSITORY / "docs" / "tutorial.md"
 MIGRATION = REPOSITORY / "docs" / "migration.md"
 PAGES = [
     README,
@@ -36,7 +37,7 @@ every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 def blocks(page: Path, language: str) -> list[str]:
     """The fenced blocks of `language`."""
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+    return re.findall(rf"^ *```{language}\n(.*?)^ *```", page.read_text(), re.MULTILINE | re.DOTALL)
 
 
 def spans(page: Path) -> list[str]:
