@@ -12,15 +12,18 @@ from typing import Any
 import pytest
 import yaml
 from rclpy.parameter import Parameter
+from test_status import GOOD
 
 from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
 from yolov5_lifecycle.ros.camera_settings import CameraSettings
+from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.parameters import coerced
 from yolov5_lifecycle.scene import CLASS_NAMES
 from yolov5_lifecycle.settings import SETTINGS, SettingsError, meant_setting, validated
 
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
+REFERENCE = REPOSITORY / "docs" / "reference.md"
 TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
 LAUNCH = REPOSITORY / "docs" / "launch.md"
 TUTORIAL = REPOSITORY / "docs" / "tutorial.md"
@@ -184,13 +187,6 @@ def test_the_launch_arguments_are_those_of_the_page() -> None:
     assert written.items() <= rows.items()
 
 
-@every_page
-def test_a_launch_argument_that_is_given_exists(page: Path) -> None:
-    for command in typed(page):
-        if found := re.match(r"ros2 launch yolov5_lifecycle (\S+) ?(.*)", command):
-            assert set(re.findall(r"(\w+):=", found[2])) <= declared_arguments(found[1]).keys()
-
-
 @pytest.mark.parametrize("node", re.findall(r"^## (.*)$", MIGRATION.read_text(), re.MULTILINE))
 def test_a_name_that_another_node_is_led_to_exists_here(node: str) -> None:
     known = (
@@ -228,3 +224,15 @@ def test_every_reason_for_silence_is_explained() -> None:
     ]
     assert len(pieces) > 9
     assert [piece for piece in pieces if piece not in explained] == []
+
+
+def test_the_values_of_the_diagnostics_are_those_of_the_reference() -> None:
+    preparation = (REPOSITORY / "yolov5_lifecycle" / "ros" / "preparation.py").read_text()
+    of_model = re.findall(r'^ {12}"([a-z0-9 ]+)": ', preparation, re.MULTILINE)
+    shown = [name for row in table(REFERENCE, "Diagnostics") for name in re.findall(r"`([^`]+)`", row[0])]
+    assert sorted(shown) == sorted([*GOOD.values(), *of_model])
+
+
+def test_the_exit_code_for_a_lost_gpu_is_that_of_the_reference() -> None:
+    codes = {row[0] for row in table(REFERENCE, "Exit codes") if row[1] == "`detector`"}
+    assert codes == {str(EXIT_DEVICE_LOST)}
