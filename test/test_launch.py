@@ -115,6 +115,7 @@ def test_the_demo_detects(workspace: Path, ros_domain: int) -> None:
         launched(DEMO, workspace, ros_domain, "rviz:=False") as process,
         closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
     ):
+        process.wait_for_output("active with weights", 100)
         received: list[Detection2DArray] = []
         observer.create_subscription(Detection2DArray, "/yolov5/detections", received.append, 10)
         observer.wait_for(lambda: any(message.detections for message in received), "detections")
