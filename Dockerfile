@@ -37,7 +37,8 @@ COPY --from=build /opt/venv /opt/venv
 COPY --from=build /workspace/install /workspace/install
 COPY docker/entrypoint /entrypoint
 
-# The user ubuntu, which Ubuntu 24.04 brings; Kubernetes wants its number. Shared memory with the host's nodes needs their number: --user.
+# Number 1000 is the user ubuntu, which Ubuntu 24.04 brings; Kubernetes wants the number. To share memory with the
+# nodes of the host, run as their user: --user.
 RUN install -d -o ubuntu -g ubuntu /home/ubuntu/.ros /home/ubuntu/.ros/yolov5
 USER 1000
 ENV HOME=/home/ubuntu

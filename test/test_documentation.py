@@ -111,6 +111,14 @@ def test_a_parameter_in_a_command_exists(page: Path) -> None:
     assert set(re.findall(r"-p (\w+):=", text)) <= of_detector | CameraSettings.model_fields.keys()
 
 
+@every_page
+def test_a_remapped_name_exists(page: Path) -> None:
+    topics = {row[0].partition(" ")[2].strip("`") for row in table(README, "Topics")}
+    of_camera = {"image_raw"}
+    remapped = set(re.findall(r"-r '?([~\w/]+):=", "\n".join(typed(page) + spans(page))))
+    assert remapped <= topics | of_camera | {"__node", "__ns"}
+
+
 def test_the_picture_is_small_enough_for_a_repository() -> None:
     assert 0 < (REPOSITORY / "docs" / "images" / "annotated.png").stat().st_size <= 150_000
 
