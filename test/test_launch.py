@@ -137,13 +137,14 @@ def test_the_node_of_a_namespace_starts_as_asked(
         "detections": "/robot/seen",
         "params_file": str(parameters),
         "autostart": autostart,
-        "log_level": "warn",
+        "log_level": "info",
     }
     words = [f"{name}:={value}" for name, value in arguments.items()]
     with (
         launched(DETECTOR, workspace, ros_domain, *words) as process,
         closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
     ):
+        process.wait_for_output("[robot.yolov5]: unconfigured", 100)
         node = RemoteLifecycleNode(observer, "/robot/yolov5")
         node.wait_until_reachable()
         observer.wait_for(lambda: node.state() == state, f"the state {state}")
