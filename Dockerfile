@@ -10,6 +10,7 @@ ARG BUILD_BASE=ros:jazzy-ros-base
 ARG BASE=ros:jazzy-ros-core
 
 FROM ${BUILD_BASE} AS build
+# hadolint ignore=DL3008
 RUN apt-get update \
  && apt-get install -y --no-install-recommends python3-numpy python3-venv \
  && rm -rf /var/lib/apt/lists/*
@@ -27,6 +28,7 @@ WORKDIR /workspace
 RUN . /opt/ros/jazzy/setup.sh && /opt/venv/bin/python /usr/bin/colcon build
 
 FROM ${BASE}
+# hadolint ignore=DL3008
 RUN apt-get update \
  && apt-get install -y --no-install-recommends \
       python3-numpy python3-opencv ros-jazzy-rmw-fastrtps-cpp ros-jazzy-vision-msgs \
@@ -35,14 +37,15 @@ COPY --from=build /opt/venv /opt/venv
 COPY --from=build /workspace/install /workspace/install
 COPY docker/entrypoint /entrypoint
 
-# The user that Ubuntu 24.04 brings, number 1000. Shared memory with the host's nodes needs their number: --user.
+# Number 1000 is the user ubuntu, which Ubuntu 24.04 brings; Kubernetes wants the number. To share memory with the
+# nodes of the host, run as their user: --user.
 RUN install -d -o ubuntu -g ubuntu /home/ubuntu/.ros /home/ubuntu/.ros/yolov5
-USER ubuntu
+USER 1000
 ENV HOME=/home/ubuntu
 VOLUME /home/ubuntu/.ros/yolov5
 
 ENV YOLOV5_NODE=/yolov5
 HEALTHCHECK --interval=30s --timeout=20s --start-period=60s \
-  CMD /entrypoint ros2 lifecycle get --no-daemon "$YOLOV5_NODE" | grep -q '^active'
+  CMD ["/entrypoint", "bash", "-c", "ros2 lifecycle get --no-daemon $YOLOV5_NODE | grep -q '^active'"]
 ENTRYPOINT ["/entrypoint"]
 CMD ["detector", "--ros-args", "-p", "autostart:=true"]

@@ -24,7 +24,10 @@ def generate_launch_description() -> LaunchDescription:
             LaunchConfiguration("params_file"),
             {"autostart": ParameterValue(LaunchConfiguration("autostart"), value_type=bool)},
         ],
-        remappings=[("~/image_raw", LaunchConfiguration("image"))],
+        remappings=[
+            ("~/image_raw", LaunchConfiguration("image")),
+            ("~/detections", LaunchConfiguration("detections")),
+        ],
         ros_arguments=["--log-level", LaunchConfiguration("log_level")],
         respawn=LaunchConfiguration("respawn"),
         respawn_delay=2.0,
@@ -34,6 +37,9 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("namespace", default_value="", description="Namespace of the node."),
             DeclareLaunchArgument("image", default_value="~/image_raw", description="Topic of the images."),
+            DeclareLaunchArgument(
+                "detections", default_value="~/detections", description="Topic of the detections."
+            ),
             DeclareLaunchArgument("params_file", default_value=DEFAULT_PARAMETERS, description="Parameters."),
             DeclareLaunchArgument("autostart", default_value="true", description="Configure and activate."),
             DeclareLaunchArgument("respawn", default_value="false", description="Start again after the end."),

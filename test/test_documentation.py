@@ -13,11 +13,13 @@ from typing import Any
 import pytest
 import yaml
 from rclpy.parameter import Parameter
+from test_status import GOOD
 
 from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
 from yolov5_lifecycle.offline.detect_bag import command_parser, wanted_settings
 from yolov5_lifecycle.raw_image import ENCODINGS
 from yolov5_lifecycle.ros.camera_settings import CameraSettings
+from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.parameters import coerced
 from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED
 from yolov5_lifecycle.scene import CLASS_NAMES
@@ -25,9 +27,11 @@ from yolov5_lifecycle.settings import SETTINGS, SettingsError, meant_setting, va
 
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
+REFERENCE = REPOSITORY / "docs" / "reference.md"
 TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
 IMAGES = REPOSITORY / "docs" / "images.md"
 LAUNCH = REPOSITORY / "docs" / "launch.md"
+TUTORIAL = REPOSITORY / "docs" / "tutorial.md"
 MIGRATION = REPOSITORY / "docs" / "migration.md"
 PAGES = [
     README,
@@ -41,7 +45,7 @@ every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 def blocks(page: Path, language: str) -> list[str]:
     """The fenced blocks of `language`."""
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+    return re.findall(rf"^ *```{language}\n(.*?)^ *```", page.read_text(), re.MULTILINE | re.DOTALL)
 
 
 def spans(page: Path) -> list[str]:
@@ -120,6 +124,14 @@ def test_a_detect_bag_command_is_understood(page: Path) -> None:
         if command.startswith("detect_bag "):
             arguments = command_parser().parse_args(shlex.split(command)[1:])
             wanted_settings(None, arguments.assignments, arguments.node)
+
+
+@every_page
+def test_a_remapped_name_exists(page: Path) -> None:
+    topics = {row[0].partition(" ")[2].strip("`") for row in table(README, "Topics")}
+    of_camera = {"image_raw"}
+    remapped = set(re.findall(r"-r '?([~\w/]+):=", "\n".join(typed(page) + spans(page))))
+    assert remapped <= topics | of_camera | {"__node", "__ns"}
 
 
 def test_the_picture_is_small_enough_for_a_repository() -> None:
@@ -220,13 +232,6 @@ def test_the_launch_arguments_are_those_of_the_page() -> None:
     assert written.items() <= rows.items()
 
 
-@every_page
-def test_a_launch_argument_that_is_given_exists(page: Path) -> None:
-    for command in typed(page):
-        if found := re.match(r"ros2 launch yolov5_lifecycle (\S+) ?(.*)", command):
-            assert set(re.findall(r"(\w+):=", found[2])) <= declared_arguments(found[1]).keys()
-
-
 @pytest.mark.parametrize("node", re.findall(r"^## (.*)$", MIGRATION.read_text(), re.MULTILINE))
 def test_a_name_that_another_node_is_led_to_exists_here(node: str) -> None:
     known = (
@@ -264,3 +269,15 @@ def test_every_reason_for_silence_is_explained() -> None:
     ]
     assert len(pieces) > 9
     assert [piece for piece in pieces if piece not in explained] == []
+
+
+def test_the_values_of_the_diagnostics_are_those_of_the_reference() -> None:
+    preparation = (REPOSITORY / "yolov5_lifecycle" / "ros" / "preparation.py").read_text()
+    of_model = re.findall(r'^ {12}"([a-z0-9 ]+)": ', preparation, re.MULTILINE)
+    shown = [name for row in table(REFERENCE, "Diagnostics") for name in re.findall(r"`([^`]+)`", row[0])]
+    assert sorted(shown) == sorted([*GOOD.values(), *of_model])
+
+
+def test_the_exit_code_for_a_lost_gpu_is_that_of_the_reference() -> None:
+    codes = {row[0] for row in table(REFERENCE, "Exit codes") if row[1] == "`detector`"}
+    assert codes == {str(EXIT_DEVICE_LOST)}

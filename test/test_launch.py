@@ -16,6 +16,7 @@ import pytest
 import yaml
 from colcon_workspace import PACKAGE, REPOSITORY
 from detector_process import PARAMETERS, environment
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.ros.child_process import ChildProcess
@@ -114,6 +115,7 @@ def test_the_demo_detects(workspace: Path, ros_domain: int) -> None:
         launched(DEMO, workspace, ros_domain, "rviz:=False") as process,
         closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
     ):
+        process.wait_for_output("active with weights", 100)
         received: list[Detection2DArray] = []
         observer.create_subscription(Detection2DArray, "/yolov5/detections", received.append, 10)
         observer.wait_for(lambda: any(message.detections for message in received), "detections")
@@ -132,15 +134,17 @@ def test_the_node_of_a_namespace_starts_as_asked(
     arguments = {
         "namespace": "robot",
         "image": "/camera/image_raw",
+        "detections": "/robot/seen",
         "params_file": str(parameters),
         "autostart": autostart,
-        "log_level": "warn",
+        "log_level": "info",
     }
     words = [f"{name}:={value}" for name, value in arguments.items()]
     with (
         launched(DETECTOR, workspace, ros_domain, *words) as process,
         closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
     ):
+        process.wait_for_output("[robot.yolov5]: unconfigured", 100)
         node = RemoteLifecycleNode(observer, "/robot/yolov5")
         node.wait_until_reachable()
         observer.wait_for(lambda: node.state() == state, f"the state {state}")
@@ -148,22 +152,37 @@ def test_the_node_of_a_namespace_starts_as_asked(
         observer.wait_for(
             lambda: observer.count_subscribers("/camera/image_raw") == subscribers, "the subscription"
         )
+        observer.wait_for(lambda: observer.count_publishers("/robot/seen") == subscribers, "the publisher")
 
 
 @with_launch
+@pytest.mark.parametrize(
+    ("parameters", "problem", "state"),
+    [
+        pytest.param({"iou_threshold": 7}, "configure refused", "unconfigured", id="parameters"),
+        pytest.param({"weights": "/absent.pt"}, "activate refused", "inactive", id="weights"),
+    ],
+)
 def test_a_start_that_fails_is_told_and_the_node_stays(
-    workspace: Path, ros_domain: int, tmp_path: Path
+    workspace: Path, ros_domain: int, tmp_path: Path, parameters: dict[str, object], problem: str, state: str
 ) -> None:
-    parameters = tmp_path / "parameters.yaml"
-    parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"weights_dir": str(tmp_path)}}}))
+    file = tmp_path / "parameters.yaml"
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": parameters}}))
     with (
-        launched(DETECTOR, workspace, ros_domain, f"params_file:={parameters}") as process,
+        launched(DETECTOR, workspace, ros_domain, f"params_file:={file}") as process,
         closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
     ):
-        process.wait_for_output(f"`fetch_weights n --dir {tmp_path}`", 60)
+        process.wait_for_output(problem, 60)
+        told: list[DiagnosticStatus] = []
+        observer.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda message: told.extend(message.status), 10
+        )
+        observer.wait_for(lambda: bool(told), "diagnostics")
+        assert told[-1].level == DiagnosticStatus.ERROR
+        assert problem in told[-1].message
         node = RemoteLifecycleNode(observer, "/yolov5")
         node.wait_until_reachable()
-        observer.wait_for(lambda: node.state() == "inactive", "the state inactive")
+        assert node.state() == state
 
 
 @with_launch

@@ -70,7 +70,8 @@ class Status:
             lost, received = self.input.lost_lately, self.input.received_lately
             return (
                 f"{lost} of {lost + received} images were lost on the way in the last second: "
-                "give the camera's process the profile config/shm.xml"
+                "give the camera's process the profile config/shm.xml, or send compressed images if it is on "
+                "another machine"
             )
         if self.recently_rejected:
             return f"images are rejected: {self.recently_rejected}"

@@ -1,0 +1,220 @@
+"""Every command of README and docs/ is run here, is checked against the code, or has a reason why not."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+from checkpoint_builder import official_model, saved, stripped
+from colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
+from detector_process import NODE, environment
+from file_server import FileServer, sending_ranges
+from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
+from sensor_msgs.msg import Image
+from test_documentation import (
+    PAGES,
+    README,
+    TUTORIAL,
+    blocks,
+    declared_arguments,
+    every_page,
+    spans,
+    table,
+    typed,
+)
+
+from yolov5_lifecycle import convert, fetch_weights
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.observer import Observer
+from yolov5_lifecycle.ros.parameters import coerced
+from yolov5_lifecycle.settings import SETTINGS, validated
+
+NOT_RUN = {
+    "sudo ": "changes the machine",
+    "docker ": "no container engine here; test_docker.py checks the recipe",
+    "source ": "the tests run inside of what it sets up",
+    "export ": "bash can parse it; the test of the page's subject sets its own value",
+    ".venv/bin/python -c ": "a question to torch",
+    "python3 -m venv ": "the workspace recipe downloads gigabytes; test_docker.py checks what it names",
+    "~/yolov5_venv/bin/": "the workspace recipe",
+    "rviz2 ": "needs RViz; test_config.py checks the file",
+    "journalctl ": "needs systemd; test_config.py checks the unit",
+    "ros2 run rqt_image_view ": "a program of ROS's with a window",
+    "ros2 run nav2_lifecycle_manager ": "needs Nav2; test_config.py checks the file",
+    "ros2 security ": "needs sros2; test_security_documents.py checks the policy",
+    "camera --ros-args -p source:=0 ": "needs a webcam",
+    "detector --ros-args -p device:=cuda ": "needs a GPU",
+}
+"""How a command begins, and why it is not tried."""
+
+TOPICS = {row[0].partition(" ")[2].strip("`").replace("~", NODE) for row in table(README, "Topics")}
+TRANSITIONS = {"configure", "activate", "deactivate", "cleanup", "shutdown"}
+ADDITIONS = {"detector": ["-p", "autostart:=true", "-p", "runtime:=torch"], "camera": []}
+"""What the tests put behind the command of a node: it shows that it works, and measures no runtimes first."""
+CLASS_NAMES = ("person", "cup", "car")
+"""The classes of the model that stands in for the official ones and the reader's own."""
+
+
+def of_package(command: str) -> str:
+    """The command as one for a console script of this package; "" when it is none."""
+    words = command.removeprefix(f"ros2 run {PACKAGE} ")
+    return words if words.split()[0] in COMMANDS else ""
+
+
+def commands(page: Path) -> list[str]:
+    """What a reader may type: the lines of the console blocks, and the list that the text speaks of."""
+    return [line.strip() for line in typed(page)] + [span for span in spans(page) if span.endswith(" --list")]
+
+
+def check_make(target: str, *assignments: str) -> None:
+    makefile = (REPOSITORY / "Makefile").read_text()
+    assert re.search(rf"^{target}:", makefile, re.MULTILINE)
+    for assignment in assignments:
+        assert re.search(rf"^{assignment.partition('=')[0]} \?=", makefile, re.MULTILINE)
+
+
+def check_param(verb: str, node: str, name: str = "", value: str = "") -> None:
+    assert node == NODE
+    if verb == "set":
+        given = parameter_value_to_python(get_parameter_value(value))
+        validated({name: coerced(Parameter(name, value=given)).value})
+    else:
+        assert verb in ("get", "describe", "dump")
+        assert (name == "") if verb == "dump" else (name in {setting.name for setting in SETTINGS})
+
+
+def check_lifecycle(verb: str, node: str, transition: str = "") -> None:
+    assert (verb, node) == ("set", NODE)
+    assert transition in TRANSITIONS
+
+
+def check_topic(verb: str, *words: str) -> None:
+    assert verb in ("hz", "echo", "info")
+    (topic,) = [word for word in words if not word.startswith("--")]
+    assert topic in TOPICS
+
+
+def check_launch(package: str, file: str, *arguments: str) -> None:
+    assert package == PACKAGE
+    assert {argument.partition(":=")[0] for argument in arguments} <= declared_arguments(file).keys()
+
+
+CHECKS: dict[str, Callable[..., None]] = {
+    "make": check_make,
+    "ros2 param": check_param,
+    "ros2 lifecycle": check_lifecycle,
+    "ros2 topic": check_topic,
+    "ros2 launch": check_launch,
+}
+
+
+def check_of(command: str) -> str:
+    """The key of CHECKS that is for it, else ""."""
+    return next((start for start in CHECKS if command.startswith(f"{start} ")), "")
+
+
+def is_excused(command: str) -> bool:
+    return command.startswith(tuple(NOT_RUN))
+
+
+@every_page
+def test_a_command_is_tried_or_has_a_reason_why_not(page: Path) -> None:
+    forgotten = [
+        command
+        for command in commands(page)
+        if not (is_excused(command) or check_of(command) or of_package(command))
+    ]
+    assert forgotten == [], "add a check to CHECKS, or to NOT_RUN why there is none"
+
+
+def test_every_reason_is_one_for_a_command_of_the_docs() -> None:
+    given = [command for page in PAGES for command in commands(page)]
+    assert [start for start in NOT_RUN if not any(map(str.startswith, given, [start] * len(given)))] == []
+
+
+@every_page
+def test_a_command_of_ros_or_make_names_what_there_is(page: Path) -> None:
+    for command in commands(page):
+        if start := check_of(command):
+            CHECKS[start](*shlex.split(command.removeprefix(start)))
+
+
+# What this package installs is run, in a home with the files that the pages speak of.
+
+
+@pytest.fixture(scope="module")
+def checkpoint() -> bytes:
+    return saved(stripped(official_model(names=CLASS_NAMES)))
+
+
+@pytest.fixture
+def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The reader's, and the folder in which the commands are typed."""
+    (tmp_path / "config").symlink_to(REPOSITORY / "config")
+    for name in ("best.pt", "yolov5n.pt", "models/best.pt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(checkpoint)
+    (tmp_path / "my_detector.yaml").write_text(blocks(TUTORIAL, "yaml")[0])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture
+def _mirror(checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The official models come from this machine."""
+    with FileServer(sending_ranges(checkpoint)) as server:
+        monkeypatch.setenv("YOLOV5_WEIGHTS_URL", f"{server.address}/yolov5{{size}}.pt")
+        monkeypatch.setenv("no_proxy", "*")
+        yield
+
+
+OURS = list(
+    dict.fromkeys(
+        of_package(command)
+        for page in PAGES
+        for command in commands(page)
+        if of_package(command) and not is_excused(command)
+    )
+)
+NODES = [command for command in OURS if "--ros-args" in command]
+
+
+@pytest.mark.usefixtures("home", "_mirror")
+@pytest.mark.parametrize("command", [command for command in OURS if command not in NODES])
+def test_a_command_that_ends_does_so_with_success(command: str) -> None:
+    name, *words = shlex.split(command)
+    (script,) = entry_points(group="console_scripts", name=name)
+    assert script.load()(words) == 0
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.usefixtures("_mirror")
+def test_every_node_starts_as_the_pages_say(home: Path, ros_domain: int) -> None:
+    fetch_weights.main(["n"])
+    convert.main(["best.pt", "best.safetensors"])
+    with ExitStack() as stack:  # all at once: that is quicker
+        processes = [stack.enter_context(typed_in(home, node, ros_domain)) for node in NODES]
+        for process in processes:
+            if process.name.startswith("detector"):
+                process.wait_for_output("active with weights", 240)
+        wait_for_an_image(stack.enter_context(closing(Observer("client", domain=ros_domain))))
+        for process in processes:
+            process.check_running()
+
+
+def typed_in(home: Path, node: str, domain: int) -> ChildProcess:
+    name, *words = shlex.split(os.path.expandvars(node.replace("$PWD", str(home))))
+    return ChildProcess(node, [entry_point(name), *words, *ADDITIONS[name]], environment(domain))
+
+
+def wait_for_an_image(observer: Observer) -> None:
+    images: list[Image] = []
+    observer.create_subscription(Image, f"{NODE}/image_raw", images.append, 1)
+    observer.wait_for(lambda: bool(images), "an image")
