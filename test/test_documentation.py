@@ -131,7 +131,7 @@ def test_a_remapped_name_exists(page: Path) -> None:
     topics = {row[0].partition(" ")[2].strip("`") for row in table(README, "Topics")}
     of_camera = {"image_raw"}
     remapped = set(re.findall(r"-r '?([~\w/]+):=", "\n".join(typed(page) + spans(page))))
-    assert remapped <= topics | of_camera | {"__node", "__ns"}
+    assert {name.replace("/yolov5/", "~/") for name in remapped} <= topics | of_camera | {"__node", "__ns"}
 
 
 def test_the_picture_is_small_enough_for_a_repository() -> None:
@@ -272,7 +272,7 @@ def test_every_reason_for_silence_is_explained() -> None:
 
 
 def test_the_values_of_the_diagnostics_are_those_of_the_reference() -> None:
-    preparation = (REPOSITORY / "yolov5_lifecycle" / "ros" / "preparation.py").read_text()
+    preparation = (REPOSITORY / "yolov5_lifecycle" / "preparation.py").read_text()
     of_model = re.findall(r'^ {12}"([a-z0-9 ]+)": ', preparation, re.MULTILINE)
     shown = [name for row in table(REFERENCE, "Diagnostics") for name in re.findall(r"`([^`]+)`", row[0])]
     assert sorted(shown) == sorted([*GOOD.values(), *of_model])
