@@ -6,7 +6,7 @@ import os
 import signal
 from typing import NoReturn
 
-from yolov5_lifecycle.heap import keep_one_heap
+from yolov5_lifecycle.heap import prepare_heap
 
 
 def main() -> NoReturn:
@@ -17,7 +17,7 @@ def main() -> NoReturn:
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))
-    keep_one_heap()
+    prepare_heap()
 
     from yolov5_lifecycle.ros import detector
 
