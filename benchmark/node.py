@@ -75,7 +75,7 @@ class DetectorNode:
             cpu_s = self._cpu_s() - cpu_begun_s
         self._observer.destroy_subscription(subscription)
         latencies_ms = [sighting.latency_ms for sighting in seen]
-        taken_s = (seen[-1].arrival_ns - seen[0].arrival_ns) / 1e9
+        taken_s = (seen[-1].stamp_ns - seen[0].stamp_ns) / 1e9
         return Passage(latencies_ms, (len(seen) - 1) / taken_s, 1e3 * cpu_s / len(seen))
 
     def idle_cpu_share(self, picture: Path, *, rate_hz: float, duration_s: float) -> float:

@@ -13,9 +13,8 @@ from yolov5_lifecycle.detections import Detections
 MAX_CANDIDATES = 30_000
 """Of more boxes above the threshold only the best enter the suppression, as in YOLOv5."""
 
-
-_TOLD = (0.1, 0.01, 0.001)
-"""Lower scores are noise: YOLOv5 itself drops them even when it validates."""
+_LOOKED_AT = 1000
+"""Of nothing found, so many of the likeliest rows tell the best score: all of 25,200 would take 4 ms."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,12 +71,10 @@ def _scored(
 
 
 def _best_score(raw: NDArray[np.float32], classes: frozenset[int] | None) -> float:
-    """The highest score; as none is above its objectness, 0.1 ms for 25,200 rows instead of 4."""
-    for threshold in _TOLD:
-        scores = _scored(raw, threshold, classes)[1]
-        if len(scores):
-            return float(scores.max())
-    return 0.0
+    """The highest score of the rows with the highest objectness; no score is above that."""
+    if len(raw) > _LOOKED_AT:
+        raw = raw[np.argpartition(raw[:, 4], -_LOOKED_AT)[-_LOOKED_AT:]]
+    return float(_scored(raw, 0.0, classes)[1].max(initial=0.0))
 
 
 def suppress(
