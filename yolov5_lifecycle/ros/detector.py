@@ -55,7 +55,7 @@ def _run(arguments: list[str], prepare: Prepare) -> int:
         node.get_logger().warning(warning)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    executor.create_task(node.autostart)
+    autostart = executor.create_task(node.autostart)
     # Torch and pydantic leave 300,000 objects for ever; to look at them again would hold all threads 0.15 s.
     gc.freeze()
     spin(
@@ -65,6 +65,7 @@ def _run(arguments: list[str], prepare: Prepare) -> int:
     )
     if node.device_lost:
         return EXIT_DEVICE_LOST  # nothing on a dead device can be released
+    autostart.cancel()  # of one that has not begun, Python would say that it was never awaited
     node.close()
     rclpy.try_shutdown()
     return 0
