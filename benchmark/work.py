@@ -16,11 +16,9 @@ from yolov5_lifecycle.letterbox import Letterbox
 from yolov5_lifecycle.scene import Scene
 from yolov5_lifecycle.weights import load_weights
 
-CROWD = 300
-"""Objects in the raw predictions of the stage `crowded selection`."""
-
 RUNTIME_PREFIX = "runtime "
 _SCENE_SEED = 8
+_CROWD = 300
 
 
 def call_of(task: Task) -> Callable[[], object]:
@@ -56,9 +54,9 @@ def _stage(name: str, detector: Detector, picture: Picture) -> Callable[[], obje
 
 
 def _crowded(raw: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Raw predictions as of a network that has seen CROWD objects, evenly spread over its rows."""
+    """Raw predictions as of a network that has seen _CROWD objects, evenly spread over its rows."""
     crowded = raw.copy()
-    rows = np.linspace(0, len(raw) - 1, CROWD).astype(int)
+    rows = np.linspace(0, len(raw) - 1, _CROWD).astype(int)
     crowded[rows, 4] = 0.9
     crowded[rows, 5] = 0.9
     return crowded

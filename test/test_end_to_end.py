@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from array import array
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from detector_process import (
     scene_image,
     scene_truth,
 )
+from numpy.typing import NDArray
 from random_model import blank_model
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rclpy.qos import QoSProfile
@@ -31,6 +33,7 @@ from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.architecture import SIZES
+from yolov5_lifecycle.raw_image import ENCODINGS
 from yolov5_lifecycle.ros.child_process import ChildProcess, ProcessError, entry_point
 from yolov5_lifecycle.ros.messages import image_message, picture
 from yolov5_lifecycle.ros.sighting import Sighting, pairwise_iou, recall, stamp_ns
@@ -105,6 +108,40 @@ def test_every_encoding_is_understood(active: DetectorProcess, encoding: str, pa
     assert found.class_names == expected.class_names
     assert found.scores == pytest.approx(expected.scores, abs=1e-4)
     assert np.allclose(found.boxes_xyxy, expected.boxes_xyxy, atol=0.05)
+
+
+def interleaved(*planes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.dstack(planes).reshape(len(planes[0]), -1)
+
+
+GREY_ROWS: dict[str, Callable[[NDArray[np.uint8], NDArray[np.uint8]], NDArray[np.uint8]]] = {
+    **dict.fromkeys(
+        ("8UC1", "bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8"), lambda grey, _: grey
+    ),
+    "8UC3": lambda grey, _: interleaved(grey, grey, grey),
+    **dict.fromkeys(("mono16", "16UC1"), lambda grey, _: interleaved(grey, grey)),
+    **dict.fromkeys(("uyvy", "yuv422"), lambda grey, neutral: interleaved(neutral, grey)),
+    **dict.fromkeys(("yuyv", "yuv422_yuy2"), lambda grey, neutral: interleaved(grey, neutral)),
+    **dict.fromkeys(("nv12", "nv21"), lambda grey, neutral: np.vstack((grey, neutral[::2]))),
+    "nv24": lambda grey, neutral: np.vstack((grey, neutral, neutral)),
+}
+"""The rows of a grey picture in the encodings that only cameras send, its chroma neutral."""
+
+
+@pytest.mark.parametrize("encoding", GREY_ROWS)
+def test_every_encoding_of_cameras_is_understood(active: DetectorProcess, encoding: str) -> None:
+    image = scene_image(7, encoding="mono8")
+    grey = np.frombuffer(image.data, np.uint8).reshape(image.height, image.width)
+    rows = GREY_ROWS[encoding](grey, np.full_like(grey, 128))
+    image.encoding, image.step, image.data = encoding, rows.shape[1], array("B", rows.tobytes())
+    plain = image_message(picture(image).pixels, "rgb8", scene_image().header)
+    found, expected = (Sighting.now(active.detect(each)) for each in (image, plain))
+    assert found.class_names == expected.class_names != ()
+    assert found.scores == pytest.approx(expected.scores, abs=1e-4)
+
+
+def test_no_encoding_is_forgotten() -> None:
+    assert {*GREY_ROWS, "rgb8", "bgr8", "mono8", "rgba8", "bgra8"} == {*ENCODINGS}
 
 
 def test_a_picture_without_shapes_gives_an_empty_message(active: DetectorProcess) -> None:

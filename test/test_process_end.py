@@ -93,6 +93,32 @@ def test_a_signal_ends_the_process_cleanly_while_it_imports(signal_number: signa
     assert "Traceback" not in process.output
 
 
+ENDED_BEFORE_THE_FIRST_TURN = """
+import os
+import signal
+import threading
+from yolov5_lifecycle.ros import detector
+
+default = signal.getsignal(signal.SIGTERM)
+
+def end():
+    while signal.getsignal(signal.SIGTERM) is default:  # until the process obeys it
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+threading.Thread(target=end).start()
+detector.main([])
+"""
+
+
+def test_a_signal_before_the_first_callback_ends_the_process_without_a_word(ros_domain: int) -> None:
+    command = [sys.executable, "-c", ENDED_BEFORE_THE_FIRST_TURN]
+    with ChildProcess("detector", command, environment(ros_domain)) as process:
+        assert process.wait(60) == 0
+    assert "Warning" not in process.output
+    assert "Traceback" not in process.output
+
+
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [

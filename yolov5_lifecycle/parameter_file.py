@@ -8,15 +8,15 @@ from pathlib import Path
 
 import yaml
 
-from yolov5_lifecycle.settings import SETTINGS
+from yolov5_lifecycle.settings import SETTINGS_BY_NAME
 
-FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+QOS_PREFIX = "qos_overrides."
+FOREIGN_PREFIXES = ("use_sim_time", QOS_PREFIX, "start_type_description_service")
 """Parameters that ROS declares on every node, when it pleases."""
 
 _PARAMETERS = "ros__parameters"
 # A date or number that cannot be one is a ValueError; so are bytes that are no text.
 _UNREADABLE = (yaml.YAMLError, ValueError, RecursionError)
-_BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 
 class ParameterFileError(ValueError):
@@ -72,7 +72,7 @@ def assigned_value(assignment: str) -> tuple[str, object]:
 
 def _coerced(name: str, value: object) -> object:
     """`value` in the type of the setting `name`, if there is one and the meaning is plain."""
-    return _BY_NAME[name].coerced(value) if name in _BY_NAME else value
+    return SETTINGS_BY_NAME[name].coerced(value) if name in SETTINGS_BY_NAME else value
 
 
 def _in_a_line(error: Exception) -> str:

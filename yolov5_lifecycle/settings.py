@@ -154,7 +154,7 @@ class Settings(BaseModel):
 
 
 SETTINGS: tuple[Setting, ...] = tuple(described(name, field) for name, field in Settings.model_fields.items())
-_BY_NAME = {setting.name: setting for setting in SETTINGS}
+SETTINGS_BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def _field_problem(details: ErrorDetails) -> Problem:
     name = str(details["loc"][0])
     if details["type"] == "extra_forbidden":
         return unknown_setting(name)
-    setting = _BY_NAME[name]
+    setting = SETTINGS_BY_NAME[name]
     value: Any = details["input"]
     hint = did_you_mean(value, setting.choices) if isinstance(value, str) and setting.choices else ""
     if details["type"] in ("sha256", "device", "folders"):
@@ -246,7 +246,7 @@ _ELSEWHERE = {
 
 def meant_setting(name: str) -> str | None:
     """The setting that somebody who wrote `name` probably meant."""
-    return _ELSEWHERE.get(name) or nearest(name, _BY_NAME)
+    return _ELSEWHERE.get(name) or nearest(name, SETTINGS_BY_NAME)
 
 
 def unknown_setting(name: str) -> Problem:

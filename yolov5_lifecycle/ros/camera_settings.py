@@ -10,9 +10,8 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
 from yolov5_lifecycle.images import MAX_SIDE_PX
-from yolov5_lifecycle.parameter_file import FOREIGN_PREFIXES
+from yolov5_lifecycle.parameter_file import FOREIGN_PREFIXES, QOS_PREFIX
 from yolov5_lifecycle.ros.camera_transport import Transport
-from yolov5_lifecycle.ros.qos_overrides import PREFIX as QOS_PREFIX
 from yolov5_lifecycle.ros.qos_overrides import parameter_overrides
 from yolov5_lifecycle.settings import Problem, SettingsError
 from yolov5_lifecycle.suggestion import did_you_mean

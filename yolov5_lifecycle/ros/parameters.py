@@ -15,6 +15,7 @@ from yolov5_lifecycle.ros.qos_overrides import parameter_overrides, qos_contradi
 from yolov5_lifecycle.setting import Change, Setting
 from yolov5_lifecycle.settings import (
     SETTINGS,
+    SETTINGS_BY_NAME,
     Problem,
     Settings,
     SettingsError,
@@ -33,7 +34,6 @@ _TYPES = {
     str: Parameter.Type.STRING,
     tuple: Parameter.Type.STRING_ARRAY,
 }
-_BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 
 class Source(Enum):
@@ -61,7 +61,7 @@ class SettingsParameters:
         self._review = review
         self._commit = commit
         self._bad_overrides: dict[str, Problem] = {}
-        self._sources = dict.fromkeys(_BY_NAME, Source.DEFAULT)
+        self._sources = dict.fromkeys(SETTINGS_BY_NAME, Source.DEFAULT)
         overrides = parameter_overrides(node)
         for setting in SETTINGS:
             if (override := overrides.pop(setting.name, None)) is not None:
@@ -109,7 +109,7 @@ class SettingsParameters:
 
     def table(self) -> str:
         """Name, value and source of every setting, one a line."""
-        width = max(map(len, _BY_NAME))
+        width = max(map(len, SETTINGS_BY_NAME))
         values = self._values()
         return "\n".join(
             f"  {name:{width}}  {_ros_value(values[name])!r:<28}  {source.value}"
@@ -118,7 +118,7 @@ class SettingsParameters:
 
     def forget(self, name: str) -> bool:
         """Drop the complaint about an override with an unknown name; False when there was none."""
-        return name not in _BY_NAME and self._bad_overrides.pop(name, None) is not None
+        return name not in SETTINGS_BY_NAME and self._bad_overrides.pop(name, None) is not None
 
     def _problems(self, values: dict[str, object]) -> list[Problem]:
         try:
@@ -180,7 +180,7 @@ class SettingsParameters:
             self._bad_overrides.pop(parameter.name, None)
             for unknown in [name for name in self._bad_overrides if meant_setting(name) == parameter.name]:
                 del self._bad_overrides[unknown]
-        is_ours = any(parameter.name in _BY_NAME for parameter in parameters)
+        is_ours = any(parameter.name in SETTINGS_BY_NAME for parameter in parameters)
         if is_ours and not self.problems():  # else configure will name them
             self._commit(self.settings())
 
@@ -230,7 +230,7 @@ def coerced(parameter: Parameter, *, may_be_unset: bool = False) -> Parameter:
 
     As in `Setting.coerced`; and an empty list may be of any type.
     """
-    setting = _BY_NAME.get(parameter.name)
+    setting = SETTINGS_BY_NAME.get(parameter.name)
     if setting is None:
         return parameter
     if setting.type is tuple and _is_empty(parameter, may_be_unset):
@@ -251,7 +251,7 @@ def plain_values(parameters: Iterable[Parameter]) -> dict[str, object]:
     return {
         parameter.name: tuple(parameter.value) if _is_list(parameter.value) else parameter.value
         for parameter in parameters
-        if parameter.name in _BY_NAME
+        if parameter.name in SETTINGS_BY_NAME
     }
 
 

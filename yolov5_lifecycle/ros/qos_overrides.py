@@ -7,11 +7,11 @@ from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSPolicyKind, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from yolov5_lifecycle.parameter_file import QOS_PREFIX
 from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED, full_name
 from yolov5_lifecycle.settings import Problem, Settings
 from yolov5_lifecycle.suggestion import did_you_mean
 
-PREFIX = "qos_overrides."
 MAX_DEPTH = 10_000
 
 _CHOICES = {
@@ -33,7 +33,7 @@ def qos_problems(node: Node) -> list[Problem]:
     policy_of = {_name(node, topic, policy): policy for topic in topics for policy in _POLICIES}
     problems = []
     for name, override in parameter_overrides(node).items():
-        if name not in policy_of and name.startswith(PREFIX):
+        if name not in policy_of and name.startswith(QOS_PREFIX):
             problems.append(Problem(name, _unknown(name, policy_of)))
         elif name in policy_of and (rule := _broken_rule(policy_of[name], override)):
             problems.append(Problem(name, f"{override.value!r} is not {rule} Correct it and start again."))
@@ -75,13 +75,13 @@ def overriding_options(node: Node, topic: str) -> QoSOverridingOptions:
 def _name(node: Node, topic: str, policy: str) -> str:
     """The parameter that overrides `policy` of the endpoint of `topic`."""
     kind = "publisher" if topic in PUBLISHED else "subscription"
-    return f"{PREFIX}{full_name(node, topic)}.{kind}.{policy}"
+    return f"{QOS_PREFIX}{full_name(node, topic)}.{kind}.{policy}"
 
 
 def _unknown(name: str, known: dict[str, str]) -> str:
     hint = did_you_mean(name, known)
     if not hint:
-        endpoints = dict.fromkeys(other.removeprefix(PREFIX).rpartition(".")[0] for other in known)
+        endpoints = dict.fromkeys(other.removeprefix(QOS_PREFIX).rpartition(".")[0] for other in known)
         hint = f" There are {', '.join(endpoints)}, each with {', '.join(_POLICIES)}."
     return f"this node has no such topic or policy.{hint} Correct it and start again."
 
