@@ -10,6 +10,7 @@ PIP_FLAGS ?=
 PYTEST_FLAGS ?=
 BENCH_FLAGS ?=
 SOAK_FLAGS ?=
+FUZZ_FLAGS ?=
 
 ifeq ($(SET),tested)
 VENV := .venv
@@ -34,16 +35,18 @@ PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_
 DEPENDENCIES := $(VENV)/.dependencies-$(PYTHON_VERSION)
 INTERFACES := $(VENV)/.interfaces
 PACKAGE := $(VENV)/.package
+FUZZER := $(VENV)/.fuzzer
 INTERFACES_BUILD := build/vision_msgs-$(SET)
-TYPED := $(wildcard yolov5_lifecycle test soak tools benchmark launch requirements)
+TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
-.PHONY: help install demo test coverage soak bench lint docs clean
+.PHONY: help install demo test coverage soak fuzz bench lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make test     the test suite          (SET=apt: with the numpy and OpenCV of Ubuntu 24.04, in .venv-apt)'
 	@echo 'make coverage the same, and which lines of the package it reaches, child processes included'
 	@echo 'make bench    how fast each runtime is, quiet and beside a busy process  (BENCH_FLAGS="--quick")'
 	@echo 'make soak     hours of hostile neighbours, faults and signals; table, and build/soak/report.json'
+	@echo 'make fuzz     searches, led by coverage, for images, weights and settings that are taken wrongly'
 	@echo 'make lint     ruff and mypy --strict'
 	@echo 'make install  what the others do first: .venv with the pinned packages, vision_msgs and this package'
 	@echo 'make docs     writes what is derived from the settings: YAML file, schema, reference page'
@@ -71,6 +74,10 @@ bench: $(PACKAGE)
 # It drives the detector with what the tests drive it with.
 soak: $(PACKAGE)
 	PYTHONPATH=test XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/python -m soak $(SOAK_FLAGS)
+
+# It attacks the readers with what the tests make files with.
+fuzz: $(PACKAGE) $(FUZZER)
+	PYTHONPATH=test $(VENV)/bin/python -m fuzz $(FUZZ_FLAGS)
 
 lint: $(PACKAGE)
 	$(VENV)/bin/ruff check .
@@ -102,6 +109,10 @@ $(INTERFACES): $(DEPENDENCIES) $(shell find interfaces -type f)
 	  -DCMAKE_PREFIX_PATH=$(abspath $(VENV)) -DCMAKE_INSTALL_PREFIX=$(abspath $(VENV))
 	$(VENV)/bin/cmake --build $(INTERFACES_BUILD)
 	$(VENV)/bin/cmake --install $(INTERFACES_BUILD) > $(INTERFACES_BUILD)/install.log
+	touch $@
+
+$(FUZZER): $(DEPENDENCIES) requirements/fuzz.txt
+	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/fuzz.txt -c $(CONSTRAINTS)
 	touch $@
 
 # Modules and data are used where they lie, so the package's share/ is this folder; colcon copies what setup.py names.

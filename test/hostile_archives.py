@@ -13,10 +13,31 @@ from collections.abc import Callable, Mapping
 from checkpoint_builder import official_model, saved, stripped
 from pickle_assembler import archive, mapping
 
+_PICKLE = "archive/data.pkl"
+
 
 @functools.cache
 def valid() -> bytes:
     return saved(stripped(official_model()))
+
+
+def with_pickle(pickle: bytes) -> bytes:
+    """The valid archive with another data.pkl; the archive is whole, so that the pickle is looked at."""
+    file = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(valid())) as old,
+        zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as new,
+    ):
+        for name in old.namelist():
+            new.writestr(name, pickle if name == _PICKLE else old.read(name))
+    return file.getvalue()
+
+
+@functools.cache
+def valid_pickle() -> bytes:
+    """The data.pkl of the valid archive."""
+    with zipfile.ZipFile(io.BytesIO(valid())) as archive:
+        return archive.read(_PICKLE)
 
 
 def tar() -> bytes:

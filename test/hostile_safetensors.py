@@ -27,15 +27,25 @@ def valid() -> bytes:
         return path.read_bytes()
 
 
+def cut(data: bytes) -> tuple[bytes, bytes]:
+    """The header's text and the tensors of a file."""
+    end = 8 + int.from_bytes(data[:8], "little")
+    return data[8:end], data[end:]
+
+
+def glued(text: bytes, tensors: bytes) -> bytes:
+    """The file of which `cut` makes these."""
+    return struct.pack("<Q", len(text)) + text + tensors
+
+
 def parted(data: bytes) -> tuple[dict[str, Any], bytes]:
     """Header and tensors of a file."""
-    end = 8 + int.from_bytes(data[:8], "little")
-    return json.loads(data[8:end]), data[end:]
+    text, tensors = cut(data)
+    return json.loads(text), tensors
 
 
 def joined(header: object, tensors: bytes) -> bytes:
-    text = json.dumps(header).encode()
-    return struct.pack("<Q", len(text)) + text + tensors
+    return glued(json.dumps(header).encode(), tensors)
 
 
 def header(change: Callable[[dict[str, Any]], object]) -> Callable[[], bytes]:
@@ -79,6 +89,10 @@ def overlapping(entries: dict[str, Any]) -> None:
     entries["model.0.bn.bias"]["data_offsets"] = entries["model.0.bn.weight"]["data_offsets"]
 
 
+def overlapping_by_name(entries: dict[str, Any]) -> None:
+    entries["\x1b[2J"] = {"dtype": "F32", "shape": [1], "data_offsets": [4, 8]}
+
+
 def deep_json() -> bytes:
     text = b"[" * 100_000
     return struct.pack("<Q", len(text)) + text
@@ -97,6 +111,7 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "tensor beyond the end": (first_tensor(data_offsets=[0, 1 << 40]), "damaged, or cut short"),
     "tensor that ends before it begins": (first_tensor(data_offsets=[100, 0]), "damaged, or cut short"),
     "tensor of negative offset": (first_tensor(data_offsets=[-8, 0]), "damaged, or cut short"),
+    "name that clears the screen": (header(overlapping_by_name), "damaged, or cut short"),
     "tensor of 16 Ti numbers": (first_tensor(shape=[1 << 22, 1 << 22]), "damaged, or cut short"),
     "tensor of negative size": (first_tensor(shape=[-1]), "damaged, or cut short"),
     "weight NaN": (lambda: number_in_first_tensor(math.nan), "not finite"),

@@ -36,6 +36,7 @@ RANKS = [
         "progress",
         "heap",
         "setting",
+        "one_line",
         "scene",
         "download",
     },

@@ -4,47 +4,18 @@ from __future__ import annotations
 
 import functools
 
-import cv2
 import numpy as np
 import pytest
+from compressed_files import KINDS, compressed
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from yolov5_lifecycle.compressed_image import MAX_COMPRESSED_PX, decode_compressed
-from yolov5_lifecycle.images import MAX_SIDE_PX, ImageError, Picture
+from fuzz.targets import check_compressed_image
+from yolov5_lifecycle.compressed_image import decode_compressed
+from yolov5_lifecycle.images import ImageError
 from yolov5_lifecycle.raw_image import decode_raw
 
-KINDS = ("colour.png", "grey.png", "deep.png", "baseline.jpg", "progressive.jpg", "grey.jpg")
 _PLACE = st.floats(0, 1, exclude_max=True)
-
-
-@functools.cache
-def compressed(kind: str) -> bytes:
-    """A whole file of a few pixels."""
-    noise = np.random.default_rng(0).integers(0, 256, (9, 12, 3), np.uint8)
-    pixels = {"grey": noise[..., 0], "deep": noise.astype(np.uint16) * 257}.get(kind.split(".")[0], noise)
-    flags = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1] if kind.startswith("progressive") else []
-    is_encoded, data = cv2.imencode(kind[-4:], pixels, flags)
-    assert is_encoded
-    return np.asarray(data).tobytes()
-
-
-def outcome(data: bytes) -> Picture | ImageError:
-    try:
-        return decode_compressed(data)
-    except ImageError as error:
-        return error
-
-
-def check(data: bytes) -> None:
-    """Either a picture within the limits, or one line that says why not."""
-    picture = outcome(data)
-    if isinstance(picture, ImageError):
-        assert str(picture).isprintable()
-        return
-    height, width = picture.size_hw
-    assert max(height, width) <= MAX_SIDE_PX
-    assert height * width <= MAX_COMPRESSED_PX
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -58,7 +29,7 @@ def test_a_file_with_flipped_bits_is_a_picture_or_refused(kind: str, flips: list
     data = bytearray(compressed(kind))
     for place, bit in flips:
         data[int(place * len(data))] ^= 1 << bit
-    check(bytes(data))
+    check_compressed_image(bytes(data))
 
 
 @settings(max_examples=60)
@@ -68,12 +39,12 @@ def test_parts_of_two_files_are_a_picture_or_refused(
     first: str, second: str, until: float, since: float
 ) -> None:
     head, tail = compressed(first), compressed(second)
-    check(head[: int(until * len(head))] + tail[int(since * len(tail)) :])
+    check_compressed_image(head[: int(until * len(head))] + tail[int(since * len(tail)) :])
 
 
 @given(st.sampled_from([b"", b"\xff\xd8", b"\xff\xd8\xff\xc0", b"\x89PNG\r\n\x1a\n"]), st.binary(max_size=64))
 def test_any_bytes_behind_a_signature_are_a_picture_or_refused(start: bytes, rest: bytes) -> None:
-    check(start + rest)
+    check_compressed_image(start + rest)
 
 
 @settings(max_examples=50)

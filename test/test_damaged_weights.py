@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import copy
 import functools
-import io
 import itertools
 import json
 import pickletools
-import zipfile
 from collections.abc import Callable
 from typing import Any
 
 import hostile_archives
 import hostile_safetensors
 import pytest
-import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from fuzz.targets import check_weights
 from yolov5_lifecycle.checkpoint import read_checkpoint
 from yolov5_lifecycle.model import Model, WeightsError
-from yolov5_lifecycle.network import Network
 from yolov5_lifecycle.safetensors_file import read_safetensors
 
 _FEW = settings(
@@ -32,16 +29,6 @@ _SPLICES = st.lists(st.tuples(_PLACE, st.integers(0, 16), st.binary(max_size=16)
 Splices = list[tuple[float, int, bytes]]
 
 
-@functools.cache
-def checkpoint() -> bytes:
-    return hostile_archives.valid()
-
-
-@functools.cache
-def safetensors() -> bytes:
-    return hostile_safetensors.valid()
-
-
 def spliced(data: bytes, splices: Splices) -> bytes:
     """`data` with some bytes at some places (parts of its length) replaced by others."""
     for place, removed, added in splices:
@@ -50,66 +37,32 @@ def spliced(data: bytes, splices: Splices) -> bytes:
     return data
 
 
-def with_pickle(change: Callable[[bytes], bytes]) -> bytes:
-    """The checkpoint with another data.pkl in an archive that is whole, so that the pickle is looked at."""
-    file = io.BytesIO()
-    with (
-        zipfile.ZipFile(io.BytesIO(checkpoint())) as old,
-        zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as new,
-    ):
-        for name in old.namelist():
-            content = old.read(name)
-            new.writestr(name, change(content) if name.endswith("/data.pkl") else content)
-    return file.getvalue()
-
-
-def outcome(read: Callable[[bytes], Model], data: bytes) -> Model | WeightsError:
-    try:
-        return read(data)
-    except WeightsError as error:
-        return error
-
-
-def check(read: Callable[[bytes], Model], data: bytes) -> None:
-    """Either a refusal of one line, or a model that is whole."""
-    model = outcome(read, data)
-    if isinstance(model, WeightsError):
-        assert str(model).isprintable()
-        return
-    network = Network(model.architecture).eval()
-    network.load_state_dict(model.state_dict, strict=True)
-    assert len(model.class_names) == model.architecture.classes
-    assert all(bool(torch.isfinite(tensor).all()) for tensor in model.state_dict.values())
-    side = max(model.architecture.strides)
-    assert network(torch.zeros(1, 3, side, side)).shape[2] == 5 + model.architecture.classes
-
-
 @_FEW
 @given(_SPLICES)
 def test_a_damaged_checkpoint_is_refused_or_whole(splices: Splices) -> None:
-    check(read_checkpoint, spliced(checkpoint(), splices))
+    check_weights(read_checkpoint, spliced(hostile_archives.valid(), splices))
 
 
 @_FEW
 @given(_SPLICES)
 def test_a_checkpoint_with_a_damaged_pickle_is_refused_or_whole(splices: Splices) -> None:
-    check(read_checkpoint, with_pickle(lambda pickle: spliced(pickle, splices)))
+    check_weights(
+        read_checkpoint, hostile_archives.with_pickle(spliced(hostile_archives.valid_pickle(), splices))
+    )
 
 
 @_FEW
 @given(st.integers(0, 1 << 20), st.integers(0, 255))
 def test_a_checkpoint_with_one_other_byte_in_its_pickle_is_refused_or_whole(place: int, byte: int) -> None:
-    def change(pickle: bytes) -> bytes:
-        index = place % len(pickle)
-        return pickle[:index] + bytes([byte]) + pickle[index + 1 :]
-
-    check(read_checkpoint, with_pickle(change))
+    pickle = bytearray(hostile_archives.valid_pickle())
+    pickle[place % len(pickle)] = byte
+    check_weights(read_checkpoint, hostile_archives.with_pickle(bytes(pickle)))
 
 
 @_FEW
 @given(_SPLICES)
 def test_a_damaged_safetensors_file_is_refused_or_whole(splices: Splices) -> None:
-    check(read_safetensors, spliced(safetensors(), splices))
+    check_weights(read_safetensors, spliced(hostile_safetensors.valid(), splices))
 
 
 @_FEW
@@ -117,9 +70,9 @@ def test_a_damaged_safetensors_file_is_refused_or_whole(splices: Splices) -> Non
 def test_a_safetensors_file_with_one_other_byte_in_its_header_is_refused_or_whole(
     place: int, byte: int
 ) -> None:
-    data = bytearray(safetensors())
+    data = bytearray(hostile_safetensors.valid())
     data[place % (8 + int.from_bytes(data[:8], "little"))] = byte
-    check(read_safetensors, bytes(data))
+    check_weights(read_safetensors, bytes(data))
 
 
 JSON = st.recursive(
@@ -145,24 +98,23 @@ def replaced(tree: Any, places: list[int], value: Any) -> Any:
 def test_a_safetensors_file_that_describes_anything_is_refused_or_whole(
     entry: str, places: list[int], value: object
 ) -> None:
-    header, tensors = hostile_safetensors.parted(safetensors())
+    header, tensors = hostile_safetensors.parted(hostile_safetensors.valid())
     described = replaced(json.loads(header["__metadata__"][entry]), places, value)
     header["__metadata__"][entry] = json.dumps(described)
-    check(read_safetensors, hostile_safetensors.joined(header, tensors))
+    check_weights(read_safetensors, hostile_safetensors.joined(header, tensors))
 
 
 @_FEW
 @given(st.lists(st.integers(0, 99), max_size=4), JSON)
 def test_a_safetensors_file_with_any_header_is_refused_or_whole(places: list[int], value: object) -> None:
-    header, tensors = hostile_safetensors.parted(safetensors())
-    check(read_safetensors, hostile_safetensors.joined(replaced(header, places, value), tensors))
+    header, tensors = hostile_safetensors.parted(hostile_safetensors.valid())
+    check_weights(read_safetensors, hostile_safetensors.joined(replaced(header, places, value), tensors))
 
 
 @functools.cache
 def pickled_operations() -> list[bytes]:
     """The checkpoint's pickle, cut between its operations."""
-    with zipfile.ZipFile(io.BytesIO(checkpoint())) as archive:
-        pickle = archive.read(next(name for name in archive.namelist() if name.endswith("/data.pkl")))
+    pickle = hostile_archives.valid_pickle()
     starts = [place for *_, place in pickletools.genops(pickle) if place is not None]
     return [pickle[start:end] for start, end in itertools.pairwise([*starts, len(pickle)])]
 
@@ -176,7 +128,7 @@ def test_a_checkpoint_with_its_operations_in_another_order_is_refused_or_whole(
     for source, target, removed in moves:
         start = int(target * len(operations))
         operations[start : start + removed] = [operations[int(source * len(operations))]]
-    check(read_checkpoint, with_pickle(lambda _: b"".join(operations)))
+    check_weights(read_checkpoint, hostile_archives.with_pickle(b"".join(operations)))
 
 
 @pytest.mark.parametrize("read", [read_checkpoint, read_safetensors])
@@ -190,6 +142,6 @@ def test_random_bytes_are_refused(read: Callable[[bytes], Model], data: bytes) -
 @pytest.mark.parametrize("size", range(0, 64, 7))
 def test_a_file_cut_after_a_few_bytes_is_refused(size: int) -> None:
     with pytest.raises(WeightsError):
-        read_checkpoint(checkpoint()[:size])
+        read_checkpoint(hostile_archives.valid()[:size])
     with pytest.raises(WeightsError):
-        read_safetensors(safetensors()[:size])
+        read_safetensors(hostile_safetensors.valid()[:size])

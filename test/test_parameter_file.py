@@ -58,6 +58,7 @@ def test_a_file_speaks_to_the_nodes_it_names(
         pytest.param("", "found of: none.", id="empty"),
         pytest.param("a: [", "this is no YAML", id="no YAML"),
         pytest.param("a: \udcff", "this is no YAML", id="no text"),
+        pytest.param('"a"\U00108ff0', r'"a"\?', id="what cannot be printed"),
         pytest.param("a: 2001-99-99", "month must be in", id="no date"),
         pytest.param("a: &a {ros__parameters: *a}", "recursion", id="endless"),
     ],

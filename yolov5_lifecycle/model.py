@@ -10,6 +10,7 @@ from torch import Tensor
 
 from yolov5_lifecycle.architecture import Architecture
 from yolov5_lifecycle.network import Network
+from yolov5_lifecycle.one_line import in_one_line
 
 MAX_CLASSES = 10_000
 MAX_NAME_LENGTH = 200
@@ -92,7 +93,7 @@ def shown(value: object) -> str:
 
 def first_line(error: BaseException) -> str:
     """The kind and the first line of what another library says."""
-    return f"{type(error).__name__}: {str(error).partition(chr(10))[0][:200]}"
+    return f"{type(error).__name__}: {in_one_line(str(error).partition(chr(10))[0])[:200]}"
 
 
 def _shown_scalar(value: object) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import yaml
 
+from yolov5_lifecycle.one_line import in_one_line
 from yolov5_lifecycle.settings import SETTINGS_BY_NAME
 
 QOS_PREFIX = "qos_overrides."
@@ -76,7 +77,7 @@ def _coerced(name: str, value: object) -> object:
 
 
 def _in_a_line(error: Exception) -> str:
-    return " ".join(str(error).split()).removesuffix(".")
+    return in_one_line(str(error)).removesuffix(".")
 
 
 def _read(path: Path) -> list[tuple[str, dict[str, object]]]:

@@ -1,0 +1,37 @@
+"""Searches each target in a process of its own. `python -m fuzz --help`."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+
+from fuzz.targets import TARGETS
+
+
+def main() -> int:
+    """Returns 0 when no target was taken wrongly, 1 otherwise."""
+    parser = argparse.ArgumentParser(prog="make fuzz", description="Search for bytes that are taken wrongly.")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=TARGETS,
+        default=[*TARGETS],
+        metavar="TARGET",
+        help=f"some of: {', '.join(TARGETS)}",
+    )
+    parser.add_argument("--seconds", type=int, default=60, help="for each target; default: %(default)s")
+    options = parser.parse_args()
+    broken = [name for name in options.only if not _holds(name, options.seconds)]
+    print(f"taken wrongly: {', '.join(broken) or 'none'}")
+    return 1 if broken else 0
+
+
+def _holds(name: str, seconds: int) -> bool:
+    print(f"{name} ...", flush=True)
+    command = [sys.executable, "-m", "fuzz.search", name, f"-max_total_time={seconds}"]
+    return subprocess.run(command, check=False).returncode == 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,30 @@
+"""What the search of `make fuzz` has found to reach further is taken well for ever."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fuzz.targets import TARGETS
+
+CORPUS = Path(__file__).parents[1] / "fuzz" / "corpus"
+FILES = sorted(CORPUS.glob("*/*"))
+LARGEST_BYTES = 4096
+
+
+def test_every_target_has_a_corpus() -> None:
+    assert {file.parent.name for file in FILES} == set(TARGETS)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_what_a_search_begins_with_is_taken_well(name: str) -> None:
+    for seed in TARGETS[name].seeds():
+        TARGETS[name].check(seed)
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: f"{file.parent.name} {file.name[:8]}")
+def test_a_file_of_the_corpus_is_small_and_taken_well(file: Path) -> None:
+    data = file.read_bytes()
+    assert len(data) <= LARGEST_BYTES
+    TARGETS[file.parent.name].check(data)
