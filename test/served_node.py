@@ -80,6 +80,8 @@ class Preparations:
 
     def __init__(self) -> None:
         self.refusal = ""
+        self.refusal_type: type[Exception] = ValueError
+        self.on_refusal: Callable[[], None] = lambda: None
         self.gate = threading.Event()
         self.gate.set()
         self.begun = threading.Semaphore(0)
@@ -88,8 +90,9 @@ class Preparations:
     def __call__(self, settings: Settings) -> PreparedModel:
         self.begun.release()
         assert self.gate.wait(PATIENCE_S)
-        if self.refusal:
-            raise ValueError(self.refusal)
+        if refusal := self.refusal:
+            self.on_refusal()
+            raise self.refusal_type(refusal)
         runtime = ScriptedRuntime()
         self.runtimes.append(runtime)
         detector = Detector(runtime, class_names=CLASS_NAMES, image_size=settings.image_size, stride=32)
@@ -212,9 +215,14 @@ class ServedNode:
 
     def set(self, **values: Any) -> tuple[bool, str]:
         """Set all together; whether it was done, and the reason if not."""
-        future = self.begin_set(**values)
-        self.wait_for(future.done, f"the answer to setting {values}")
-        result = future.result().result
+        return self.set_messages(
+            [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        )
+
+    def set_messages(self, messages: Sequence[Any]) -> tuple[bool, str]:
+        """Like `set`, with parameters as they are sent."""
+        request = SetParametersAtomically.Request(parameters=list(messages))
+        result = self.call("set_parameters_atomically", request).result
         return result.successful, result.reason
 
     def set_one_by_one(self, messages: Sequence[Any]) -> list[Any]:

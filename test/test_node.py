@@ -18,6 +18,7 @@ from sensor_msgs.msg import CompressedImage, Image
 from served_node import Preparations, ServedNode, class_ids_of, image, prediction
 
 from yolov5_lifecycle.ros.messages import picture
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings import SETTINGS
 
 STATES = ("unconfigured", "inactive", "active")
@@ -179,6 +180,53 @@ def test_another_transition_wins_over_a_loading_activate(
     assert all(runtime.is_closed for runtime in prepare.runtimes)
 
 
+def test_cleanup_wins_over_an_activate_whose_model_cannot_be_loaded(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("inactive")
+    prepare.gate.clear()
+    prepare.refusal = "/no/such.pt: there is no such file"
+    activation = served.begin_transition("activate")
+    assert prepare.begun.acquire(timeout=10)
+    assert served.transition("cleanup")
+    prepare.gate.set()
+    served.wait_for(activation.done, "activate")
+    assert not activation.result().success
+    served.wait_for_log("activate given up: another transition came")
+    assert "/no/such.pt" not in served.status().message
+
+
+def test_an_activate_of_an_earlier_configuration_is_given_up(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("inactive")
+    prepare.gate.clear()
+    earlier = served.begin_transition("activate")
+    assert prepare.begun.acquire(timeout=10)
+    assert served.transition("cleanup")
+    assert served.transition("configure")
+    later = served.begin_transition("activate")
+    prepare.gate.set()
+    served.wait_for(lambda: earlier.done() and later.done(), "both answers")
+    assert (earlier.result().success, later.result().success) == (False, True)
+    assert [runtime.is_closed for runtime in prepare.runtimes] == [True, False]
+
+
+def test_a_path_mended_while_the_wrong_one_is_looked_for_is_loaded(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("inactive")
+    prepare.gate.clear()
+    prepare.refusal = "/no/such.pt: there is no such file"
+    activation = served.begin_transition("activate")
+    assert prepare.begun.acquire(timeout=10)
+    prepare.on_refusal = lambda: setattr(prepare, "refusal", "")
+    assert served.set(weights="/such.pt") == (True, "")
+    prepare.gate.set()
+    served.wait_for(activation.done, "activate")
+    assert activation.result().success
+
+
 def test_settings_changed_while_loading_are_the_ones_that_run(
     served: ServedNode, prepare: Preparations
 ) -> None:
@@ -262,6 +310,44 @@ def test_a_refused_reload_leaves_model_and_value_alone(served: ServedNode, prepa
     assert served.get("weights") == ""
     assert class_ids_of(served.detect()) == ["cat"]
     assert not prepare.running.is_closed
+
+
+def test_a_reload_is_told_in_the_log(served: ServedNode, prepare: Preparations) -> None:
+    served.bring_to("active")
+    assert served.set(image_size=320)[0]
+    served.wait_for_log("the model was replaced: weights /scripted.pt")
+    prepare.refusal = "/no/such.pt: there is no such file"
+    assert not served.set(image_size=416)[0]
+    served.wait_for_log("the running model stays, its replacement was refused: /no/such.pt")
+
+
+def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+    prepare.gate.clear()
+    reload = served.begin_set(model_size="n6")  # needs multiples of 64
+    assert prepare.begun.acquire(timeout=10)
+    other = served.begin_set(image_size=672)
+    prepare.gate.set()
+    served.wait_for(lambda: reload.done() and other.done(), "both answers")
+    answers = [reload.result().result, other.result().result]
+    assert sorted(answer.successful for answer in answers) == [False, True]
+    assert sum(not runtime.is_closed for runtime in prepare.runtimes) == 1
+    assert served.escaped == []
+
+
+@pytest.mark.parametrize("state", ["inactive", "active"])
+def test_a_device_that_is_lost_while_a_model_loads_ends_the_node(
+    served: ServedNode, prepare: Preparations, state: str
+) -> None:
+    served.bring_to(state)
+    prepare.refusal_type = DeviceLostError
+    prepare.refusal = "torch failed on cuda:0"
+    answered = served.transition("activate") if state == "inactive" else served.set(image_size=320)[0]
+    assert not answered
+    assert served.node.device_lost
+    served.wait_for_log("the device is lost to this process, which ends: torch failed on cuda:0")
 
 
 def test_concurrent_reloads_both_hold_in_the_end(served: ServedNode, prepare: Preparations) -> None:
@@ -385,6 +471,18 @@ def test_an_unknown_override_may_be_deleted(prepare: Preparations) -> None:
         assert not served.transition("configure")
         (result,) = served.set_one_by_one([ParameterMessage(name="colour")])
         assert result.successful
+        assert served.transition("configure")
+
+
+def test_deleting_an_unknown_override_leaves_the_rest_of_the_request_to_be_set(prepare: Preparations) -> None:
+    deletion = ParameterMessage(name="colour")
+    with ServedNode(prepare, parameters=["colour:=red"]) as served:
+        bad = Parameter("confidence_threshold", value=7.0).to_parameter_msg()
+        assert not served.set_messages([deletion, bad])[0]
+        assert not served.transition("configure")
+        good = Parameter("confidence_threshold", value=0.7).to_parameter_msg()
+        assert served.set_messages([deletion, good]) == (True, "")
+        assert served.get("confidence_threshold") == 0.7
         assert served.transition("configure")
 
 

@@ -13,6 +13,5 @@ def give_back_memory() -> None:
     The CUDA context itself (a few hundred MB) stays until the process ends.
     """
     if torch.cuda.is_available() and torch.cuda.is_initialized():
-        torch.cuda.synchronize()
         torch.cuda.empty_cache()
     trim_heap()

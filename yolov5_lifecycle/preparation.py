@@ -42,13 +42,20 @@ class PreparedModel:
         """Whether `settings` ask for this very model."""
         return not self.settings.differing(settings, Change.RELOAD)
 
-    def close(self) -> None:
+    @property
+    def summary(self) -> str:
+        """`facts` in one line."""
+        return ", ".join(f"{name} {value}" for name, value in self.facts.items())
+
+    def close(self, *, is_at_rest: bool = True) -> None:
         """Free the model and give its memory back to the system.
 
+        Unless it `is_at_rest`, memory is not given back: on a GPU that would wait for the frame that hangs.
         No cycle holds a network, so no garbage collection is needed; one would stop every thread for 0.15 s.
         """
         self.detector.close()
-        give_back_memory()
+        if is_at_rest:
+            give_back_memory()
 
 
 Prepare = Callable[[Settings], PreparedModel]

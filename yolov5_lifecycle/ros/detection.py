@@ -53,9 +53,9 @@ class Detection:
         """Who publishes images now, None while not subscribed; the subscription follows what they offer."""
         return self._input.look() if self._input is not None else None
 
-    def rest(self) -> None:
-        """Wait until the frame in work is done; one that hangs is deactivate's business."""
-        self._worker.rest(REST_TIMEOUT_S)
+    def rest(self) -> bool:
+        """Wait until the frame in work is done; False when it hangs, which is deactivate's business."""
+        return self._worker.rest(REST_TIMEOUT_S)
 
     def apply(self, settings: Settings, model: PreparedModel) -> None:
         """Obey `settings` with `model` from the next frame on; the caller closes a replaced model."""
@@ -95,7 +95,7 @@ class Detection:
         """Unsubscribe, let the worker rest, free the model; False when inference hung and was given up."""
         self._unsubscribe()
         rested = self._worker.stop(REST_TIMEOUT_S)
-        self.model.close()
+        self.model.close(is_at_rest=rested)
         return rested
 
     def _pipeline(

@@ -10,6 +10,8 @@ from rclpy.node import Node
 
 from yolov5_lifecycle.preparation import Prepare, PreparedModel
 from yolov5_lifecycle.ros.background import Background
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError
+from yolov5_lifecycle.setting import Change
 from yolov5_lifecycle.settings import Settings
 
 Preparation = Future[PreparedModel]
@@ -17,10 +19,15 @@ Preparation = Future[PreparedModel]
 
 
 class ModelLoader:
-    """Prepares one model at a time in a thread of its own, from birth to `close`."""
+    """Prepares one model at a time in a thread of its own, from birth to `close`.
 
-    def __init__(self, node: Node, prepare: Prepare) -> None:
+    `on_device_lost(reason)` is called when no further model can be prepared.
+    """
+
+    def __init__(self, node: Node, prepare: Prepare, *, on_device_lost: Callable[[str], None]) -> None:
+        self._node = node
         self._prepare = prepare
+        self._on_device_lost = on_device_lost
         self._background = Background(node)
 
     def begin(self, settings: Settings) -> Preparation:
@@ -34,22 +41,21 @@ class ModelLoader:
         """
         while (settings := wanted()) is not None:
             preparation = await self._background.finish(self.begin(settings))
-            if preparation.exception() is not None:
-                return preparation
+            error = preparation.exception()
+            if isinstance(error, DeviceLostError):
+                self._on_device_lost(str(error))
             now_wanted = wanted()
-            if now_wanted is not None and preparation.result().serves(now_wanted):
+            if now_wanted is not None and not settings.differing(now_wanted, Change.RELOAD):
                 return preparation
-            preparation.result().close()
+            if error is None:
+                preparation.result().close()
         return None
 
-    async def retire(self, model: PreparedModel, *, after: Callable[[], object]) -> None:
-        """Call `after`, which waits for the frame that may still use `model`, then free it."""
-
-        def free() -> None:
-            after()
-            model.close()
-
-        await self._background.finish(self._background.submit(free))
+    async def retire(self, model: PreparedModel, *, after: Callable[[], bool]) -> None:
+        """Free `model` after `after`, which waits for its last frame and says whether that ended."""
+        freed = self._background.submit(lambda: model.close(is_at_rest=after()))
+        if (error := (await self._background.finish(freed)).exception()) is not None:
+            self._node.get_logger().error(f"the replaced model could not be freed: {error}")
 
     def close(self) -> None:
         """Drop what has not begun; what runs goes on, unwaited for."""

@@ -79,13 +79,13 @@ class DetectorNode(LifecycleNode):
         self._outputs: Outputs | None = None
         self._detection: Detection | None = None
         self._preparation: Preparation | None = None
-        self._is_loading = False
+        self._loading_for: Outputs | None = None
         self.device_lost = False
         self._failures = FrameFailures(self, on_too_many=self._give_up, on_device_lost=self._lose_device)
         self._worker: Worker[ReceivedFrame] = Worker(
             on_failure=self._failures.failed, on_success=self._failures.succeeded
         )
-        self._loader = ModelLoader(self, prepare)
+        self._loader = ModelLoader(self, prepare, on_device_lost=self._lose_device)
         self._reconfiguration = Reconfiguration(
             self,
             loader=self._loader,
@@ -172,9 +172,7 @@ class DetectorNode(LifecycleNode):
         )
         self._failures.succeeded()
         self._problem = ""
-        self.get_logger().info(
-            "active with " + ", ".join(f"{name} {value}" for name, value in model.facts.items())
-        )
+        self.get_logger().info(f"active with {model.summary}")
         result = super().on_activate(state)
         self._detection.publish_label_info()
         self._detection.follow_listeners()
@@ -230,19 +228,21 @@ class DetectorNode(LifecycleNode):
 
     async def _load(self) -> bool:
         """Load the model for activate while others are answered; False when another transition came first."""
-        if self._is_loading:
+        outputs = self._outputs  # made by configure, so they tell one configuration from the next
+        if self._loading_for is outputs:
             self.get_logger().warning("activate refused: the model is being loaded already")
             return False
-        self._is_loading = True
-        try:
-            self._preparation = await self._loader.load(lambda: self._settings)
-        finally:
-            self._is_loading = False
-        if self._preparation is None:
+        self._loading_for = outputs
+        preparation = await self._loader.load(lambda: self._settings if self._outputs is outputs else None)
+        if self._loading_for is outputs:
+            self._loading_for = None
+        if preparation is None:
             self.get_logger().warning(
                 "activate given up: another transition came while the model was loading"
             )
-        return self._preparation is not None
+            return False
+        self._preparation = preparation
+        return True
 
     def _keep_settings(self, settings: Settings) -> None:
         if self._settings is not None:

@@ -116,9 +116,17 @@ class SettingsParameters:
             for name, source in self._sources.items()
         )
 
-    def forget(self, name: str) -> bool:
-        """Drop the complaint about an override with an unknown name; False when there was none."""
-        return name not in SETTINGS_BY_NAME and self._bad_overrides.pop(name, None) is not None
+    def is_taken_back(self, parameter: Parameter) -> bool:
+        """Whether `parameter` deletes an override with an unknown name."""
+        return (
+            parameter.type_ is Parameter.Type.NOT_SET
+            and parameter.name in self._bad_overrides.keys() - SETTINGS_BY_NAME.keys()
+        )
+
+    def forget(self, taken_back: Iterable[Parameter]) -> None:
+        """Drop the complaints about overrides that were taken back."""
+        for parameter in taken_back:
+            self._bad_overrides.pop(parameter.name, None)
 
     def _problems(self, values: dict[str, object]) -> list[Problem]:
         try:

@@ -68,13 +68,15 @@ class Reconfiguration:
         return response
 
     async def _set(self, asked: list[Parameter]) -> SetParametersResult:
-        """Set all or none."""
-        parameters = self.parameters.changes(asked)
-        if asked and not parameters:
-            return SetParametersResult(successful=True)
-        unset = [parameter for parameter in parameters if parameter.type_ is Parameter.Type.NOT_SET]
-        if unset and all(self.parameters.forget(parameter.name) for parameter in unset):
-            return SetParametersResult(successful=True)
+        """Set all or none; what only takes back an override with an unknown name goes along."""
+        taken_back = [parameter for parameter in asked if self.parameters.is_taken_back(parameter)]
+        rest = [parameter for parameter in self.parameters.changes(asked) if parameter not in taken_back]
+        result = await self._set_known(rest) if rest else SetParametersResult(successful=True)
+        if result.successful:
+            self.parameters.forget(taken_back)
+        return result
+
+    async def _set_known(self, parameters: list[Parameter]) -> SetParametersResult:
         if problems := self.parameters.problems_of(parameters):
             return refusal(problems)
         detection = self._running()
@@ -84,21 +86,35 @@ class Reconfiguration:
 
     async def _reload(self, detection: Detection, parameters: list[Parameter]) -> SetParametersResult:
         def wanted() -> Settings | None:
-            return self.parameters.candidate(parameters) if self._running() is detection else None
+            if self._running() is not detection or self.parameters.problems_of(parameters):
+                return None
+            return self.parameters.candidate(parameters)
 
         preparation = await self._loader.load(wanted)
         if preparation is None:
+            if problems := self.parameters.problems_of(parameters):
+                return refusal(problems)  # another change came first, and the two contradict each other
             return _refused(
                 "the node left the active state while the new model was loading; nothing was changed."
             )
         if (error := preparation.exception()) is not None:
+            self._node.get_logger().warning(f"the running model stays, its replacement was refused: {error}")
             return _refused(f"{error} The running model stays.")
-        old, self._replacement = detection.model, preparation.result()
-        result = self._node.set_parameters_atomically(parameters)
-        unused = old if detection.model is self._replacement else self._replacement
-        self._replacement = None
-        await self._loader.retire(unused, after=detection.rest)
-        return result
+        return await self._replace(detection, preparation.result(), parameters)
+
+    async def _replace(
+        self, detection: Detection, replacement: PreparedModel, parameters: list[Parameter]
+    ) -> SetParametersResult:
+        """Set `parameters`, which ask for `replacement`; the model that is not used then is freed."""
+        old, self._replacement = detection.model, replacement
+        try:
+            return self._node.set_parameters_atomically(parameters)
+        finally:
+            self._replacement = None
+            is_replaced = detection.model is replacement
+            if is_replaced:
+                self._node.get_logger().info(f"the model was replaced: {replacement.summary}")
+            await self._loader.retire(old if is_replaced else replacement, after=detection.rest)
 
     def _review(self, candidate: Settings) -> list[Problem]:
         """What the running model, or the one about to replace it, says against `candidate`."""
