@@ -337,6 +337,16 @@ def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
     assert served.escaped == []
 
 
+def test_an_unexpected_exception_in_a_reload_is_answered_and_told(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+    prepare.refusal_type, prepare.refusal = KeyError, "surprise"
+    assert served.set(image_size=320) == (False, "KeyError: 'surprise'")
+    served.wait_for_log("unexpected KeyError in yolov5/set_parameters_atomically:\nTraceback")
+    assert class_ids_of(served.detect()) == ["cat"]
+
+
 @pytest.mark.parametrize("state", ["inactive", "active"])
 def test_a_device_that_is_lost_while_a_model_loads_ends_the_node(
     served: ServedNode, prepare: Preparations, state: str

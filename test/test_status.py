@@ -142,18 +142,23 @@ def test_empty_frames_are_counted_until_something_is_found() -> None:
     assert frames.run == EmptyRun(0.5)
 
 
-def test_the_log_says_a_reason_once_whatever_its_numbers(ros_domain: int) -> None:
-    silent = [_with_input(silent_s=silent_s) for silent_s in (5.0, 6.0, 17.0)]
-    last = _with_input(publishers=0)
-    statuses = iter([GOOD, *silent, GOOD, silent[0], BLIND, BLIND])
+def test_the_log_says_a_reason_once_a_minute_whatever_its_numbers(ros_domain: int) -> None:
+    silent = [_with_input(silent_s=silent_s) for silent_s in (5.0, 6.0, 17.0, 8.0, 9.0)]
+    inactive = dataclasses.replace(GOOD, state="inactive")
+    looks = [
+        *((0.0, status) for status in (GOOD, *silent[:3], GOOD, silent[0], BLIND, BLIND, silent[1])),
+        *((70.0, status) for status in (silent[2], GOOD, silent[3], inactive, silent[4])),
+    ]
+    now_s, last = 0.0, _with_input(publishers=0)
     with closing(Observer("watched", domain=ros_domain)) as observer:
         logged: list[str] = []
         observer.create_subscription(Log, "/rosout", lambda log: logged.append(log.msg), 100)
         observer.wait_for(lambda: observer.count_subscribers("/rosout") == 1, "the subscription to the log")
-        diagnostics = Diagnostics(observer, lambda: next(statuses, last))
-        for _ in range(9):
+        seen = last
+        diagnostics = Diagnostics(observer, lambda: seen, clock=lambda: now_s)
+        for now_s, seen in [*looks, (70.0, last)]:  # noqa: B007 - the diagnostics look at both
             diagnostics.publish()
         observer.wait_for(lambda: any("nobody publishes" in text for text in logged), "the last reason")
-    words = ("for 5 s", "for 5 s", "nothing scored", "nobody publishes")
+    words = ("for 5 s", "nothing scored", "for 8 s", "for 9 s", "nobody publishes")
     assert len(logged) == len(words)
     assert all(word in text for word, text in zip(words, logged, strict=True))

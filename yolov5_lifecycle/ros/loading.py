@@ -16,6 +16,8 @@ from yolov5_lifecycle.settings import Settings
 
 Preparation = Future[PreparedModel]
 """A finished one has the model, or the exception that tells why there is none."""
+REFUSALS = (ValueError, OSError, RuntimeError)
+"""What a preparation raises with a message for the user; anything else is a mistake of ours."""
 
 
 class ModelLoader:

@@ -11,12 +11,13 @@ from typing import Any
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
+from yolov5_lifecycle.one_line import in_one_line
 from yolov5_lifecycle.preparation import Prepare, check_place, prepare_model
 from yolov5_lifecycle.ros.detection import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.loading import ModelLoader, Preparation
+from yolov5_lifecycle.ros.loading import REFUSALS, ModelLoader, Preparation
 from yolov5_lifecycle.ros.outputs import Outputs
 from yolov5_lifecycle.ros.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.services import harden
@@ -160,7 +161,7 @@ class DetectorNode(LifecycleNode):
         preparation, self._preparation = self._preparation or self._loader.begin(self._settings), None
         try:
             model = preparation.result()
-        except (ValueError, OSError, RuntimeError) as error:
+        except REFUSALS as error:
             self.report(f"activate refused: {error}")
             return FAILURE
         if problems := model_problems(self._settings, model.detector.class_names):
@@ -215,8 +216,9 @@ class DetectorNode(LifecycleNode):
             row[1] for row in possible if (row[1] == wanted.label if wanted.label else row[0] == wanted.id)
         ]
         if not labels:
+            asked = in_one_line(wanted.label[:100]) or wanted.id
             self.get_logger().warning(
-                f"transition '{wanted.label or wanted.id}' refused in state {self.state_label}. "
+                f"transition '{asked}' refused in state {self.state_label}. "
                 f"Possible now: {', '.join(f'{row[1]} ({row[0]})' for row in possible) or 'none'}.",
                 throttle_duration_sec=1.0,
             )

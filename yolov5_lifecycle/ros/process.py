@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import traceback
 from collections.abc import Callable
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -41,5 +42,6 @@ def _spin_once(executor: SingleThreadedExecutor, node: Node) -> None:
         pass  # the caller asks the context
     except Exception as error:  # noqa: BLE001 - whatever one callback does, the others are served
         node.get_logger().error(
-            f"unexpected {type(error).__name__} in a callback: {error}", throttle_duration_sec=1.0
+            f"unexpected {type(error).__name__} in a callback:\n{traceback.format_exc()}",
+            throttle_duration_sec=1.0,
         )

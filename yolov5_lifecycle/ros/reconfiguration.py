@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.preparation import PreparedModel
 from yolov5_lifecycle.ros.detection import Detection
-from yolov5_lifecycle.ros.loading import ModelLoader
+from yolov5_lifecycle.ros.loading import REFUSALS, ModelLoader
 from yolov5_lifecycle.ros.parameters import SettingsParameters, refusal
 from yolov5_lifecycle.ros.services import Handler
 from yolov5_lifecycle.selection import model_problems
@@ -97,10 +97,12 @@ class Reconfiguration:
             return _refused(
                 "the node left the active state while the new model was loading; nothing was changed."
             )
-        if (error := preparation.exception()) is not None:
+        try:
+            replacement = preparation.result()
+        except REFUSALS as error:
             self._node.get_logger().warning(f"the running model stays, its replacement was refused: {error}")
             return _refused(f"{error} The running model stays.")
-        return await self._replace(detection, preparation.result(), parameters)
+        return await self._replace(detection, replacement, parameters)
 
     async def _replace(
         self, detection: Detection, replacement: PreparedModel, parameters: list[Parameter]

@@ -8,8 +8,11 @@ from collections.abc import Callable
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.service import Service
+
+from yolov5_lifecycle.one_line import in_one_line
 
 Handler = Callable[[Any, Any], Any]
 """(request, response) -> response, or an awaitable of one."""
@@ -32,15 +35,24 @@ def _answering(node: Node, service: Service, handler: Handler) -> Handler:
         try:
             answered = handler(request, response)
             return await answered if inspect.isawaitable(answered) else answered
+        except (ValueError, ParameterException) as error:
+            problem = _described(error)
+            node.get_logger().warning(
+                f"{service.srv_name}: request refused: {problem}", throttle_duration_sec=1.0
+            )
         except Exception as error:  # noqa: BLE001 - logged, and the caller gets an answer
+            problem = _described(error)
             node.get_logger().error(
-                f"{service.srv_name}: request refused: {type(error).__name__}: {str(error)[:300]}",
+                f"unexpected {type(error).__name__} in {service.srv_name}:\n{traceback.format_exc()}",
                 throttle_duration_sec=1.0,
             )
-            node.get_logger().debug(traceback.format_exc())
-            return _refusal(service, request, f"{type(error).__name__}: {str(error)[:300]}")
+        return _refusal(service, request, problem)
 
     return answer
+
+
+def _described(error: Exception) -> str:
+    return in_one_line(f"{type(error).__name__}: {str(error)[:300]}")
 
 
 def _refusal(service: Service, request: Any, reason: str) -> Any:
