@@ -73,6 +73,17 @@ def architecture(**changes: object) -> Callable[[], bytes]:
     return header(change)
 
 
+def arguments(layer: int, changed: list[int]) -> Callable[[], bytes]:
+    """A valid file whose architecture has other arguments for `layer`."""
+
+    def change(entries: dict[str, Any]) -> None:
+        described = json.loads(entries["__metadata__"]["architecture"])
+        described["layers"][layer][-1] = changed
+        entries["__metadata__"]["architecture"] = json.dumps(described)
+
+    return header(change)
+
+
 def first_tensor(**changes: object) -> Callable[[], bytes]:
     return header(lambda entries: entries["model.0.conv.weight"].update(changes))
 
@@ -122,6 +133,7 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
         "expected 1 to 200 layers, found 201",
     ),
     "a million channels": (architecture(layers=[[[-1], 1, "Conv", [1_000_000]]]), "the channels of layer 0"),
+    "even window": (arguments(4, [64, 4]), "has the arguments [64, 4]"),
     "a million repeats": (architecture(layers=[[[-1], 1_000_000, "C3", [64]]]), "the number of layer 0"),
     "a million strides": (architecture(strides=[8] * 1_000_000), "equally many anchors"),
     "class name with a line break": (metadata(class_names='["a", "b\\n", "c"]'), "printable characters"),

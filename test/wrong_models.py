@@ -182,6 +182,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "negative channels": (row(0, -1, 1, "Conv", [-64, 6, 2]), "the channels of layer 0"),
     "a million repeats": (row(2, -1, 1_000_000, "C3", [64]), "the number of layer 2"),
     "repeated convolution": (row(1, -1, 9, "Conv", [64, 3, 2]), "is repeated 3 times"),
+    "even window": (row(4, -1, 1, "SPPF", [64, 4]), "has the arguments [64, 4]"),
     "kernel of 99": (row(0, -1, 1, "Conv", [64, 99, 2]), "the kernel of layer 0"),
     "even kernel": (row(0, -1, 1, "Conv", [64, 4, 1]), "not supported"),
     "odd shortcut": (row(2, -1, 3, "C3", [64, "False"]), "not supported"),
