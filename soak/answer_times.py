@@ -1,44 +1,101 @@
-"""How long services take while images are being detected."""
+"""How long services take while the inference thread, or the one that loads models, is at work."""
 
 from __future__ import annotations
 
+import itertools
 import math
+import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+from soak.faults import faulty_image
 from soak.finding import Finding
+from soak.sender import Sender
 from soak.subject import Subject, camera
 
 _RATE_HZ = 30.0
 _LIMIT_MS = 20.0
 _ROUNDS = 3
-"""A figure in time is the best of these: whatever else the machine does only makes it worse."""
+_PAUSE_S = 0.002
+_SIZES = (416, 320)
 
 
 def answers_during_inference(subject: Subject, count: int, *, is_timed: bool = True) -> Finding:
-    """Ask for the state and for a parameter in turn; unless `is_timed`, time is not judged."""
+    """Ask for the state and for a parameter in turn, `count` times while images are detected, a tenth as
+    often while models are loaded and while inference hangs; unless `is_timed`, time is not judged.
+
+    All that is detected must have come here, too.
+    """
     subject.reset()
     subject.bring_to("active")
-    node, times_ms = subject.node, []
-    questions = (lambda: node.state() == "active", lambda: node.parameter("lazy") is True)
-    with camera(subject.domain, rate=_RATE_HZ, width=640, height=480):
-        subject.observer.wait_for(lambda: bool(subject.detections), "detections")
-        for index in range(count):
-            begun_s = time.monotonic()
-            assert questions[index % 2]()
-            times_ms.append((time.monotonic() - begun_s) * 1e3)
-            subject.observer.work_for(0.002)
-        detected = len(subject.detections)
-    subject.reset()
+    times_ms, detected = _while_detecting(subject, count)
     size = math.ceil(count / _ROUNDS)
-    p99_ms = [_p99(times_ms[begin : begin + size]) for begin in range(0, count, size)]
+    p99_ms = {
+        "detecting": statistics.median(
+            _p99(times_ms[begin : begin + size]) for begin in range(0, count, size)
+        ),
+        "loading": _p99(_while_loading(subject, math.ceil(count / 10))),
+        "hung": _p99(_while_hung(subject, math.ceil(count / 10))),
+    }
+    subject.reset()
     return Finding(
-        claim="services answer during inference",
-        done=f"{count} requests while {detected} images were detected",
-        result=f"p99 {', '.join(f'{time_ms:.1f}' for time_ms in p99_ms)} ms, longest {max(times_ms):.1f} ms",
-        limit=f"best p99 of {_ROUNDS} rounds < {_LIMIT_MS:g} ms" if is_timed else "answered",
-        is_met=min(p99_ms) < _LIMIT_MS or not is_timed,
+        claim="services answer during inference, and all that is detected comes out",
+        done=f"{count} requests while {detected} images were detected, a tenth as many in the other cases",
+        result="p99 " + ", ".join(f"{case} {time_ms:.1f} ms" for case, time_ms in p99_ms.items()),
+        limit=f"p99 < {_LIMIT_MS:g} ms (detecting: the middle one of {_ROUNDS} rounds)"
+        if is_timed
+        else "answered",
+        is_met=max(p99_ms.values()) < _LIMIT_MS or not is_timed,
     )
+
+
+def _while_detecting(subject: Subject, count: int) -> tuple[list[float], int]:
+    """Milliseconds for each of `count` answers, and how many images were detected meanwhile."""
+    heard, told = subject.heard, _detected(subject)
+    with camera(subject.domain, rate=_RATE_HZ, width=640, height=480):
+        subject.observer.wait_for(lambda: subject.heard > heard, "detections")
+        times_ms = _asked(subject, most=count)
+    detected = _detected(subject) - told
+    subject.observer.wait_for(lambda: subject.heard - heard == detected, f"{detected} detections")
+    return times_ms, detected
+
+
+def _while_loading(subject: Subject, count: int) -> list[float]:
+    times_ms: list[float] = []
+    sizes = itertools.cycle(_SIZES)
+    while len(times_ms) < count:
+        times_ms += _asked(subject, until=subject.begin_reload(next(sizes)).done)
+    return times_ms
+
+
+def _while_hung(subject: Subject, count: int) -> list[float]:
+    sender = Sender(subject, "raw")
+    sender.send_whole()
+    sender.send(faulty_image("hang"))
+    subject.observer.wait_for(lambda: subject.status()["frames pending"] == "1", "inference to hang")
+    times_ms = _asked(subject, most=count)
+    assert subject.status()["frames pending"] == "1", "it went on"
+    assert subject.transition("deactivate")
+    sender.close()
+    return times_ms
+
+
+def _asked(
+    subject: Subject, *, most: float = math.inf, until: Callable[[], bool] = lambda: False
+) -> list[float]:
+    """Milliseconds for each answer."""
+    questions = (lambda: subject.node.state() == "active", lambda: subject.node.parameter("lazy") is True)
+    times_ms: list[float] = []
+    while len(times_ms) < most and not until():
+        begun_s = time.monotonic()
+        assert questions[len(times_ms) % 2]()
+        times_ms.append((time.monotonic() - begun_s) * 1e3)
+        subject.observer.work_for(_PAUSE_S)
+    return times_ms
+
+
+def _detected(subject: Subject) -> int:
+    return int(subject.status()["frames detected"])
 
 
 def _p99(times_ms: Sequence[float]) -> float:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
 from random import Random
+from typing import Any
 
 from soak.finding import Finding, number_of, problem
 from soak.subject import Subject, exceptions_in, subject, subject_in
@@ -15,15 +18,19 @@ from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.domain import isolated, own_domain
 
 _LIMIT_S = 5.0
-_LONGEST_TRANSITION_S = 0.3
+_TRANSITION_S = 0.001, 0.3
+"""A transition takes from so long to so long."""
+_PAUSE_S = 0.001
 _LONGEST_IMPORT_S = 3.0
 _START_S = 60.0
 
 Ending = tuple[signal.Signals, str]
 """The signal, and a moment of `MOMENTS`."""
+Reach = Callable[[Subject], Any]
+"""Comes to a moment; the future of the answer where that is one during a transition, else None."""
 
 
-def _in_state(state: str) -> Callable[[Subject], None]:
+def _in_state(state: str) -> Reach:
     def reach(subject: Subject) -> None:
         subject.bring_to(state)
         if state == "active":
@@ -32,17 +39,17 @@ def _in_state(state: str) -> Callable[[Subject], None]:
     return reach
 
 
-def _during(label: str, state: str) -> Callable[[Subject], None]:
-    def reach(subject: Subject) -> None:
+def _during(label: str, state: str) -> Reach:
+    def reach(subject: Subject) -> Any:
         subject.bring_to(state)
-        subject.begin_transition(label)
+        return subject.begin_transition(label)
 
     return reach
 
 
-def _during_reload(subject: Subject) -> None:
+def _during_reload(subject: Subject) -> Any:
     subject.bring_to("active")
-    subject.begin_reload(416)
+    return subject.begin_reload(416)
 
 
 MOMENTS = {
@@ -61,13 +68,13 @@ ENDINGS: tuple[Ending, ...] = tuple(
 
 
 def clean_endings(endings: Iterable[Ending], seed: int) -> Finding:
-    """Ask a new process to end, each time at one moment; a transition is met somewhere on its way."""
-    random, endings = Random(seed), list(endings)
-    wrong = [*filter(None, (problem(partial(_end, *ending, random)) for ending in endings))]
+    """Ask a new process to end, each time at one moment; a transition is met on its way, or after."""
+    random, endings, met = Random(seed), list(endings), Counter[str]()
+    wrong = [*filter(None, (problem(partial(_end, *ending, random, met)) for ending in endings))]
     return Finding(
         claim="SIGINT and SIGTERM end the process cleanly at any moment",
         done=f"{len(endings)} processes, seed {seed}",
-        result=number_of("other ends", wrong),
+        result=f"{number_of('other ends', wrong)}; on their way: {_counts(met)}",
         limit=f"0; exit code 0 within {_LIMIT_S:g} s, no exception",
         is_met=not wrong,
     )
@@ -100,9 +107,13 @@ def clean_restarts(moments: Iterable[str], seed: int) -> Finding:
     )
 
 
-def _end(number: signal.Signals, moment: str, random: Random) -> None:
+def _counts(met: Counter[str]) -> str:
+    return ", ".join(f"{moment} {count}" for moment, count in met.items()) or "none"
+
+
+def _end(number: signal.Signals, moment: str, random: Random, met: Counter[str]) -> None:
     with subject() as process:
-        _reach(process, moment, random)
+        met[moment] += _reach(process, moment, random)
         code = process.process.stop(number, timeout_s=_LIMIT_S)
         assert (code, process.escaped) == (0, []), f"{number.name} {moment}: {code}, {process.escaped}"
 
@@ -132,7 +143,10 @@ def _restart(moment: str, random: Random) -> None:
             assert (code, process.escaped) == (0, []), f"after {moment}: {code}, {process.escaped}"
 
 
-def _reach(subject: Subject, moment: str, random: Random) -> None:
-    """Come there, and go on for as long as a transition may take, or less."""
-    MOMENTS[moment](subject)
-    time.sleep(random.uniform(0, _LONGEST_TRANSITION_S))
+def _reach(subject: Subject, moment: str, random: Random) -> bool:
+    """Come there, and go on for as long as a transition may take, or less; whether one is on its way then."""
+    answer = MOMENTS[moment](subject)
+    shortest, longest = map(math.log, _TRANSITION_S)
+    time.sleep(math.exp(random.uniform(shortest, longest)))
+    subject.observer.work_for(_PAUSE_S)
+    return answer is not None and not answer.done()

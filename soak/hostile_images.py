@@ -15,9 +15,9 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from soak.service_requests import Fuzz
 from yolov5_lifecycle.images import MAX_SIDE_PX
+from yolov5_lifecycle.raw_image import ENCODINGS
 
-_CHANNELS = {"rgb8": 3, "bgr8": 3, "mono8": 1, "rgba8": 4, "bgra8": 4}
-_ENCODINGS = (*_CHANNELS, "", "RGB8", "rgb8 ", "bayer_rggb16", "yuv444", "32FC1", "32FC3", "x" * 100_000)
+_UNKNOWN = ("", "RGB8", "rgb8 ", "bayer_rggb16", "yuv444", "32FC1", "32FC3", "x" * 100_000)
 _NUMBERS = (0, 1, 2, 7, 48, 64, 640, MAX_SIDE_PX, MAX_SIDE_PX + 1, 2**31 - 1, 2**31, 2**32 - 1)
 _SIZES = (0, 1, 7, 191, 48 * 64, 48 * 64 * 3, 48 * 64 * 4, 1_000_000)
 MakeImage = Callable[[Fuzz], Image | CompressedImage | bytes]
@@ -35,7 +35,7 @@ def hostile_image(fuzz: Fuzz) -> Image:
             height=choose(_NUMBERS),
             width=choose(_NUMBERS),
             step=choose((*_NUMBERS, 192)),
-            encoding=choose(_ENCODINGS),
+            encoding=choose((*ENCODINGS, *_UNKNOWN)),
         )
         fuzz.fill(message.header)
         message.is_bigendian = fuzz.random.randrange(256)
@@ -66,16 +66,23 @@ def damaged_file(fuzz: Fuzz) -> CompressedImage:
 
 def damaged_message(fuzz: Fuzz) -> bytes:
     """A small raw image as it goes over the wire, with wrong or missing bytes."""
-    message = Image(height=8, width=8, step=24, encoding="rgb8", data=array("B", bytes(8 * 24)))
+    side, (encoding, layout) = 8, fuzz.random.choice([*ENCODINGS.items()])
+    step = side * layout.pixel_bytes
+    message = Image(height=side, width=side, step=step, encoding=encoding)
+    message.data = array("B", bytes(int(side * layout.rows) * step))
     return _damaged(fuzz.random, serialize_message(message))
 
 
 def _is_readable(image: Image) -> bool:
     """The rule of sensor_msgs/Image, the last row with or without its padding."""
-    row = image.width * _CHANNELS.get(image.encoding, 0)
-    if not row or not image.height or max(image.height, image.width) > MAX_SIDE_PX:
+    size_hw = image.height, image.width
+    if image.encoding not in ENCODINGS or not 0 < min(size_hw) <= max(size_hw) <= MAX_SIDE_PX:
         return False
-    return bool(image.step >= row and len(image.data) >= image.step * (image.height - 1) + row)
+    layout = ENCODINGS[image.encoding]
+    is_whole = all(side % block == 0 for side, block in zip(size_hw, layout.block_hw, strict=True))
+    row, rows = image.width * layout.pixel_bytes, image.height * layout.rows
+    is_held = image.step >= row and len(image.data) >= image.step * (rows - 1) + row
+    return bool(is_whole and is_held and min(size_hw) >= layout.least_side_px)
 
 
 def _damaged(random: Random, whole: bytes) -> bytes:

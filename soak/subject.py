@@ -16,6 +16,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from vision_msgs.msg import Detection2DArray
 
 from soak import faulty_detector
 from soak.balance import BalanceWatch
@@ -25,6 +26,8 @@ from yolov5_lifecycle.ros.observer import Observer
 
 _UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
 _START_S = 120.0
+_KEPT = 1000
+"""Messages that wait for this process, which is elsewhere now and then."""
 _COMMAND = [sys.executable, faulty_detector.__file__, "--ros-args"]
 
 
@@ -48,12 +51,15 @@ class Resources:
 
 
 class Subject(DetectorProcess):
-    """A detector's process that is watched: its balances, and exceptions that reach its log."""
+    """A detector's process that is watched: its balances, exceptions that reach its log, and how many
+    detections came from it."""
 
     def __init__(self, process: ChildProcess, observer: Observer, domain: int) -> None:
         self.balance = BalanceWatch()
+        self.heard = 0
         self._escaped: dict[str, None] = {}
         observer.create_subscription(DiagnosticArray, "/diagnostics", self._watch, 100)
+        observer.create_subscription(Detection2DArray, f"{NODE}/detections", self._hear, _KEPT)
         super().__init__(process, observer, domain)
 
     @property
@@ -78,6 +84,9 @@ class Subject(DetectorProcess):
 
     def resources(self) -> Resources:
         return Resources.of(self.process.process_id)
+
+    def _hear(self, _: Detection2DArray) -> None:
+        self.heard += 1
 
     def _watch(self, message: DiagnosticArray) -> None:
         (status,) = message.status

@@ -126,9 +126,9 @@ def _arguments(kind: LayerKind, arguments: list[object], index: int) -> tuple[in
     if kind == "C3" and rest in ([], [True], [False]):
         return (channels, *(int(shortcut == 1) for shortcut in rest))
     if kind == "SPPF" and len(rest) <= 1:
-        kernel = _kernel([*rest, 5][0], index)
-        if kernel % 2:  # an even window would make its output larger
-            return (channels, kernel)
+        window = _kernel([*rest, 5][0], index)
+        if window % 2:  # the output of an even one is larger than its input
+            return (channels, window)
     if kind == "Conv" and len(rest) <= 3:
         kernel, stride, *padding = rest + [1, 1][len(rest) :]
         kernel, stride = _kernel(kernel, index), whole_number(stride, f"the stride of layer {index}", 1, 8)

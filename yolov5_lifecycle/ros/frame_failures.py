@@ -9,7 +9,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from yolov5_lifecycle.frame_balance import Outcome
-from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 
 _RECENT_S = 2.0
 
@@ -44,7 +44,8 @@ class FrameFailures:
             return
         self._consecutive += 1
         reason = f"{type(error).__name__}: {error}"
-        told = reason if isinstance(error, InferenceError) else "".join(traceback.format_exception(error))
+        # Runtimes and libraries raise RuntimeErrors; anything else is a mistake of ours.
+        told = reason if isinstance(error, RuntimeError) else "".join(traceback.format_exception(error))
         self._node.get_logger().error(f"inference failed: {told}", throttle_duration_sec=5.0)
         if isinstance(error, DeviceLostError):
             self._tell(self._on_device_lost, reason)
