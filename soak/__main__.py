@@ -1,4 +1,4 @@
-"""Runs the long trials, prints their table and writes build/soak/report.json. `python -m soak --help`."""
+"""Runs the long trials, prints their table, writes build/soak/report.json: `make soak SOAK_FLAGS=--help`."""
 
 from __future__ import annotations
 
@@ -89,10 +89,10 @@ def main(arguments: list[str] | None = None) -> int:
     for name in filter(options.only.__contains__, names):
         print(f"{name} ...", file=sys.stderr, flush=True)
         findings.append(found(name, trials[name]))
-        write_report(findings, _REPORT)  # hours may lie between two of them
+        write_report(_REPORT, vars(options), findings)  # hours may lie between two of them
     if watches:
         findings.append(exact_balance(watches))
-        write_report(findings, _REPORT)
+        write_report(_REPORT, vars(options), findings)
     print(table(findings))
     return 0 if all(finding.is_met for finding in findings) else 1
 

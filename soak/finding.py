@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import platform
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from pathlib import Path
 
 _HEADS = ("claim", "what was done", "result", "limit", "ok")
@@ -59,10 +62,16 @@ def table(findings: Sequence[Finding]) -> str:
     return "\n".join([lines[0], "-+-".join("-" * width for width in widths), *lines[1:]])
 
 
-def write_report(findings: Sequence[Finding], path: Path) -> None:
-    """All findings as JSON."""
+def write_report(path: Path, options: Mapping[str, object], findings: Sequence[Finding]) -> None:
+    """All findings so far as JSON, with what was asked for, when and where."""
+    report = {
+        "written": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "options": dict(options),
+        "machine": {"cores": os.cpu_count(), "system": platform.platform()},
+        "findings": [dataclasses.asdict(finding) for finding in findings],
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps([dataclasses.asdict(finding) for finding in findings], indent=2) + "\n")
+    path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
 
 
 def _cells(finding: Finding) -> tuple[str, ...]:
