@@ -39,6 +39,7 @@ from yolov5_lifecycle.settings import SETTINGS, validated
 
 NOT_RUN = {
     "sudo ": "changes the machine",
+    "mkdir ": "makes the folder that the container is given",
     "docker ": "no container engine here; test_docker.py checks the recipe",
     "source ": "the tests run inside of what it sets up",
     "export ": "bash can parse it; the test of the page's subject sets its own value",
