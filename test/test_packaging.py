@@ -87,6 +87,20 @@ def test_a_command_is_installed_and_its_function_exists(command: str) -> None:
     assert os.access(Path(sys.executable).with_name(command), os.X_OK)
 
 
+def test_activating_the_environment_leaves_no_path_of_another_ros() -> None:
+    paths = dict.fromkeys(("PYTHONPATH", "LD_LIBRARY_PATH", "CMAKE_PREFIX_PATH"), "/elsewhere/ros/lib")
+    activate = Path(sys.executable).with_name("activate")
+    run = subprocess.run(
+        ["bash", "-euc", f"source {activate}; env"],
+        env=os.environ | paths | {"AMENT_PREFIX_PATH": "/elsewhere/ros"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "/elsewhere/ros" not in run.stdout
+    assert f"AMENT_PREFIX_PATH={sys.prefix}\n" in run.stdout
+
+
 def test_every_imported_package_is_declared() -> None:
     assert imported_packages() - {PACKAGE} - sys.stdlib_module_names == declared_packages()
 
