@@ -16,7 +16,7 @@ from colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from detector_process import NODE, environment
 from file_server import FileServer, sending_ranges
 from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
-from recorded_scene import pictures, raw, record, video
+from recorded_scene import jpeg, pictures, raw, record, video
 from rosbags.rosbag2 import StoragePlugin
 from sensor_msgs.msg import Image
 from test_documentation import (
@@ -176,6 +176,7 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     record(tmp_path / "two_cameras", [raw(0)], storage=StoragePlugin.SQLITE3, topics=CAMERAS)
     for folder in ("shots", "pictures"):
         pictures(tmp_path / folder)
+    (tmp_path / "picture.jpg").write_bytes(bytes(jpeg(0).data))
     for name in ("video.mp4", "drive.mp4"):
         video(tmp_path / name)
     monkeypatch.chdir(tmp_path)
