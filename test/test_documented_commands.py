@@ -46,7 +46,6 @@ NOT_RUN = {
     ".venv/bin/python -c ": "a question to torch",
     "python3 -m venv ": "the workspace recipe downloads gigabytes; test_docker.py checks what it names",
     "~/yolov5_venv/bin/": "the workspace recipe",
-    "pip install ": "downloads",
     "rviz2 ": "needs RViz; test_config.py checks the file",
     "journalctl ": "needs systemd; test_config.py checks the unit",
     "ros2 run rqt_image_view ": "a program of ROS's with a window",
