@@ -23,8 +23,9 @@ $(error SET=$(SET): expected 'tested' (the newest numpy and OpenCV) or 'apt' (th
 endif
 
 # Only the virtual environment counts: paths of a sourced ROS or of another environment would mix two builds of rclpy.
-unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH VIRTUAL_ENV CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
-unexport RMW_IMPLEMENTATION ROS_LOCALHOST_ONLY ROS_STATIC_PEERS _ROS_WHEELS_BOOTSTRAP_COMPLETE
+FOREIGN := PYTHONPATH PYTHONHOME LD_LIBRARY_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION \
+  _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport $(FOREIGN) VIRTUAL_ENV ROS_LOCALHOST_ONLY ROS_STATIC_PEERS
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export PATH := $(abspath $(VENV))/bin:$(PATH)
@@ -37,6 +38,7 @@ INTERFACES := $(VENV)/.interfaces
 PACKAGE := $(VENV)/.package
 FUZZER := $(VENV)/.fuzzer
 INTERFACES_BUILD := build/vision_msgs-$(SET)
+ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
 .PHONY: help install demo test coverage soak fuzz bench lint docs clean
@@ -98,7 +100,6 @@ $(DEPENDENCIES): requirements/environment.txt requirements/pins.txt $(CONSTRAINT
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/environment.txt -c $(CONSTRAINTS)
-	echo 'export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"' >> $(VENV)/bin/activate
 	touch $@
 
 $(INTERFACES): $(DEPENDENCIES) $(shell find interfaces -type f)
@@ -118,6 +119,7 @@ $(FUZZER): $(DEPENDENCIES) requirements/fuzz.txt
 # Modules and data are used where they lie, so the package's share/ is this folder; colcon copies what setup.py names.
 $(PACKAGE): $(INTERFACES) Makefile setup.py setup.cfg package.xml
 	PYTHONWARNINGS=ignore $(VENV)/bin/python -m pip install --quiet --no-deps --no-index --no-build-isolation --editable .
+	grep -qxF '$(ACTIVATION)' $(VENV)/bin/activate || echo '$(ACTIVATION)' >> $(VENV)/bin/activate
 	ln -sfnT ../.. $(VENV)/share/yolov5_lifecycle
 	ln -sfT ../../../../../resource/yolov5_lifecycle $(VENV)/share/ament_index/resource_index/packages/yolov5_lifecycle
 	touch $@

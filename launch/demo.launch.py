@@ -3,7 +3,7 @@
 ros2 launch yolov5_lifecycle demo.launch.py rviz:=true
 """
 
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
@@ -18,12 +18,14 @@ DEFAULT_PARAMETERS = PathJoinSubstitution([SHARE, "config", "demo.yaml"])
 
 
 def generate_launch_description() -> LaunchDescription:
+    room_for_images = SetEnvironmentVariable(
+        "FASTRTPS_DEFAULT_PROFILES_FILE", PathJoinSubstitution([SHARE, "config", "shm.xml"])
+    )
     camera = Node(
         package="yolov5_lifecycle",
         executable="camera",
         parameters=[{"source": ParameterValue(LaunchConfiguration("source"), value_type=str)}],
         remappings=[("image_raw", "yolov5/image_raw")],
-        additional_env={"FASTRTPS_DEFAULT_PROFILES_FILE": PathJoinSubstitution([SHARE, "config", "shm.xml"])},
         output="screen",
     )
     detector = IncludeLaunchDescription(
@@ -41,6 +43,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("source", default_value="synthetic", description="See `camera --help`."),
             DeclareLaunchArgument("params_file", default_value=DEFAULT_PARAMETERS, description="Parameters."),
             DeclareLaunchArgument("rviz", default_value="false", description="Show the images in RViz."),
+            room_for_images,
             camera,
             detector,
             rviz,

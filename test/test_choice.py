@@ -174,7 +174,7 @@ def test_the_folder_is_the_users_cache(monkeypatch: pytest.MonkeyPatch, cache: s
 
 
 @pytest.mark.parametrize("runtime", [name for name in REQUIREMENTS if name != "torch"])
-def test_a_runtime_that_is_not_installed_names_the_extra(runtime: str) -> None:
+def test_a_runtime_that_is_not_installed_says_how_to_install_it(runtime: str) -> None:
     """In a process of its own, where its packages cannot be found."""
     script = (
         "import sys; sys.modules.update(dict.fromkeys(['onnxruntime', 'openvino', 'onnx']))\n"
@@ -186,7 +186,7 @@ def test_a_runtime_that_is_not_installed_names_the_extra(runtime: str) -> None:
         [sys.executable, "-c", script], cwd=Path(__file__).parent, capture_output=True, text=True
     )
     assert f"RuntimeAbsentError: Runtime '{runtime}' is not installed" in run.stderr
-    assert f"pip install 'yolov5_lifecycle[{runtime}]'" in run.stderr
+    assert f"{sys.executable} -m pip install {' '.join(REQUIREMENTS[runtime])}, or use 'auto'" in run.stderr
 
 
 def test_an_unknown_runtime_is_refused_with_those_there_are() -> None:

@@ -63,6 +63,8 @@ def test_rviz_shows_images_of_the_node() -> None:
     layout = yaml.safe_load((CONFIG / "yolov5.rviz").read_text())["Visualization Manager"]
     shown = [display["Topic"]["Value"] for display in layout["Displays"]]
     assert shown == [f"{NODE}/image", f"{NODE}/image_raw"]
+    asked = [display["Topic"]["Reliability Policy"] for display in layout["Displays"]]
+    assert asked == ["Reliable", "Best Effort"], "what the detector offers; what any camera can serve"
     assert set(shown) <= topics()
     assert {display["Class"] for display in layout["Displays"]} == {"rviz_default_plugins/Image"}
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, ProcessError, entry_point
-from yolov5_lifecycle.ros.demo import table
+from yolov5_lifecycle.ros.demo import main, table
 from yolov5_lifecycle.ros.demonstration import Phase, longest_gap_s
 from yolov5_lifecycle.ros.sighting import Sighting, pairwise_iou, recall
 
@@ -45,6 +45,20 @@ def test_the_demo_says_why_it_cannot_run(tmp_path: Path, monkeypatch: pytest.Mon
         assert demo.wait(20.0) == 1
     assert demo.output.startswith("demo failed: ")
     assert "Traceback" not in demo.output
+
+
+def test_the_demo_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+    assert "usage: demo" in capsys.readouterr().out
+
+
+def test_a_word_that_the_demo_does_not_know_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["fast"])
+    assert ended.value.code == 2
+    assert "unrecognized arguments: fast" in capsys.readouterr().err
 
 
 def test_the_end_of_the_demo_ends_what_it_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -294,12 +294,17 @@ def a_good_one(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("make", "words", "told"),
     [
-        pytest.param(no_images, [], "there are no images", id="no images"),
+        pytest.param(no_images, [], "in it, only: /chatter. Record", id="no images"),
         pytest.param(two_topics, [], "--topic which of its image topics:\n  /left  sensor", id="two topics"),
         pytest.param(
-            two_topics, ["--topic", "/up"], "no image topic /up, only:\n  /left", id="no such topic"
+            two_topics,
+            ["--topic", "/up"],
+            "no image topic /up; name one of these:\n  /left",
+            id="no such topic",
         ),
-        pytest.param(all_unreadable, [], "of 1 pictures none could be used", id="all unreadable"),
+        pytest.param(
+            all_unreadable, [], "of 1 pictures none could be used: see why above", id="all unreadable"
+        ),
         pytest.param(without_its_end, [], "`mcap recover` may mend it", id="without its end"),
         pytest.param(with_damaged_pages, [], "the recording cannot be read", id="damaged pages"),
         pytest.param(without_metadata, [], "the recording cannot be read", id="without metadata"),
@@ -369,7 +374,7 @@ def test_without_rosbags_the_command_says_how_to_install_it(
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     monkeypatch.delitem(sys.modules, "yolov5_lifecycle.offline.detect_recording", raising=False)
     assert main([str(drive), "--output", str(drive.parent / "found")]) == 1
-    assert "pip install 'yolov5_lifecycle[bag]' or pip install rosbags\n" in capsys.readouterr().err
+    assert f"{sys.executable} -m pip install rosbags\n" in capsys.readouterr().err
 
 
 def test_pictures_become_lines_and_annotated_pictures(

@@ -110,7 +110,7 @@ def launched(file: Path, workspace: Path, domain: int, *arguments: str) -> Itera
 
 
 @with_launch
-def test_the_demo_detects(workspace: Path, ros_domain: int) -> None:
+def test_the_demo_detects_with_room_for_images(workspace: Path, ros_domain: int) -> None:
     with (
         launched(DEMO, workspace, ros_domain, "rviz:=False") as process,
         closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
@@ -119,6 +119,10 @@ def test_the_demo_detects(workspace: Path, ros_domain: int) -> None:
         received: list[Detection2DArray] = []
         observer.create_subscription(Detection2DArray, "/yolov5/detections", received.append, 10)
         observer.wait_for(lambda: any(message.detections for message in received), "detections")
+        nodes = re.findall(r"process started with pid \[(\d+)\]", process.output)
+        assert len(nodes) == 2
+        for node in nodes:
+            assert b"config/shm.xml" in Path(f"/proc/{node}/environ").read_bytes()
 
 
 @with_launch

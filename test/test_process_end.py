@@ -1,9 +1,10 @@
-"""How the detector's process ends when its command line is wrong or its model misbehaves."""
+"""How the detector's process ends when it cannot start, its command line is wrong or its model misbehaves."""
 
 from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.domain import own_domain
 from yolov5_lifecycle.ros.observer import Observer
 
+REPOSITORY = Path(__file__).parents[1]
 SCRIPT = Path(__file__).with_name("faulty_detector.py")
 
 
@@ -136,3 +138,16 @@ def test_the_command_line_is_explained(words: list[str], code: int, told: list[s
         assert process.wait(60) == code
     assert all(word in process.output for word in told), process.output
     assert "Traceback" not in process.output
+
+
+@pytest.mark.parametrize("package", ["torch", "pydantic", "rclpy"])
+def test_a_python_that_lacks_a_package_is_named_in_one_line(package: str) -> None:
+    without = f"import sys; sys.modules['{package}'] = None"
+    program = f"{without}; from yolov5_lifecycle.ros.detector_command import main; main()"
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=60
+    )
+    assert (run.returncode, run.stdout) == (1, "")
+    (line,) = run.stderr.splitlines()
+    assert line.startswith(f"detector: {sys.executable} cannot import")
+    assert package in line.partition(". The node")[0]

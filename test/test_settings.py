@@ -69,11 +69,30 @@ def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
         ("conf_thres", "confidence_threshold"),
         ("imgsz", "image_size"),
         ("model", "weights"),
+        ("model_file", "weights"),
+        ("weights_url", "weights"),
     ],
 )
 def test_a_name_from_elsewhere_is_answered_with_ours(name: str, meant: str) -> None:
     with pytest.raises(SettingsError, match=rf"{name}: there is no such parameter. Did you mean '{meant}'\?"):
         validated({name: 1})
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        pytest.param(name, "topics are remapped: -r '~/image_raw:=/camera/image_raw'.", id=name)
+        for name in ("image_topic", "input_topic", "camera_topic", "input_image_topic")
+    ]
+    + [
+        pytest.param(name, "not needed: ~/image is published while somebody listens.", id=name)
+        for name in ("pub_image", "pub_result_img", "publish_image", "show_result")
+    ],
+)
+def test_what_is_no_parameter_here_is_answered_with_the_way_it_is_done(name: str, told: str) -> None:
+    with pytest.raises(SettingsError) as refusal:
+        validated({name: "x"})
+    assert str(refusal.value) == f"{name}: there is no such parameter: {told}"
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,9 @@ def _shown_scalar(value: object) -> str:
 def _check_fit(expected: Mapping[str, Tensor], tensors: Mapping[str, Tensor]) -> None:
     for key, blank in expected.items():
         if key not in tensors:
-            raise WeightsError(f"the tensor {key} is missing")
+            raise WeightsError(
+                f"the tensor {key} is missing: the file is not whole; copy or convert it again"
+            )
         found = tensors[key]
         if found.shape != blank.shape:
             raise WeightsError(

@@ -52,7 +52,8 @@ def _refuse_foreign(names: set[str]) -> None:
     if any(name.startswith("ultralytics.") for name in names):
         raise WeightsError(
             "this model belongs to the ultralytics package (YOLOv8 or later, or a YOLOv5 'u' model); "
-            "expected a checkpoint trained by YOLOv5 itself (v6 or v7)"
+            "expected a checkpoint trained by YOLOv5 itself (v6 or v7): train with that, or take an official "
+            "one with `fetch_weights n`"
         )
     known = _TORCH_NAMES | _STAND_IN_NAMES
     foreign = sorted(

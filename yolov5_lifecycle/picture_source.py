@@ -102,7 +102,10 @@ def _device(number: int, size_hw: tuple[int, int] | None) -> PictureSource:
 def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> PictureSource:
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
-        raise SourceError(f"{path} can be read neither as a picture nor as a video.")
+        raise SourceError(
+            f"{path} can be read neither as a picture nor as a video: "
+            "copy it again, or convert it to .mp4, .jpg or .png."
+        )
     told_hz = capture.get(cv2.CAP_PROP_FPS)
     rate_hz = told_hz if 0 < told_hz <= _MAX_VIDEO_RATE_HZ else PICTURE_RATE_HZ
     captured = _captured(capture, size_hw)
@@ -157,7 +160,7 @@ def _pictures(paths: Iterable[Path], size_hw: tuple[int, int] | None) -> Iterato
     for path in paths:
         pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if pixels is None:
-            raise SourceError(f"{path} cannot be read as a picture.")
+            raise SourceError(f"{path} cannot be read as a picture: replace it, or take it away.")
         yield SourceFrame(Picture(_sized(np.asarray(pixels, np.uint8), size_hw), "bgr"))
 
 

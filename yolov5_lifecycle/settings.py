@@ -45,7 +45,9 @@ class Settings(BaseModel):
         "package://PACKAGE/PATH. Empty: any.",
     )
     device: Annotated[str, Change.RELOAD] = Field(
-        "auto", description="Where the network runs: auto, cpu, cuda, cuda:N, N (the same as cuda:N) or mps."
+        "auto",
+        description="Where the network runs: auto, cpu, cuda, cuda:N, N (the same as cuda:N) or mps. "
+        "auto: the first CUDA device, else the CPU.",
     )
     runtime: Annotated[Literal["auto", "torch", "onnxruntime", "openvino"], Change.RELOAD] = Field(
         "auto",
@@ -240,17 +242,36 @@ _ELSEWHERE = {
     "imgsz_width": "image_size",
     "max_det": "max_detections",
     "model": "weights",
+    "model_file": "weights",
     "model_path": "weights",
+    "weights_url": "weights",
+}
+_TOPIC = "topics are remapped: -r '~/image_raw:=/camera/image_raw'."
+_SWITCH = "not needed: ~/image is published while somebody listens."
+# What is no setting here at all.
+_NO_SETTING = {
+    "image_topic": _TOPIC,
+    "input_topic": _TOPIC,
+    "camera_topic": _TOPIC,
+    "input_image_topic": _TOPIC,
+    "pub_image": _SWITCH,
+    "pub_result_img": _SWITCH,
+    "publish_image": _SWITCH,
+    "show_result": _SWITCH,
 }
 
 
 def meant_setting(name: str) -> str | None:
     """The setting that somebody who wrote `name` probably meant."""
+    if name in _NO_SETTING:
+        return None
     return _ELSEWHERE.get(name) or nearest(name, SETTINGS_BY_NAME)
 
 
 def unknown_setting(name: str) -> Problem:
     """The problem of a name that is no setting."""
+    if name in _NO_SETTING:
+        return Problem(name, f"there is no such parameter: {_NO_SETTING[name]}")
     meant = meant_setting(name)
     return Problem(name, "there is no such parameter." + (f" Did you mean '{meant}'?" if meant else ""))
 

@@ -67,7 +67,10 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
         data = _read_once(path)
         digest = hashlib.sha256(data).hexdigest()
         if sha256 and digest != sha256.lower():
-            raise WeightsError(f"its sha256 is {digest}, expected {sha256.lower()}: this is another file")
+            raise WeightsError(
+                f"its sha256 is {digest}, expected {sha256.lower()}: this is another file; "
+                "get the one that is meant, or correct the digest"
+            )
         return WeightsFile(Path(os.path.realpath(path)), digest, reader(data))
     except WeightsError as error:
         raise WeightsError(f"{path}: {error}.") from None

@@ -104,7 +104,7 @@ def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetect
     except ImportError as error:
         raise ImportError(
             f"a package is missing that reads recordings ({error}). Install it with "
-            "pip install 'yolov5_lifecycle[bag]' or pip install rosbags"
+            f"{sys.executable} -m pip install rosbags"
         ) from None
     return detect_recording(
         source,

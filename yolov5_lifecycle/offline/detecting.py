@@ -92,7 +92,9 @@ class OfflineDetector:
             account.finish(self._detect(stored, write, account.objects))
             self._watch.progress(account)
         if not account.balance[Outcome.DETECTED]:
-            raise DetectingError(f"of {account.balance.received} pictures none could be used")
+            raise DetectingError(
+                f"of {account.balance.received} pictures none could be used: see why above, or choose others"
+            )
         return account
 
     def _detect(

@@ -85,10 +85,14 @@ class Recording:
             return wanted[0]
         listing = "".join(f"\n  {topic.name}  {topic.type_name}  {topic.count}" for topic in topics)
         if not topics:
-            raise RecordingError(f"{self._path}: there are no images ({_RAW} or {_COMPRESSED}) in it.")
+            others = ", ".join(sorted({one.topic for one in self._connections()})) or "nothing"
+            raise RecordingError(
+                f"{self._path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
+                "Record the topic of the camera."
+            )
         if name is None:
             raise RecordingError(f"{self._path}: say with --topic which of its image topics:{listing}")
-        raise RecordingError(f"{self._path}: there is no image topic {name}, only:{listing}")
+        raise RecordingError(f"{self._path}: there is no image topic {name}; name one of these:{listing}")
 
     def images(self, topic: ImageTopic) -> Iterator[RecordedImage]:
         """Every message of `topic` in the order of recording; raises RecordingError at a damage."""

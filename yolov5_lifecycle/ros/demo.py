@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import sys
@@ -26,8 +27,13 @@ SEED = 8
 _END_S = 10.0
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the demonstration; 0 when everything was as it should be, else 1 and the reason."""
+    argparse.ArgumentParser(
+        prog="demo",
+        description="Lead camera and detector, two processes, through a whole life. "
+        f"The last image goes to {OUTPUT}; there is nothing to choose.",
+    ).parse_args(argv)
     # Ended from outside, the processes started here must end as well.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     begun_s = time.monotonic()

@@ -199,10 +199,8 @@ def refusal(problems: Iterable[Problem]) -> SetParametersResult:
 
 
 def _unknown_override(name: str, node_name: str) -> Problem:
-    problem = unknown_setting(name)
-    return Problem(
-        name, f"{problem.message} Set the right one, or drop this one: ros2 param delete {node_name} {name}"
-    )
+    remedy = "Set the right one, or drop this one" if meant_setting(name) else "Drop it"
+    return Problem(name, f"{unknown_setting(name).message} {remedy}: ros2 param delete {node_name} {name}")
 
 
 def names_on_command_line(arguments: Sequence[str]) -> set[str]:

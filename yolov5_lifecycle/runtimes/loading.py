@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from importlib.util import find_spec
 from types import MappingProxyType
@@ -40,8 +41,8 @@ def load_runtime(model: Model, runtime: str, *, device: str, precision: str) -> 
     except ImportError as error:
         problem = str(error).partition("\n")[0]
     raise RuntimeAbsentError(
-        f"Runtime '{runtime}' is not installed ({problem}). Install it with pip install "
-        f"'yolov5_lifecycle[{runtime}]' or pip install {' '.join(REQUIREMENTS[runtime])}, or use 'auto'."
+        f"Runtime '{runtime}' is not installed ({problem}). Install it with "
+        f"{sys.executable} -m pip install {' '.join(REQUIREMENTS[runtime])}, or use 'auto'."
     )
 
 
