@@ -8,6 +8,11 @@ from __future__ import annotations
 import sys
 import time
 
+from yolov5_lifecycle.heap import prepare_heap
+
+if __name__ == "__main__":
+    prepare_heap()  # as the installed command does, before the imports below begin threads
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
