@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +18,7 @@ from yolov5_lifecycle.runtimes.choice_record import read_figures, write_figures
 from yolov5_lifecycle.runtimes.loading import (
     REQUIREMENTS,
     RuntimeAbsentError,
+    installed_build,
     installed_runtimes,
     load_runtime,
 )
@@ -173,11 +176,60 @@ def test_the_folder_is_the_users_cache(monkeypatch: pytest.MonkeyPatch, cache: s
     assert choices_folder() == Path(expected)
 
 
-@pytest.mark.parametrize("runtime", [name for name in REQUIREMENTS if name != "torch"])
-def test_a_runtime_that_is_not_installed_names_the_extra(runtime: str) -> None:
+@pytest.fixture
+def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which packages are found, of which no distribution knows."""
+    folder = tmp_path / "packages"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(folder)
+    return folder
+
+
+@needs_choice
+def test_it_does_not_matter_which_distribution_a_package_is_from(
+    tmp_path: Path, packages: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with onnxruntime from onnxruntime-gpu."""
+    for package in {package for runtime in INSTALLED for package in REQUIREMENTS[runtime]}:
+        spec = importlib.util.find_spec(package)
+        assert spec is not None
+        assert spec.origin is not None
+        (packages / package).symlink_to(Path(spec.origin).parent)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if not path.endswith("-packages")])
+    assert chosen(tmp_path / "choices").runtime == INSTALLED[-1]
+
+
+def test_another_version_of_a_package_is_another_build(packages: Path) -> None:
+    assert installed_build("sparkling_runtime") is None
+    file = packages / "sparkling_runtime" / "__init__.py"
+    file.parent.mkdir()
+    importlib.invalidate_caches()
+    assert installed_build("sparkling_runtime") is None, "a folder that only has the name"
+    file.touch()
+    importlib.invalidate_caches()
+    first = installed_build("sparkling_runtime")
+    os.utime(file, (1, 1))
+    assert first is not None
+    assert installed_build("sparkling_runtime") not in (None, first)
+
+
+ABSENT = "sys.modules.update(dict.fromkeys(['onnxruntime', 'openvino', 'onnx']))"
+MERE_FOLDER = (
+    "sys.modules['openvino'] = ModuleType('openvino'); "
+    "sys.modules['openvino'].__spec__ = ModuleSpec('openvino', None)"
+)
+
+
+@pytest.mark.parametrize(
+    ("runtime", "preparation"),
+    [("onnxruntime", ABSENT), ("openvino", ABSENT), ("openvino", MERE_FOLDER)],
+    ids=["onnxruntime", "openvino", "a folder called openvino"],
+)
+def test_a_runtime_that_is_not_installed_names_the_extra(runtime: str, preparation: str) -> None:
     """In a process of its own, where its packages cannot be found."""
     script = (
-        "import sys; sys.modules.update(dict.fromkeys(['onnxruntime', 'openvino', 'onnx']))\n"
+        "import sys; from importlib.machinery import ModuleSpec; from types import ModuleType\n"
+        f"{preparation}\n"
         "from random_model import random_model\n"
         "from yolov5_lifecycle.runtimes.loading import load_runtime\n"
         f"load_runtime(random_model(), '{runtime}', device='cpu', precision='auto')\n"
