@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import pwd
 import subprocess
 import sys
 from pathlib import Path
@@ -132,6 +133,31 @@ def test_a_folder_that_cannot_be_written_costs_the_memory_only(tmp_path: Path) -
     assert "; measured now, not remembered: " in choice.reason
 
 
+@needs_choice
+def test_a_user_without_a_home_folder_lacks_the_memory_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a container's process whose user id stands in no passwd file."""
+
+    def unknown(user_id: int) -> None:
+        raise KeyError(user_id)
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    choice = choose_runtime(
+        random_model(), device="cpu", precision="auto", frame_hw=(64, 96), measure=measured
+    )
+    assert choice.runtime == INSTALLED[-1]
+    assert choice.reason.endswith("; measured now, not remembered: Could not determine home directory.")
+
+
+@needs_choice
+def test_a_record_in_the_home_folder_is_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert chosen(Path("~/choices")).reason.endswith("; measured now")
+    assert chosen(Path("~/choices")).reason.endswith(".json")
+    assert [folder.name for folder in tmp_path.iterdir()] == ["choices"]
+
+
 @pytest.mark.parametrize(
     ("device", "precision"), [("cuda:99", "auto"), ("cpu", "fp16")], ids=["absent device", "half on a CPU"]
 )
@@ -164,14 +190,11 @@ def test_figures_are_read_as_they_were_written(tmp_path: Path) -> None:
     ("cache", "expected"),
     [
         pytest.param("/somewhere", "/somewhere/yolov5_lifecycle/choices", id="set"),
-        pytest.param("", "/home/me/.cache/yolov5_lifecycle/choices", id="empty"),
-        pytest.param(
-            "relative", "/home/me/.cache/yolov5_lifecycle/choices", id="relative, which counts as unset"
-        ),
+        pytest.param("", "~/.cache/yolov5_lifecycle/choices", id="empty"),
+        pytest.param("relative", "~/.cache/yolov5_lifecycle/choices", id="relative, which counts as unset"),
     ],
 )
 def test_the_folder_is_the_users_cache(monkeypatch: pytest.MonkeyPatch, cache: str, expected: str) -> None:
-    monkeypatch.setenv("HOME", "/home/me")
     monkeypatch.setenv("XDG_CACHE_HOME", cache)
     assert choices_folder() == Path(expected)
 

@@ -66,7 +66,7 @@ def choose_runtime(
 def choices_folder() -> Path:
     """$XDG_CACHE_HOME/yolov5_lifecycle/choices, XDG_CACHE_HOME being ~/.cache by default."""
     cache = os.environ.get("XDG_CACHE_HOME", "")
-    root = Path(cache) if Path(cache).is_absolute() else Path("~/.cache").expanduser()
+    root = Path(cache if Path(cache).is_absolute() else "~/.cache")
     return root / "yolov5_lifecycle" / "choices"
 
 
