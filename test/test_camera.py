@@ -15,6 +15,7 @@ from typing import Any, get_args
 import cv2
 import numpy as np
 import pytest
+from damaged_pictures import claiming_too_much
 from detector_process import PARAMETERS, SCENE, as_arguments, detector_process, environment
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -139,11 +140,18 @@ def test_a_device_that_is_not_there_is_refused() -> None:
         open_source("4711")
 
 
-def test_a_damaged_picture_is_named_when_its_turn_comes(folder: Path) -> None:
-    (folder / "9.png").write_bytes(b"damaged")
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        pytest.param(b"damaged", "9.png cannot be read", id="no picture"),
+        pytest.param(claiming_too_much(), "9.png: OpenCV refuses the picture: ", id="too large a claim"),
+    ],
+)
+def test_a_damaged_picture_is_named_when_its_turn_comes(folder: Path, content: bytes, told: str) -> None:
+    (folder / "9.png").write_bytes(content)
     frames = open_source(str(folder)).frames
     next(frames)
-    with pytest.raises(SourceError, match=r"9\.png cannot be read"):
+    with pytest.raises(SourceError, match=told):
         next(frames)
 
 
