@@ -392,6 +392,7 @@ def test_a_source_that_fails_later_ends_the_process_with_the_reason(ros_domain: 
         pytest.param({"encoding": "yuv"}, ["encoding: 'yuv'", "'bgr8'"], id="choice"),
         pytest.param({"rate": "fast"}, ["rate: 'fast'"], id="type"),
         pytest.param({"width": 640}, ["width and height go together"], id="one side"),
+        pytest.param({"use_sim_time": "1"}, ["'use_sim_time'"], id="a parameter of ROS's own"),
         pytest.param({"sorce": "0"}, ["sorce", "Did you mean 'source'?"], id="unknown name"),
         pytest.param(
             {f"{RAW_QOS}.reliability": "maybe"}, ["`reliability`: `maybe`"], id="quality of service"

@@ -129,6 +129,9 @@ def test_a_signal_before_the_first_callback_ends_the_process_without_a_word(ros_
             ["not understood: --device cpu\n", "device  "],
             id="stray words",
         ),
+        pytest.param(
+            ["--ros-args", "-p", "use_sim_time:=1"], 2, ["'use_sim_time'"], id="a parameter of ROS's own"
+        ),
     ],
 )
 def test_the_command_line_is_explained(words: list[str], code: int, told: list[str]) -> None:
