@@ -31,11 +31,17 @@ from yolov5_lifecycle.settings import SETTINGS, Settings, SettingsError, validat
         pytest.param({"weights_sha256": "g" * 64}, "64 hexadecimal digits", id="no-hex-digest"),
         pytest.param({"weights_dirs": ("/a", "b")}, "['/a', 'b'] must be absolute", id="relative-folder"),
         pytest.param({"weights_dirs": ("",)}, "must be absolute", id="nameless-folder"),
-        pytest.param({"weights_dirs": "/a"}, "'/a' is not a list of texts", id="folder-without-list"),
+        pytest.param(
+            {"weights_dirs": "/a"}, "'/a' is not a list of at most 100 texts", id="folder-without-list"
+        ),
         pytest.param({"weights": 3}, "3 is not a text", id="number-for-path"),
-        pytest.param({"classes": ("a", 3)}, "a list of texts", id="number-among-classes"),
-        pytest.param({"classes": ("a",) * 10_001}, "a list of texts", id="huge-list"),
-        pytest.param({"weights_dir": ""}, "is not a text", id="empty-folder"),
+        pytest.param({"classes": ("a", 3)}, "['a', 3] is not a list of at most", id="number-among-classes"),
+        pytest.param({"classes": ("a", 3, 4)}, "['a', 3, 4] is not", id="two-numbers-among-classes"),
+        pytest.param({"autostart": "yes"}, "start it again with another value", id="read-only"),
+        pytest.param({"weights_dirs": ("a",)}, "start it again with another value", id="read-only-folders"),
+        pytest.param({"classes": ("a",) * 10_001}, "a list of at most 10000 texts", id="huge-list"),
+        pytest.param({"weights_dir": ""}, "'' is not a text of 1 to 4096 characters", id="empty-folder"),
+        pytest.param({"weights": "a" * 5000}, "a text of at most 4096 characters", id="endless-path"),
     ],
 )
 def test_a_broken_rule_is_named_with_field_value_and_rule(values: dict[str, object], problem: str) -> None:
@@ -136,5 +142,6 @@ def test_the_digest_names_the_configuration() -> None:
 def test_every_setting_says_what_a_user_needs(setting: Setting) -> None:
     assert setting.description.endswith(".")
     assert setting.allowed
+    assert "None" not in setting.allowed
     assert (setting.minimum is None) == (setting.maximum is None)
     assert validated({setting.name: setting.default}) == Settings()

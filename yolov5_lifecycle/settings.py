@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
@@ -182,8 +182,8 @@ def validated(values: Mapping[str, object]) -> Settings:
     try:
         return Settings.model_validate(prepared)
     except ValidationError as error:
-        problems = [problem for details in error.errors() for problem in _problems(details)]
-    raise SettingsError(problems)
+        problems = [problem for details in error.errors() for problem in _problems(details, prepared)]
+    raise SettingsError(list(dict.fromkeys(problems)))  # a list is told once, however many entries are wrong
 
 
 def _contradictions(settings: Settings) -> list[Problem]:
@@ -206,24 +206,24 @@ def _contradictions(settings: Settings) -> list[Problem]:
     return problems
 
 
-def _problems(details: ErrorDetails) -> list[Problem]:
+def _problems(details: ErrorDetails, values: Mapping[str, object]) -> list[Problem]:
     if details["type"] == "contradiction":
         return list(details["ctx"]["problems"])
-    return [_field_problem(details)]
-
-
-def _field_problem(details: ErrorDetails) -> Problem:
     name = str(details["loc"][0])
     if details["type"] == "extra_forbidden":
-        return unknown_setting(name)
+        return [unknown_setting(name)]
     setting = SETTINGS_BY_NAME[name]
-    value: Any = details["input"]
-    hint = did_you_mean(value, setting.choices) if isinstance(value, str) and setting.choices else ""
+    reason = _reason(setting, values[name], details)
+    if setting.change is Change.READ_ONLY:
+        reason += " It is read when the process starts: start it again with another value."
+    return [Problem(name, reason)]
+
+
+def _reason(setting: Setting, value: object, details: ErrorDetails) -> str:
     if details["type"] in ("sha256", "device", "folders"):
-        return Problem(name, f"{_shown(value)} {details['msg']}")
-    return Problem(
-        name, f"{_shown(value)} is not {setting.allowed}.{hint} The default is {_shown(setting.default)}."
-    )
+        return f"{_shown(value)} {details['msg']}"
+    hint = did_you_mean(value, setting.choices) if isinstance(value, str) and setting.choices else ""
+    return f"{_shown(value)} is not {setting.allowed}.{hint} The default is {_shown(setting.default)}."
 
 
 # What the same thing is called in YOLOv5's own scripts and in other nodes.
