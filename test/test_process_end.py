@@ -85,9 +85,10 @@ def test_a_signal_ends_the_process_in_time_whatever_hangs(fault: str) -> None:
 
 
 @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
-def test_a_signal_ends_the_process_cleanly_while_it_imports(signal_number: signal.Signals) -> None:
+@pytest.mark.parametrize("name", ["camera", "detector"])
+def test_a_signal_ends_the_process_cleanly_while_it_imports(name: str, signal_number: signal.Signals) -> None:
     told_imports = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
-    with ChildProcess("detector", [entry_point("detector")], told_imports) as process:
+    with ChildProcess(name, [entry_point(name)], told_imports) as process:
         process.wait_for_output(" rclpy\n", 60)
         assert process.stop(signal_number) == 0
     assert "Traceback" not in process.output
