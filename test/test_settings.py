@@ -119,23 +119,15 @@ def test_what_is_plainly_meant_is_accepted(given: dict[str, object], kept: dict[
     assert validated(given).model_dump() == Settings().model_dump() | kept
 
 
-def test_merged_checks_again_and_leaves_the_old_value_alone() -> None:
-    settings = Settings()
-    changed = settings.merged({"confidence_threshold": 0.5})
-    assert (settings.confidence_threshold, changed.confidence_threshold) == (0.25, 0.5)
-    with pytest.raises(SettingsError):
-        changed.merged({"iou_threshold": 7})
-
-
 def test_differing_names_only_settings_of_the_asked_kind() -> None:
-    changed = Settings().merged({"device": "cpu", "confidence_threshold": 0.5})
+    changed = validated({"device": "cpu", "confidence_threshold": 0.5})
     assert Settings().differing(changed, Change.RELOAD) == ["device"]
     assert Settings().differing(changed, Change.LIVE) == ["confidence_threshold"]
 
 
 def test_the_digest_names_the_configuration() -> None:
     assert Settings().digest() == validated({}).digest()
-    assert Settings().digest() != Settings().merged({"lazy": False}).digest()
+    assert Settings().digest() != validated({"lazy": False}).digest()
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)

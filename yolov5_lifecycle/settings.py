@@ -19,7 +19,7 @@ ModelSize = Literal["n", "s", "m", "l", "x", "n6", "s6", "m6", "l6", "x6"]
 
 
 class Settings(BaseModel):
-    """A valid configuration. Immutable: a change is a new value made by `merged`."""
+    """A valid configuration. Immutable: a change is a new value, made by `validated` from all values."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -135,10 +135,6 @@ class Settings(BaseModel):
                 "contradiction", "settings contradict each other", {"problems": problems}
             )
         return self
-
-    def merged(self, changes: Mapping[str, object]) -> Settings:
-        """These settings with `changes` applied and everything checked again; raises SettingsError."""
-        return validated(self.model_dump() | dict(changes))
 
     def differing(self, other: Settings, change: Change) -> list[str]:
         """Names of the settings of kind `change` whose values differ."""
