@@ -11,11 +11,9 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from yolov5_lifecycle.architecture import SIZES
+from yolov5_lifecycle.architecture import SIZES, Size, image_size_problem
 from yolov5_lifecycle.setting import Change, Setting, described
 from yolov5_lifecycle.suggestion import did_you_mean, nearest
-
-ModelSize = Literal["n", "s", "m", "l", "x", "n6", "s6", "m6", "l6", "x6"]
 
 
 class Settings(BaseModel):
@@ -23,7 +21,7 @@ class Settings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    model_size: Annotated[ModelSize, Change.RELOAD] = Field(
+    model_size: Annotated[Size, Change.RELOAD] = Field(
         "n", description="Official size of the model; names the file in weights_dir when weights is empty."
     )
     weights: Annotated[str, Change.RELOAD] = Field(
@@ -189,16 +187,10 @@ def _contradictions(settings: Settings) -> list[Problem]:
         problems.append(
             Problem("precision", "'fp16' needs a GPU, but device is 'cpu'. Use precision 'auto' or 'fp32'.")
         )
-    stride = max(SIZES[settings.model_size].strides)
-    if not settings.weights and settings.image_size % stride:
-        below = settings.image_size // stride * stride
-        problems.append(
-            Problem(
-                "image_size",
-                f"{settings.image_size} is not a multiple of {stride}, the largest stride of model_size "
-                f"'{settings.model_size}'. Use {below} or {below + stride}.",
-            )
-        )
+    stride, whose = max(SIZES[settings.model_size].strides), f"model_size '{settings.model_size}'"
+    reason = image_size_problem(settings.image_size, stride, whose=whose)
+    if reason and not settings.weights:
+        problems.append(Problem("image_size", reason))
     return problems
 
 
