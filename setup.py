@@ -47,7 +47,7 @@ setup(
     zip_safe=True,
     entry_points={
         "console_scripts": [
-            f"camera = {name}.ros.camera:main",
+            f"camera = {name}.ros.camera_command:main",
             f"convert = {name}.convert:main",
             f"demo = {name}.ros.demo:main",
             f"detect_bag = {name}.offline.detect_bag:main",

@@ -15,6 +15,8 @@ from typing import Any, get_args
 import cv2
 import numpy as np
 import pytest
+import rclpy
+from damaged_pictures import claiming_too_much
 from detector_process import PARAMETERS, SCENE, as_arguments, detector_process, environment
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -25,8 +27,9 @@ from yolov5_lifecycle.image_encoding import encoded
 from yolov5_lifecycle.images import Order, Picture
 from yolov5_lifecycle.picture_source import SourceError, open_source
 from yolov5_lifecycle.raw_image import decode_raw
+from yolov5_lifecycle.ros.camera_outputs import CameraOutputs
 from yolov5_lifecycle.ros.camera_settings import CameraSettings
-from yolov5_lifecycle.ros.camera_transport import jpeg_message
+from yolov5_lifecycle.ros.camera_transport import IMAGE_FORMS, ImageForm, jpeg_message
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.messages import picture
 from yolov5_lifecycle.ros.observer import Observer
@@ -139,11 +142,18 @@ def test_a_device_that_is_not_there_is_refused() -> None:
         open_source("4711")
 
 
-def test_a_damaged_picture_is_named_when_its_turn_comes(folder: Path) -> None:
-    (folder / "9.png").write_bytes(b"damaged")
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        pytest.param(b"damaged", "9.png cannot be read", id="no picture"),
+        pytest.param(claiming_too_much(), "9.png: OpenCV refuses the picture: ", id="too large a claim"),
+    ],
+)
+def test_a_damaged_picture_is_named_when_its_turn_comes(folder: Path, content: bytes, told: str) -> None:
+    (folder / "9.png").write_bytes(content)
     frames = open_source(str(folder)).frames
     next(frames)
-    with pytest.raises(SourceError, match=r"9\.png cannot be read"):
+    with pytest.raises(SourceError, match=told):
         next(frames)
 
 
@@ -289,6 +299,38 @@ def test_compressed_images_come_alone_and_with_the_quality_of_service_that_was_a
     assert {jpeg.format for jpeg in jpegs.values()} == {"mono8; jpeg compressed "}
 
 
+def noting(form: ImageForm, made: list[str]) -> ImageForm:
+    """`form`, telling `made` its suffix whenever it makes a message."""
+
+    def message(*arguments: Any) -> Any:
+        made.append(form.suffix)
+        return form.message(*arguments)
+
+    return form._replace(message=message)
+
+
+def test_a_form_to_which_nobody_listens_is_not_made(observer: Observer, ros_domain: int) -> None:
+    made: list[str] = []
+    forms = {transport: [noting(form, made) for form in forms] for transport, forms in IMAGE_FORMS.items()}
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[])
+    node = rclpy.create_node("camera", context=context)
+    outputs = CameraOutputs(node, CameraSettings(image_transport="both"), forms=forms)
+    frame = next(open_source("synthetic").frames)
+    outputs.publish(frame)
+    assert made == []
+    raws = collected(observer, Image, "/image_raw")
+
+    def is_received() -> bool:
+        outputs.publish(frame)
+        return bool(raws)
+
+    observer.wait_for(is_received, "an image")
+    assert set(made) == {""}
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
 def first_info(observer: Observer) -> CameraInfo:
     infos: list[CameraInfo] = []
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -384,6 +426,7 @@ def test_a_source_that_fails_later_ends_the_process_with_the_reason(ros_domain: 
         pytest.param({"encoding": "yuv"}, ["encoding: 'yuv'", "'bgr8'"], id="choice"),
         pytest.param({"rate": "fast"}, ["rate: 'fast'"], id="type"),
         pytest.param({"width": 640}, ["width and height go together"], id="one side"),
+        pytest.param({"use_sim_time": "1"}, ["'use_sim_time'"], id="a parameter of ROS's own"),
         pytest.param({"sorce": "0"}, ["sorce", "Did you mean 'source'?"], id="unknown name"),
         pytest.param(
             {f"{RAW_QOS}.reliability": "maybe"}, ["`reliability`: `maybe`"], id="quality of service"

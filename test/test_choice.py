@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
+import os
+import pwd
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +19,7 @@ from yolov5_lifecycle.runtimes.choice_record import read_figures, write_figures
 from yolov5_lifecycle.runtimes.loading import (
     REQUIREMENTS,
     RuntimeAbsentError,
+    installed_build,
     installed_runtimes,
     load_runtime,
 )
@@ -129,6 +133,31 @@ def test_a_folder_that_cannot_be_written_costs_the_memory_only(tmp_path: Path) -
     assert "; measured now, not remembered: " in choice.reason
 
 
+@needs_choice
+def test_a_user_without_a_home_folder_lacks_the_memory_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a container's process whose user id stands in no passwd file."""
+
+    def unknown(user_id: int) -> None:
+        raise KeyError(user_id)
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    choice = choose_runtime(
+        random_model(), device="cpu", precision="auto", frame_hw=(64, 96), measure=measured
+    )
+    assert choice.runtime == INSTALLED[-1]
+    assert choice.reason.endswith("; measured now, not remembered: Could not determine home directory.")
+
+
+@needs_choice
+def test_a_record_in_the_home_folder_is_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert chosen(Path("~/choices")).reason.endswith("; measured now")
+    assert chosen(Path("~/choices")).reason.endswith(".json")
+    assert [folder.name for folder in tmp_path.iterdir()] == ["choices"]
+
+
 @pytest.mark.parametrize(
     ("device", "precision"), [("cuda:99", "auto"), ("cpu", "fp16")], ids=["absent device", "half on a CPU"]
 )
@@ -161,23 +190,69 @@ def test_figures_are_read_as_they_were_written(tmp_path: Path) -> None:
     ("cache", "expected"),
     [
         pytest.param("/somewhere", "/somewhere/yolov5_lifecycle/choices", id="set"),
-        pytest.param("", "/home/me/.cache/yolov5_lifecycle/choices", id="empty"),
-        pytest.param(
-            "relative", "/home/me/.cache/yolov5_lifecycle/choices", id="relative, which counts as unset"
-        ),
+        pytest.param("", "~/.cache/yolov5_lifecycle/choices", id="empty"),
+        pytest.param("relative", "~/.cache/yolov5_lifecycle/choices", id="relative, which counts as unset"),
     ],
 )
 def test_the_folder_is_the_users_cache(monkeypatch: pytest.MonkeyPatch, cache: str, expected: str) -> None:
-    monkeypatch.setenv("HOME", "/home/me")
     monkeypatch.setenv("XDG_CACHE_HOME", cache)
     assert choices_folder() == Path(expected)
 
 
-@pytest.mark.parametrize("runtime", [name for name in REQUIREMENTS if name != "torch"])
-def test_a_runtime_that_is_not_installed_says_how_to_install_it(runtime: str) -> None:
+@pytest.fixture
+def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which packages are found, of which no distribution knows."""
+    folder = tmp_path / "packages"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(folder)
+    return folder
+
+
+@needs_choice
+def test_it_does_not_matter_which_distribution_a_package_is_from(
+    tmp_path: Path, packages: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with onnxruntime from onnxruntime-gpu."""
+    for package in {package for runtime in INSTALLED for package in REQUIREMENTS[runtime]}:
+        spec = importlib.util.find_spec(package)
+        assert spec is not None
+        assert spec.origin is not None
+        (packages / package).symlink_to(Path(spec.origin).parent)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if not path.endswith("-packages")])
+    assert chosen(tmp_path / "choices").runtime == INSTALLED[-1]
+
+
+def test_another_version_of_a_package_is_another_build(packages: Path) -> None:
+    assert installed_build("sparkling_runtime") is None
+    file = packages / "sparkling_runtime" / "__init__.py"
+    file.parent.mkdir()
+    importlib.invalidate_caches()
+    assert installed_build("sparkling_runtime") is None, "a folder that only has the name"
+    file.touch()
+    importlib.invalidate_caches()
+    first = installed_build("sparkling_runtime")
+    os.utime(file, (1, 1))
+    assert first is not None
+    assert installed_build("sparkling_runtime") not in (None, first)
+
+
+ABSENT = "sys.modules.update(dict.fromkeys(['onnxruntime', 'openvino', 'onnx']))"
+MERE_FOLDER = (
+    "sys.modules['openvino'] = ModuleType('openvino'); "
+    "sys.modules['openvino'].__spec__ = ModuleSpec('openvino', None)"
+)
+
+
+@pytest.mark.parametrize(
+    ("runtime", "preparation"),
+    [("onnxruntime", ABSENT), ("openvino", ABSENT), ("openvino", MERE_FOLDER)],
+    ids=["onnxruntime", "openvino", "a folder called openvino"],
+)
+def test_a_runtime_that_is_not_installed_says_how_to_install_it(runtime: str, preparation: str) -> None:
     """In a process of its own, where its packages cannot be found."""
     script = (
-        "import sys; sys.modules.update(dict.fromkeys(['onnxruntime', 'openvino', 'onnx']))\n"
+        "import sys; from importlib.machinery import ModuleSpec; from types import ModuleType\n"
+        f"{preparation}\n"
         "from random_model import random_model\n"
         "from yolov5_lifecycle.runtimes.loading import load_runtime\n"
         f"load_runtime(random_model(), '{runtime}', device='cpu', precision='auto')\n"

@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from damaged_pictures import claiming_too_much
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from recorded_scene import (
@@ -382,6 +383,7 @@ def test_pictures_become_lines_and_annotated_pictures(
 ) -> None:
     folder, drawn = pictures(tmp_path / "shots"), tmp_path / "drawn"
     (folder / "1.png").write_bytes(b"no picture")
+    (folder / "3.png").write_bytes(claiming_too_much())
     (folder / "notes.txt").write_text("no picture either")
     assert run([str(folder), "--annotated", str(drawn), *SET_MODEL]) == 0
     output, error = capsys.readouterr()
@@ -395,7 +397,8 @@ def test_pictures_become_lines_and_annotated_pictures(
     boxes_xyxy = [one["box_xyxy"] for one in lines[0]["detections"]]
     np.testing.assert_allclose(boxes_xyxy, seen.boxes_xyxy, atol=1e-4)
     assert f"detect_bag: {folder / '1.png'}: rejected: " in error
-    assert "pictures    3: 2 detected, 1 rejected, 0 failed\n" in error
+    assert f"detect_bag: {folder / '3.png'}: rejected: " in error
+    assert "pictures    4: 2 detected, 2 rejected, 0 failed\n" in error
     assert sorted(file.name for file in drawn.iterdir()) == ["0.png", "2.png"]
     assert cv2.imread(str(drawn / "0.png")).shape == (*SIZE_HW, 3)
 

@@ -8,7 +8,9 @@ import io
 import os
 import pty
 import socket
+import subprocess
 import sys
+import zipfile
 from http.client import HTTPMessage
 from pathlib import Path
 from urllib.request import Request
@@ -204,10 +206,48 @@ def test_a_file_with_another_digest_is_refused_and_not_kept(
 ) -> None:
     with (
         FileServer(sending(checkpoint)) as server,
-        pytest.raises(WeightsError, match=f"its sha256 is {digest}, expected {'0' * 64}"),
+        pytest.raises(WeightsError, match=f"its sha256 is {digest}, expected {'0' * 64}.* It was removed"),
     ):
         fetch_from(server, folder, sha256="0" * 64)
     assert list(folder.glob("*.pt")) == []
+
+
+FETCHED_WITH_LITTLE_MEMORY = """
+import resource
+import sys
+from pathlib import Path
+from yolov5_lifecycle.fetch_weights import fetch
+
+def leave_little(done_bytes, total_bytes):
+    if done_bytes == total_bytes:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + total_bytes // 4,) * 2)
+
+fetch("n", Path(sys.argv[1]), url=sys.argv[2], progress=leave_little)
+"""
+
+
+def enlarged(checkpoint: bytes) -> bytes:
+    """The same model in so many bytes that no heap has them in store; what is added is not looked at."""
+    file = io.BytesIO(checkpoint)
+    with zipfile.ZipFile(file, "a") as archive:
+        folder = archive.namelist()[0].partition("/")[0]
+        archive.writestr(f"{folder}/unused", bytes(40 << 20))
+    return file.getvalue()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is limited as Linux does")
+def test_a_download_that_could_not_be_checked_for_want_of_memory_is_kept_and_taken_later(
+    folder: Path, checkpoint: bytes
+) -> None:
+    large = enlarged(checkpoint)
+    with FileServer(sending(large)) as server:
+        command = [sys.executable, "-c", FETCHED_WITH_LITTLE_MEMORY, str(folder), server.address + PATTERN]
+        run = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert "not enough memory to read it; free some. The download is kept" in run.stderr
+        assert fetch_from(server, folder).path.stat().st_size == len(large)
+    assert len(server.requests) == 1
+    assert not unfinished(folder).exists()
 
 
 @pytest.mark.parametrize("status", [403, 404, 500, 503])
@@ -345,6 +385,17 @@ def test_the_list_shows_what_is_there(
         f"     0.0 MB  {unfinished(folder)}  (unfinished: fetch it again)",
         f"     3.9 MB  {folder}/yolov5n.pt",
     ]
+
+
+@pytest.mark.parametrize("digest", ["abc", "g" * 64], ids=["too short", "no digits"])
+def test_a_digest_that_is_none_is_refused_before_anything_is_downloaded(
+    folder: Path, checkpoint: bytes, capsys: pytest.CaptureFixture[str], digest: str
+) -> None:
+    with FileServer(sending(checkpoint)) as server, pytest.raises(SystemExit) as stopped:
+        main(["n", "--dir", str(folder), "--url", server.address + PATTERN, "--sha256", digest])
+    assert stopped.value.code == 2
+    assert "must be 64 hexadecimal digits" in capsys.readouterr().err
+    assert server.requests == []
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,8 @@ def case(request: pytest.FixtureRequest, golden: Any) -> Any:
 
 def letterbox_of(case: Any, bus: Picture) -> Letterbox:
     settings = case["settings"]
-    return Letterbox.fit(bus.size_hw, image_size=settings["imgsz"], stride=32, rectangular=settings["auto"])
+    stride = 32 if settings["auto"] else settings["imgsz"]  # the only multiple up to itself makes a square
+    return Letterbox.fit(bus.size_hw, image_size=settings["imgsz"], stride=stride)
 
 
 def selection_of(case: Any) -> Selection:

@@ -87,9 +87,10 @@ def test_a_signal_ends_the_process_in_time_whatever_hangs(fault: str) -> None:
 
 
 @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
-def test_a_signal_ends_the_process_cleanly_while_it_imports(signal_number: signal.Signals) -> None:
+@pytest.mark.parametrize("name", ["camera", "detector"])
+def test_a_signal_ends_the_process_cleanly_while_it_imports(name: str, signal_number: signal.Signals) -> None:
     told_imports = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
-    with ChildProcess("detector", [entry_point("detector")], told_imports) as process:
+    with ChildProcess(name, [entry_point(name)], told_imports) as process:
         process.wait_for_output(" rclpy\n", 60)
         assert process.stop(signal_number) == 0
     assert "Traceback" not in process.output
@@ -131,6 +132,9 @@ def test_a_signal_before_the_first_callback_ends_the_process_without_a_word(ros_
             ["not understood: --device cpu\n", "device  "],
             id="stray words",
         ),
+        pytest.param(
+            ["--ros-args", "-p", "use_sim_time:=1"], 2, ["'use_sim_time'"], id="a parameter of ROS's own"
+        ),
     ],
 )
 def test_the_command_line_is_explained(words: list[str], code: int, told: list[str]) -> None:
@@ -140,14 +144,17 @@ def test_the_command_line_is_explained(words: list[str], code: int, told: list[s
     assert "Traceback" not in process.output
 
 
-@pytest.mark.parametrize("package", ["torch", "pydantic", "rclpy"])
-def test_a_python_that_lacks_a_package_is_named_in_one_line(package: str) -> None:
+@pytest.mark.parametrize(
+    ("command", "package"),
+    [("detector", "torch"), ("detector", "pydantic"), ("detector", "rclpy"), ("camera", "cv2")],
+)
+def test_a_python_that_lacks_a_package_is_named_in_one_line(command: str, package: str) -> None:
     without = f"import sys; sys.modules['{package}'] = None"
-    program = f"{without}; from yolov5_lifecycle.ros.detector_command import main; main()"
+    program = f"{without}; from yolov5_lifecycle.ros.{command}_command import main; main()"
     run = subprocess.run(
         [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=60
     )
     assert (run.returncode, run.stdout) == (1, "")
     (line,) = run.stderr.splitlines()
-    assert line.startswith(f"detector: {sys.executable} cannot import")
+    assert line.startswith(f"{command}: {sys.executable} cannot import")
     assert package in line.partition(". The node")[0]

@@ -41,7 +41,7 @@ def test_an_empty_window_has_no_latency() -> None:
 
 
 def test_the_window_summarises_recent_events_only() -> None:
-    window = LatencyWindow(window_s=10.0)
+    window = LatencyWindow(window_s=10.0, begin_s=0.0)
     window.add(0.0, 1e6)
     for index in range(1, 101):
         window.add(100.0, float(index))
@@ -49,3 +49,27 @@ def test_the_window_summarises_recent_events_only() -> None:
     assert summary.rate_hz == pytest.approx(10.0)
     assert summary.median_ms == pytest.approx(50.5)
     assert summary.p95_ms == pytest.approx(96.0)
+
+
+@pytest.mark.parametrize(
+    "now_s",
+    [
+        pytest.param(101.0, id="after a second"),
+        pytest.param(102.5, id="before the window is full"),
+        pytest.param(105.0, id="when it is full"),
+        pytest.param(200.0, id="ever after"),
+    ],
+)
+def test_the_rate_is_right_from_the_beginning(now_s: float) -> None:
+    window = LatencyWindow(begin_s=100.0)
+    for index in range(30 * 100):
+        at_s = 100 + (index + 0.5) / 30
+        if at_s <= now_s:
+            window.add(at_s, 1.0)
+    assert window.summary(now_s).rate_hz == pytest.approx(30.0, rel=0.01)
+
+
+def test_a_look_in_the_moment_of_the_first_event_gives_a_number() -> None:
+    window = LatencyWindow(begin_s=100.0)
+    window.add(100.0, 1.0)
+    assert math.isfinite(window.summary(100.0).rate_hz)

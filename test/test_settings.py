@@ -31,11 +31,17 @@ from yolov5_lifecycle.settings import SETTINGS, Settings, SettingsError, validat
         pytest.param({"weights_sha256": "g" * 64}, "64 hexadecimal digits", id="no-hex-digest"),
         pytest.param({"weights_dirs": ("/a", "b")}, "['/a', 'b'] must be absolute", id="relative-folder"),
         pytest.param({"weights_dirs": ("",)}, "must be absolute", id="nameless-folder"),
-        pytest.param({"weights_dirs": "/a"}, "'/a' is not a list of texts", id="folder-without-list"),
+        pytest.param(
+            {"weights_dirs": "/a"}, "'/a' is not a list of at most 100 texts", id="folder-without-list"
+        ),
         pytest.param({"weights": 3}, "3 is not a text", id="number-for-path"),
-        pytest.param({"classes": ("a", 3)}, "a list of texts", id="number-among-classes"),
-        pytest.param({"classes": ("a",) * 10_001}, "a list of texts", id="huge-list"),
-        pytest.param({"weights_dir": ""}, "is not a text", id="empty-folder"),
+        pytest.param({"classes": ("a", 3)}, "['a', 3] is not a list of at most", id="number-among-classes"),
+        pytest.param({"classes": ("a", 3, 4)}, "['a', 3, 4] is not", id="two-numbers-among-classes"),
+        pytest.param({"autostart": "yes"}, "start it again with another value", id="read-only"),
+        pytest.param({"weights_dirs": ("a",)}, "start it again with another value", id="read-only-folders"),
+        pytest.param({"classes": ("a",) * 10_001}, "a list of at most 10000 texts", id="huge-list"),
+        pytest.param({"weights_dir": ""}, "'' is not a text of 1 to 4096 characters", id="empty-folder"),
+        pytest.param({"weights": "a" * 5000}, "a text of at most 4096 characters", id="endless-path"),
     ],
 )
 def test_a_broken_rule_is_named_with_field_value_and_rule(values: dict[str, object], problem: str) -> None:
@@ -132,28 +138,21 @@ def test_what_is_plainly_meant_is_accepted(given: dict[str, object], kept: dict[
     assert validated(given).model_dump() == Settings().model_dump() | kept
 
 
-def test_merged_checks_again_and_leaves_the_old_value_alone() -> None:
-    settings = Settings()
-    changed = settings.merged({"confidence_threshold": 0.5})
-    assert (settings.confidence_threshold, changed.confidence_threshold) == (0.25, 0.5)
-    with pytest.raises(SettingsError):
-        changed.merged({"iou_threshold": 7})
-
-
 def test_differing_names_only_settings_of_the_asked_kind() -> None:
-    changed = Settings().merged({"device": "cpu", "confidence_threshold": 0.5})
+    changed = validated({"device": "cpu", "confidence_threshold": 0.5})
     assert Settings().differing(changed, Change.RELOAD) == ["device"]
     assert Settings().differing(changed, Change.LIVE) == ["confidence_threshold"]
 
 
 def test_the_digest_names_the_configuration() -> None:
     assert Settings().digest() == validated({}).digest()
-    assert Settings().digest() != Settings().merged({"lazy": False}).digest()
+    assert Settings().digest() != validated({"lazy": False}).digest()
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
 def test_every_setting_says_what_a_user_needs(setting: Setting) -> None:
     assert setting.description.endswith(".")
     assert setting.allowed
+    assert "None" not in setting.allowed
     assert (setting.minimum is None) == (setting.maximum is None)
     assert validated({setting.name: setting.default}) == Settings()

@@ -8,11 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 from random_model import CLASS_NAMES, random_model
 
 from yolov5_lifecycle.model import WeightsError
 from yolov5_lifecycle.safetensors_file import write_safetensors
-from yolov5_lifecycle.weights import MAX_FILE_BYTES, find_weights, load_weights
+from yolov5_lifecycle.weights import MAX_FILE_BYTES, find_weights, is_out_of_memory, load_weights
 
 
 @pytest.fixture(scope="module")
@@ -186,3 +187,31 @@ def test_a_refused_file_leaves_no_file_open(good: Path, tmp_path: Path) -> None:
     refusal(tmp_path / "pipe.pt")
     refusal(good, sha256="0" * 64)
     assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+def fail(error: Exception) -> None:
+    raise error
+
+
+def hide_a_shortage() -> None:
+    """As zipfile does, which then finds a file closed."""
+    try:
+        raise MemoryError
+    finally:
+        raise ValueError("I/O operation on closed file")
+
+
+@pytest.mark.parametrize(
+    ("fail", "is_shortage"),
+    [
+        pytest.param(lambda: fail(MemoryError()), True, id="Python's"),
+        pytest.param(hide_a_shortage, True, id="behind another error"),
+        pytest.param(lambda: torch.empty(1 << 60, dtype=torch.uint8), True, id="torch's"),
+        pytest.param(lambda: torch.empty(-1), False, id="another of torch"),
+        pytest.param(lambda: fail(WeightsError("damaged")), False, id="damage"),
+    ],
+)
+def test_a_shortage_of_memory_is_told_from_damage(fail: Callable[[], object], is_shortage: bool) -> None:
+    with pytest.raises(Exception) as raised:  # noqa: PT011 - of any kind
+        fail()
+    assert is_out_of_memory(raised.value) is is_shortage

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple, get_args
 LayerKind = Literal["Conv", "C3", "SPPF", "Upsample", "Concat", "Detect"]
 LAYER_KINDS: tuple[LayerKind, ...] = get_args(LayerKind)
 
+Size = Literal["n", "s", "m", "l", "x", "n6", "s6", "m6", "l6", "x6"]
 AnchorsPx = tuple[tuple[tuple[float, float], ...], ...]
 
 
@@ -25,6 +26,10 @@ class Layer(NamedTuple):
     repeats: int
     kind: LayerKind
     args: tuple[int, ...] = ()
+
+    def scaled_repeats(self, depth_multiple: float) -> int:
+        """How often it is repeated in a network of that depth."""
+        return max(round(self.repeats * depth_multiple), 1) if self.repeats > 1 else 1
 
 
 def _layer(sources: int | tuple[int, ...], repeats: int, kind: LayerKind, *args: int) -> Layer:
@@ -139,7 +144,16 @@ def _official(size: str) -> Architecture:
     )
 
 
-SIZES: Mapping[str, Architecture] = MappingProxyType(
-    {size: _official(size) for size in ("n", "s", "m", "l", "x", "n6", "s6", "m6", "l6", "x6")}
-)
+SIZES: Mapping[str, Architecture] = MappingProxyType({size: _official(size) for size in get_args(Size)})
 """The ten official architectures (80 classes) by their size letter."""
+
+
+def image_size_problem(image_size: int, stride: int, *, whose: str) -> str:
+    """Why frames of `image_size` pixels do not suit `stride`, the largest of `whose`; "" when they do."""
+    if image_size >= stride and image_size % stride == 0:
+        return ""
+    below = max(image_size // stride, 1) * stride
+    return (
+        f"{image_size} is not a multiple of {stride}, the largest stride of {whose}. "
+        f"Use {below} or {below + stride}."
+    )

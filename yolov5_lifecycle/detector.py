@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.architecture import image_size_problem
 from yolov5_lifecycle.boxes import Selection, select
 from yolov5_lifecycle.detections import Detections
 from yolov5_lifecycle.images import Picture
@@ -110,9 +111,5 @@ def load_detector(
 
 
 def _check_image_size(image_size: int, stride: int) -> None:
-    if image_size < stride or image_size % stride:
-        below = max(image_size // stride, 1) * stride
-        raise ValueError(
-            f"Image size {image_size} is not a multiple of {stride}, the largest stride of this model. "
-            f"Use {below} or {below + stride}."
-        )
+    if problem := image_size_problem(image_size, stride, whose="this model"):
+        raise ValueError(f"Image size {problem}")

@@ -14,9 +14,9 @@ from pathlib import Path
 from yolov5_lifecycle.architecture import SIZES
 from yolov5_lifecycle.convert import convert, report
 from yolov5_lifecycle.download import DownloadError, Progress, download
-from yolov5_lifecycle.model import WeightsError
+from yolov5_lifecycle.model import UncheckedError, WeightsError
 from yolov5_lifecycle.progress import show_progress
-from yolov5_lifecycle.settings import Settings
+from yolov5_lifecycle.settings import Settings, SettingsError, validated
 from yolov5_lifecycle.weights import MAX_FILE_BYTES, WeightsFile, expanded, load_weights
 
 URL = "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5{size}.pt"
@@ -38,7 +38,8 @@ def fetch(
     """The checkpoint yolov5`size`.pt in `folder`, downloaded unless it is there.
 
     `url` has `{size}` in it, which is filled in. What lies there afterwards is whole, readable and, with
-    `sha256`, has that digest. An unfinished download is kept beside it and continued by the next call.
+    `sha256`, has that digest. A download that is unfinished or could not be checked is kept beside it, and
+    the next call goes on from there; one with another digest or without a model in it is removed.
     Raises DownloadError, WeightsError or OSError.
     """
     target = folder / f"yolov5{size}.pt"
@@ -53,16 +54,23 @@ def fetch(
 
 def _downloaded(url: str, target: Path, sha256: str, stall_s: float, progress: Progress) -> WeightsFile:
     unfinished = target.with_suffix(_UNFINISHED)
-    try:
-        with unfinished.open("ab") as file:
-            download(url, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
-            file.flush()
-            os.fsync(file.fileno())
-    except DownloadError as error:
-        raise DownloadError(f"{error}. Or copy {target.name} into {target.parent} by other means.") from None
-    downloaded = _checked(unfinished, url, sha256)
+    found = _whole(unfinished, sha256)
+    if found is None:
+        try:
+            _append(url, unfinished, stall_s, progress)
+        except DownloadError as error:
+            otherwise = f"Or copy {target.name} into {target.parent} by other means."
+            raise DownloadError(f"{error}. {otherwise}") from None
+        found = _checked(unfinished, url, sha256)
     unfinished.replace(target)
-    return replace(downloaded, path=target.resolve())
+    return replace(found, path=target.resolve())
+
+
+def _append(url: str, unfinished: Path, stall_s: float, progress: Progress) -> None:
+    with unfinished.open("ab") as file:
+        download(url, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def listing(folder: Path) -> str:
@@ -118,7 +126,9 @@ def _parser() -> argparse.ArgumentParser:
         default=Path(Settings().weights_dir),
         help="folder for the file, the detector's parameter weights_dir (default: %(default)s)",
     )
-    parser.add_argument("--sha256", default="", metavar="HEX", help="accept only a file with this digest")
+    parser.add_argument(
+        "--sha256", type=_digest, default="", metavar="HEX", help="accept only a file with this digest"
+    )
     parser.add_argument("--safetensors", action="store_true", help="convert the file to .safetensors as well")
     parser.add_argument(
         "--url",
@@ -127,6 +137,13 @@ def _parser() -> argparse.ArgumentParser:
         f"{URL_VARIABLE} (default: %(default)s)",
     )
     return parser
+
+
+def _digest(text: str) -> str:
+    try:
+        return validated({"weights_sha256": text}).weights_sha256
+    except SettingsError as error:
+        raise argparse.ArgumentTypeError(error.problems[0].message) from None
 
 
 @contextmanager
@@ -140,13 +157,25 @@ def _alone(folder: Path) -> Iterator[None]:
         yield
 
 
+def _whole(path: Path, sha256: str) -> WeightsFile | None:
+    """What an earlier call downloaded whole but could not check; None when it did not."""
+    try:
+        return load_weights(path, sha256=sha256) if path.exists() else None
+    except UncheckedError:
+        raise
+    except WeightsError:
+        return None
+
+
 def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
     """What was downloaded, if it is a model; else it is removed, since nothing can be continued from it."""
     try:
         return load_weights(path, sha256=sha256)
+    except UncheckedError as error:
+        raise UncheckedError(f"{error} The download is kept: then give the command again.") from None
     except WeightsError as error:
         path.unlink()
-        raise WeightsError(f"{url}: {str(error).removeprefix(f'{path}: ')}") from None
+        raise WeightsError(f"{url}: {str(error).removeprefix(f'{path}: ')} It was removed.") from None
 
 
 def _show_bytes(done_bytes: int, total_bytes: int | None) -> None:

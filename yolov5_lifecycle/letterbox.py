@@ -27,13 +27,11 @@ class Letterbox:
     left: int
 
     @classmethod
-    def fit(
-        cls, source_hw: tuple[int, int], *, image_size: int, stride: int, rectangular: bool = True
-    ) -> Letterbox:
+    def fit(cls, source_hw: tuple[int, int], *, image_size: int, stride: int) -> Letterbox:
         """Enlarge or shrink a picture until its longer side is `image_size`, a multiple of `stride`.
 
-        The shorter side is padded to the next multiple of `stride`, or to a square unless `rectangular`.
-        Rounds as YOLOv5 does with `auto=rectangular, scaleup=True`, but leaves no side below one pixel.
+        The shorter side is padded to the next multiple of `stride`.
+        Rounds as YOLOv5 does with `auto=True, scaleup=True`, but leaves no side below one pixel.
 
         Raises ValueError when a side is not positive or `image_size` no positive multiple.
         """
@@ -43,9 +41,7 @@ class Letterbox:
             raise ValueError(f"The image size must be a positive multiple of {stride}, found {image_size}.")
         scale = image_size / max(source_hw)
         height, width = (max(round(side * scale), 1) for side in source_hw)
-        padding_hw = (image_size - height, image_size - width)
-        if rectangular:
-            padding_hw = (padding_hw[0] % stride, padding_hw[1] % stride)
+        padding_hw = ((image_size - height) % stride, (image_size - width) % stride)
         network_hw = (height + padding_hw[0], width + padding_hw[1])
         top, left = (round(padding / 2 - 0.1) for padding in padding_hw)
         return cls(source_hw, network_hw, (height, width), top, left)

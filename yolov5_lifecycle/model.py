@@ -21,6 +21,10 @@ class WeightsError(ValueError):
     """A weights file is refused; the message says what was expected, what was found and what to do."""
 
 
+class UncheckedError(WeightsError):
+    """A weights file cannot be read here and now, whatever it holds: it may be good."""
+
+
 @dataclass(frozen=True, eq=False)
 class Model:
     """A network's shape, the names of its classes and its tensors; made by `checked_model`.

@@ -202,6 +202,6 @@ def _module(layer: Layer, channels_in: list[int], architecture: Architecture) ->
         return Conv(channels_in[0], channels_out, *layer.args[1:]), channels_out
     if layer.kind == "SPPF":
         return SPPF(channels_in[0], channels_out, layer.args[1]), channels_out
-    repeats = max(round(layer.repeats * architecture.depth_multiple), 1) if layer.repeats > 1 else 1
+    repeats = layer.scaled_repeats(architecture.depth_multiple)
     shortcut = bool(layer.args[1]) if len(layer.args) > 1 else True
     return C3(channels_in[0], channels_out, repeats, shortcut), channels_out

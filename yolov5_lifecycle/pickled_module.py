@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.serialization import safe_globals
 
 from yolov5_lifecycle.checkpoint_archive import Archive
-from yolov5_lifecycle.model import WeightsError, first_line, shown
+from yolov5_lifecycle.model import UncheckedError, WeightsError, first_line, shown
 
 MIN_TORCH = (2, 10)
 """weights_only=True itself could be broken before: CVE-2025-32434 (< 2.6), CVE-2026-24747 (< 2.10)."""
@@ -64,7 +64,7 @@ def load_pickled(
     On the device "meta" no tensor takes memory. Raises WeightsError.
     """
     if tuple(int(part) for part in torch_version.split(".")[:2]) < MIN_TORCH:
-        raise WeightsError(
+        raise UncheckedError(
             f"reading a .pt safely needs torch 2.10 or newer, found {torch_version}: "
             "convert the file to .safetensors on a machine that has it (command `convert`)"
         )

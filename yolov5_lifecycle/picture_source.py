@@ -158,7 +158,10 @@ def _natural_order(path: Path) -> list[tuple[str, int]]:
 
 def _pictures(paths: Iterable[Path], size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
     for path in paths:
-        pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        try:
+            pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        except cv2.error as error:
+            raise SourceError(f"{path}: OpenCV refuses the picture: {error.err}.") from None
         if pixels is None:
             raise SourceError(f"{path} cannot be read as a picture: replace it, or take it away.")
         yield SourceFrame(Picture(_sized(np.asarray(pixels, np.uint8), size_hw), "bgr"))

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import statistics
+import time
 from collections import deque
 from dataclasses import dataclass
+
+_LEAST_S = 1e-3  # a shorter time says nothing of a rate
 
 
 class RateLimit:
@@ -36,10 +39,14 @@ class LatencySummary:
 
 
 class LatencyWindow:
-    """Latencies of the last `window_s` seconds; one thread adds, any thread may read."""
+    """Latencies of the last `window_s` seconds, the first of which is `begin_s` (monotonic, default: now).
 
-    def __init__(self, window_s: float = 5.0) -> None:
+    One thread adds, any thread may read.
+    """
+
+    def __init__(self, window_s: float = 5.0, *, begin_s: float | None = None) -> None:
         self._window_s = window_s
+        self._begin_s = time.monotonic() if begin_s is None else begin_s
         self._events: deque[tuple[float, float]] = deque(maxlen=4096)
 
     def add(self, now_s: float, latency_ms: float) -> None:
@@ -51,7 +58,7 @@ class LatencyWindow:
         if not recent:
             return LatencySummary(0.0, float("nan"), float("nan"))
         return LatencySummary(
-            rate_hz=len(recent) / self._window_s,
+            rate_hz=len(recent) / min(self._window_s, max(now_s - self._begin_s, _LEAST_S)),
             median_ms=statistics.median(recent),
             p95_ms=recent[min(len(recent) - 1, int(0.95 * len(recent)))],
         )

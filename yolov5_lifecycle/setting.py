@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, get_args, get_origin
 
-from annotated_types import Ge, Le, MultipleOf
+from annotated_types import Ge, Le, MaxLen, MinLen, MultipleOf
 from pydantic.fields import FieldInfo
 
 
@@ -32,6 +32,9 @@ class Setting:
     minimum: float | None
     maximum: float | None
     step: float | None
+    min_length: int
+    """Of a text in characters, of a list in entries."""
+    max_length: int | None
     choices: tuple[str, ...]
 
     @property
@@ -42,12 +45,17 @@ class Setting:
         if self.minimum is not None and self.maximum is not None:
             multiple = f", a multiple of {self.step:g}" if self.step else ""
             return f"{_TYPE_WORDS[self.type]} from {self.minimum:g} to {self.maximum:g}{multiple}"
+        if self.type is tuple:
+            return f"a list of at most {self.max_length} texts"
+        if self.max_length is not None:
+            least = f"{self.min_length} to" if self.min_length else "at most"
+            return f"a text of {least} {self.max_length} characters"
         return _TYPE_WORDS[self.type]
 
     def coerced(self, value: object) -> object:
         """`value` in the type of this setting where the user's meaning is plain; otherwise as it is.
 
-        A whole number for a number, a number or a list of numbers for texts (`device: 0`, `classes: [0, 2]`),
+        A whole number for a number, one for a text, alone or in a list (`device: 0`, `classes: [dog, 2]`),
         and the YAML 1.1 boolean that `n` is read as where that is a choice.
         """
         if self.type is float and type(value) is int:
@@ -56,8 +64,8 @@ class Setting:
             return str(value)
         if value is False and "n" in self.choices:
             return "n"
-        if self.type is tuple and isinstance(value, list) and all(type(entry) is int for entry in value):
-            return [str(entry) for entry in value]
+        if self.type is tuple and isinstance(value, list) and any(type(entry) is int for entry in value):
+            return [str(entry) if type(entry) is int else entry for entry in value]
         return value
 
 
@@ -66,7 +74,6 @@ _TYPE_WORDS = {
     int: "a whole number",
     float: "a number",
     str: "a text",
-    tuple: "a list of texts",
 }
 
 
@@ -85,5 +92,7 @@ def described(name: str, field: FieldInfo) -> Setting:
         minimum=limits[Ge].ge if Ge in limits else None,
         maximum=limits[Le].le if Le in limits else None,
         step=limits[MultipleOf].multiple_of if MultipleOf in limits else None,
+        min_length=limits[MinLen].min_length if MinLen in limits else 0,
+        max_length=limits[MaxLen].max_length if MaxLen in limits else None,
         choices=choices,
     )

@@ -6,24 +6,22 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from yolov5_lifecycle.architecture import SIZES
+from yolov5_lifecycle.architecture import SIZES, Size, image_size_problem
 from yolov5_lifecycle.setting import Change, Setting, described
 from yolov5_lifecycle.suggestion import did_you_mean, nearest
 
-ModelSize = Literal["n", "s", "m", "l", "x", "n6", "s6", "m6", "l6", "x6"]
-
 
 class Settings(BaseModel):
-    """A valid configuration. Immutable: a change is a new value made by `merged`."""
+    """A valid configuration. Immutable: a change is a new value, made by `validated` from all values."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    model_size: Annotated[ModelSize, Change.RELOAD] = Field(
+    model_size: Annotated[Size, Change.RELOAD] = Field(
         "n", description="Official size of the model; names the file in weights_dir when weights is empty."
     )
     weights: Annotated[str, Change.RELOAD] = Field(
@@ -138,10 +136,6 @@ class Settings(BaseModel):
             )
         return self
 
-    def merged(self, changes: Mapping[str, object]) -> Settings:
-        """These settings with `changes` applied and everything checked again; raises SettingsError."""
-        return validated(self.model_dump() | dict(changes))
-
     def differing(self, other: Settings, change: Change) -> list[str]:
         """Names of the settings of kind `change` whose values differ."""
         return [
@@ -184,8 +178,8 @@ def validated(values: Mapping[str, object]) -> Settings:
     try:
         return Settings.model_validate(prepared)
     except ValidationError as error:
-        problems = [problem for details in error.errors() for problem in _problems(details)]
-    raise SettingsError(problems)
+        problems = [problem for details in error.errors() for problem in _problems(details, prepared)]
+    raise SettingsError(list(dict.fromkeys(problems)))  # a list is told once, however many entries are wrong
 
 
 def _contradictions(settings: Settings) -> list[Problem]:
@@ -195,37 +189,31 @@ def _contradictions(settings: Settings) -> list[Problem]:
         problems.append(
             Problem("precision", "'fp16' needs a GPU, but device is 'cpu'. Use precision 'auto' or 'fp32'.")
         )
-    stride = max(SIZES[settings.model_size].strides)
-    if not settings.weights and settings.image_size % stride:
-        below = settings.image_size // stride * stride
-        problems.append(
-            Problem(
-                "image_size",
-                f"{settings.image_size} is not a multiple of {stride}, the largest stride of model_size "
-                f"'{settings.model_size}'. Use {below} or {below + stride}.",
-            )
-        )
+    stride, whose = max(SIZES[settings.model_size].strides), f"model_size '{settings.model_size}'"
+    reason = image_size_problem(settings.image_size, stride, whose=whose)
+    if reason and not settings.weights:
+        problems.append(Problem("image_size", reason))
     return problems
 
 
-def _problems(details: ErrorDetails) -> list[Problem]:
+def _problems(details: ErrorDetails, values: Mapping[str, object]) -> list[Problem]:
     if details["type"] == "contradiction":
         return list(details["ctx"]["problems"])
-    return [_field_problem(details)]
-
-
-def _field_problem(details: ErrorDetails) -> Problem:
     name = str(details["loc"][0])
     if details["type"] == "extra_forbidden":
-        return unknown_setting(name)
+        return [unknown_setting(name)]
     setting = SETTINGS_BY_NAME[name]
-    value: Any = details["input"]
-    hint = did_you_mean(value, setting.choices) if isinstance(value, str) and setting.choices else ""
+    reason = _reason(setting, values[name], details)
+    if setting.change is Change.READ_ONLY:
+        reason += " It is read when the process starts: start it again with another value."
+    return [Problem(name, reason)]
+
+
+def _reason(setting: Setting, value: object, details: ErrorDetails) -> str:
     if details["type"] in ("sha256", "device", "folders"):
-        return Problem(name, f"{_shown(value)} {details['msg']}")
-    return Problem(
-        name, f"{_shown(value)} is not {setting.allowed}.{hint} The default is {_shown(setting.default)}."
-    )
+        return f"{_shown(value)} {details['msg']}"
+    hint = did_you_mean(value, setting.choices) if isinstance(value, str) and setting.choices else ""
+    return f"{_shown(value)} is not {setting.allowed}.{hint} The default is {_shown(setting.default)}."
 
 
 # What the same thing is called in YOLOv5's own scripts and in other nodes.

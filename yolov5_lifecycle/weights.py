@@ -13,7 +13,7 @@ from pathlib import Path
 
 from yolov5_lifecycle.checkpoint import read_checkpoint
 from yolov5_lifecycle.confinement import confined
-from yolov5_lifecycle.model import Model, WeightsError, shown
+from yolov5_lifecycle.model import Model, UncheckedError, WeightsError, shown
 from yolov5_lifecycle.safetensors_file import read_safetensors
 
 MAX_FILE_BYTES = 2 << 30
@@ -60,7 +60,8 @@ def find_weights(
 def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
     """Read the file at `path` once and make its model; with `sha256`, only if its bytes have that digest.
 
-    The path in the result has its links resolved. Raises WeightsError with the path in its message.
+    The path in the result has its links resolved. Raises WeightsError with the path in its message,
+    UncheckedError when that says nothing of what the file holds.
     """
     try:
         reader = _reader(path)
@@ -72,10 +73,13 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
                 "get the one that is meant, or correct the digest"
             )
         return WeightsFile(Path(os.path.realpath(path)), digest, reader(data))
-    except WeightsError as error:
-        raise WeightsError(f"{path}: {error}.") from None
-    except MemoryError:
-        raise WeightsError(f"{path}: there is not enough memory to read it; free some.") from None
+    except (WeightsError, MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            if isinstance(error, WeightsError):
+                raise type(error)(f"{path}: {error}.") from None
+            raise
+    # What the attempt has taken is free again here.
+    raise UncheckedError(f"{path}: there is not enough memory to read it; free some.")
 
 
 def expanded(path: Path) -> Path:
@@ -84,6 +88,15 @@ def expanded(path: Path) -> Path:
         return path.expanduser()
     except RuntimeError:
         raise WeightsError(f"{path}: there is no such home folder; write the path in full.") from None
+
+
+def is_out_of_memory(error: BaseException | None) -> bool:
+    """Whether memory ran out in what led to `error`; torch says so in the words of a RuntimeError."""
+    while error is not None:
+        if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
+            return True
+        error = error.__context__
+    return False
 
 
 def _reader(path: Path) -> Callable[[bytes], Model]:
@@ -110,9 +123,9 @@ def _read_once(path: Path) -> bytes:
     except FileNotFoundError:
         raise WeightsError("there is no such file: check the path for a missing '/' or a typo") from None
     except OSError as error:
-        raise WeightsError(f"the file cannot be read ({error.strerror})") from None
+        raise UncheckedError(f"the file cannot be read ({error.strerror})") from None
     if len(data) != status.st_size:
-        raise WeightsError("the file changed while it was read: try again when it is complete")
+        raise UncheckedError("the file changed while it was read: try again when it is complete")
     return data
 
 

@@ -150,7 +150,7 @@ def _check_repeats(layers: tuple[Layer, ...], depth_multiple: float) -> None:
     """C3 repeats its bottlenecks; no other kind is repeated."""
     bottlenecks = 0
     for index, layer in enumerate(layers):
-        repeats = max(round(layer.repeats * depth_multiple), 1) if layer.repeats > 1 else 1
+        repeats = layer.scaled_repeats(depth_multiple)
         if layer.kind == "C3":
             bottlenecks += repeats
         elif repeats > 1:

@@ -15,7 +15,6 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from yolov5_lifecycle.heap import prepare_heap
 from yolov5_lifecycle.picture_source import SourceFrame, open_source
 from yolov5_lifecycle.playback import Playback
 from yolov5_lifecycle.ros.camera_outputs import CameraOutputs
@@ -90,7 +89,6 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
 
     The code is 0 after a clean end, 1 when the source failed, 2 for wrong arguments or parameters.
     """
-    prepare_heap()
     code = _run(list(sys.argv if args is None else args))
     # Python aborts when a thread comes back from a device while it clears away.
     sys.stdout.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from vision_msgs.msg import Detection2DArray
 from yolov5_lifecycle.detections import Detections
 from yolov5_lifecycle.picture_source import SourceFrame
 from yolov5_lifecycle.ros.camera_settings import CameraSettings
-from yolov5_lifecycle.ros.camera_transport import IMAGE_FORMS
+from yolov5_lifecycle.ros.camera_transport import IMAGE_FORMS, ImageForm, Transport
 from yolov5_lifecycle.ros.messages import detection_array
 from yolov5_lifecycle.scene import CLASS_NAMES, Truth
 
@@ -29,19 +30,25 @@ class CameraOutputs:
 
     Everything follows where `image_raw` is remapped to, as with image_transport. `camera_info` says that the
     camera is not calibrated; the last one is kept for late subscribers. `~/truth` has the shapes of the
-    synthetic scene, sent before their image.
+    synthetic scene, sent before their image. What nobody has subscribed to is not made; `forms` make it.
 
     Raises RuntimeError or ParameterException at birth for `qos_overrides` that make no sense.
     """
 
-    def __init__(self, node: Node, settings: CameraSettings) -> None:
+    def __init__(
+        self,
+        node: Node,
+        settings: CameraSettings,
+        *,
+        forms: Mapping[Transport, Sequence[ImageForm]] = IMAGE_FORMS,
+    ) -> None:
         self._node = node
         self._settings = settings
         topic = node.resolve_topic_name("image_raw")
         offered = _RELIABILITIES[settings.reliability]
         self._images = [
             (self._publisher(form.message_type, f"{topic}{form.suffix}", reliability=offered), form.message)
-            for form in IMAGE_FORMS[settings.image_transport]
+            for form in forms[settings.image_transport]
         ]
         self._infos = self._publisher(
             CameraInfo,
@@ -61,12 +68,13 @@ class CameraOutputs:
         return any(publisher.get_subscription_count() for publisher, _ in self._images)
 
     def publish(self, frame: SourceFrame) -> None:
-        """Send one frame, stamped now."""
+        """Send one frame, stamped now, in the forms that somebody has subscribed to."""
         header = Header(stamp=self._node.get_clock().now().to_msg(), frame_id=self._settings.frame_id)
-        if frame.truth is not None:
+        if frame.truth is not None and self._truths.get_subscription_count():
             self._truths.publish(detection_array(_certain(frame.truth), CLASS_NAMES, header))
         for publisher, message in self._images:
-            publisher.publish(message(frame.picture, self._settings.encoding, header))
+            if publisher.get_subscription_count():
+                publisher.publish(message(frame.picture, self._settings.encoding, header))
         height, width = frame.picture.size_hw
         self._infos.publish(CameraInfo(header=header, height=height, width=width))
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 import rclpy
+from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -49,7 +50,7 @@ def _run(arguments: list[str], prepare: Prepare) -> int:
         if words := remove_ros_args(_without_parameter_files(arguments))[1:]:
             return explain("detector", words, usage=_USAGE, parameters=_parameters())
         node = DetectorNode(prepare=prepare, parameter_file_error=problem, arguments=arguments)
-    except RuntimeError as error:
+    except (RuntimeError, ParameterException) as error:
         return complain("detector", f"ROS refuses to start: {error}")
     for warning in warnings(arguments, node.get_fully_qualified_name()):
         node.get_logger().warning(warning)

@@ -9,7 +9,6 @@ import os
 import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import version
 from operator import itemgetter
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import torch
 
 from yolov5_lifecycle.model import Model
 from yolov5_lifecycle.runtimes.choice_record import read_figures, write_figures
-from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_runtimes
+from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_build, installed_runtimes
 from yolov5_lifecycle.runtimes.speed import measure_ms
 from yolov5_lifecycle.runtimes.torch_device import resolve_device, resolve_precision
 
@@ -46,7 +45,7 @@ def choose_runtime(
     """The runtime for `auto`: torch on a GPU; on a CPU the fastest for frames of `frame_hw`.
 
     What was measured is kept in `folder` (default: `choices_folder()`), so that it is measured once for an
-    architecture, a size of frame, the versions of the packages and a CPU. Raises DeviceError.
+    architecture, a size of frame, the packages as they are installed and a CPU. Raises DeviceError.
     """
     torch_device = resolve_device(device)
     resolve_precision(precision, torch_device)
@@ -67,7 +66,7 @@ def choose_runtime(
 def choices_folder() -> Path:
     """$XDG_CACHE_HOME/yolov5_lifecycle/choices, XDG_CACHE_HOME being ~/.cache by default."""
     cache = os.environ.get("XDG_CACHE_HOME", "")
-    root = Path(cache) if Path(cache).is_absolute() else Path("~/.cache").expanduser()
+    root = Path(cache if Path(cache).is_absolute() else "~/.cache")
     return root / "yolov5_lifecycle" / "choices"
 
 
@@ -85,7 +84,7 @@ def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
     circumstances = [
         repr(model.architecture),
         frame_hw,
-        {package: version(package) for package in packages},
+        [installed_build(package) for package in packages],
         _cpu_model(),
         torch.get_num_threads(),
     ]

@@ -1,4 +1,4 @@
-"""Measured figures on disk: a small JSON file for each circumstance."""
+"""Measured figures on disk: a small JSON file for each circumstance, at a path that may begin with ~."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
+_NO_FOLDER = (OSError, RuntimeError)  # the latter for ~ where there is no home folder
+
 
 def read_figures(path: Path, runtimes: Collection[str]) -> dict[str, float] | None:
     """Milliseconds by runtime; None when there is no such file or not what `write_figures` writes.
@@ -15,8 +17,8 @@ def read_figures(path: Path, runtimes: Collection[str]) -> dict[str, float] | No
     One that is damaged is as good as none: it is written anew after the next measurement.
     """
     try:
-        figures_ms = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        figures_ms = json.loads(path.expanduser().read_text(encoding="utf-8"))
+    except (*_NO_FOLDER, ValueError):
         return None
     usable = isinstance(figures_ms, dict) and "torch" in figures_ms
     if usable and all(name in runtimes and _is_duration(ms) for name, ms in figures_ms.items()):
@@ -26,12 +28,13 @@ def read_figures(path: Path, runtimes: Collection[str]) -> dict[str, float] | No
 
 def write_figures(path: Path, figures_ms: Mapping[str, float]) -> str:
     """Whole or not at all; why it could not be written, "" when it was."""
-    beside = path.with_suffix(f".{os.getpid()}")
     try:
+        path = path.expanduser()
         path.parent.mkdir(parents=True, exist_ok=True)
+        beside = path.with_suffix(f".{os.getpid()}")
         beside.write_text(json.dumps(figures_ms) + "\n", encoding="utf-8")
         beside.replace(path)
-    except OSError as error:
+    except _NO_FOLDER as error:
         return f"measured now, not remembered: {error}"
     return ""
 

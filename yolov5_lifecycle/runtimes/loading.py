@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from importlib.util import find_spec
+from pathlib import Path
 from types import MappingProxyType
 
 from yolov5_lifecycle.model import Model
@@ -23,7 +24,19 @@ class RuntimeAbsentError(ValueError):
 
 def installed_runtimes() -> list[str]:
     """Words of the runtimes whose packages are here."""
-    return [name for name, packages in REQUIREMENTS.items() if all(map(find_spec, packages))]
+    return [name for name, packages in REQUIREMENTS.items() if all(map(installed_build, packages))]
+
+
+def installed_build(package: str) -> str | None:
+    """What `import package` would run: its file and when that was written; another version differs.
+
+    It does not matter which distribution it is from: onnxruntime may be from onnxruntime-gpu. None when there
+    is none, or only a folder of that name.
+    """
+    spec = find_spec(package)
+    if spec is None or spec.origin is None:
+        return None
+    return f"{spec.origin} {Path(spec.origin).stat().st_mtime_ns}"
 
 
 def load_runtime(model: Model, runtime: str, *, device: str, precision: str) -> Runtime:
@@ -48,6 +61,9 @@ def load_runtime(model: Model, runtime: str, *, device: str, precision: str) -> 
 
 def _load_compiled(model: Model, runtime: str, *, device: str, precision: str) -> Runtime:
     """Imported here, as only who has chosen one has its packages. Raises ImportError."""
+    for package in REQUIREMENTS[runtime]:
+        if installed_build(package) is None:  # importing a mere folder of that name would succeed
+            raise ImportError(f"there is no package {package}")
     from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
 
     if runtime == "onnxruntime":
