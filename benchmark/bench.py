@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmark.models import untrained_weights
 from benchmark.neighbours import busy_neighbours
-from benchmark.node import DetectorNode, detector_node, picture_file
+from benchmark.node import MeasuredDetector, detector_node, picture_file
 from benchmark.report import Goal, Row, goal_table, row, table, write_report
 from benchmark.rivals import RIVALS
 from benchmark.rounds import measure
@@ -111,7 +111,7 @@ class Bench:
             Goal("detector / forward", busy, detector_ms / auto_ms, True, 1.20),
         ]
 
-    def _passage(self, node: DetectorNode, size: str, busy: int) -> None:
+    def _passage(self, node: MeasuredDetector, size: str, busy: int) -> None:
         picture = picture_file(_hw(size), self._folder)
         for rate_hz in (_SLOW_HZ, _USUAL_HZ):
             passage = node.watch(picture, rate_hz=rate_hz, frames=20 if self._quick else 100)
@@ -128,7 +128,7 @@ class Bench:
         """The usual pace of a camera if the detector can follow it, else the slow one."""
         return _USUAL_HZ if self._medians_ms["detector", busy] < 1e3 / _USUAL_HZ else _SLOW_HZ
 
-    def _saturation(self, node: DetectorNode, busy: int) -> None:
+    def _saturation(self, node: MeasuredDetector, busy: int) -> None:
         picture = picture_file(_hw(self._size), self._folder)
         rate_hz = _FLOOD * 1e3 / self._medians_ms[_AUTO, busy]
         passage = node.watch(picture, rate_hz=rate_hz, frames=40 if self._quick else 200)
@@ -137,7 +137,7 @@ class Bench:
         share = passage.rate_hz * self._medians_ms[_AUTO, busy] / 1e3
         self.goals.append(Goal("throughput * forward", busy, share, False, 0.90))
 
-    def _rate_limit(self, node: DetectorNode) -> None:
+    def _rate_limit(self, node: MeasuredDetector) -> None:
         picture = picture_file((480, 640), self._folder)
         node.set_parameters(max_rate=_SLOW_HZ)
         passage = node.watch(picture, rate_hz=_USUAL_HZ, frames=40 if self._quick else 100)
@@ -148,7 +148,7 @@ class Bench:
         )
         self.goals.append(Goal("deviation from max_rate [%]", 0, 100 * deviation, True, 2.0))
 
-    def _idle(self, node: DetectorNode) -> None:
+    def _idle(self, node: MeasuredDetector) -> None:
         picture = picture_file((480, 640), self._folder)
         share = node.idle_cpu_share(picture, rate_hz=30.0, duration_s=_IDLE_S)
         self._add(row("node", "nobody listens", 0, [100 * share], unit="% of a core"))

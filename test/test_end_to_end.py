@@ -32,6 +32,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
+from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.architecture import SIZES
 from yolov5_lifecycle.raw_image import ENCODINGS
 from yolov5_lifecycle.ros.child_process import ChildProcess, ProcessError, entry_point
@@ -337,11 +338,6 @@ def test_the_transition_shutdown_ends_the_process_cleanly() -> None:
 # What deactivate gives back
 
 
-def resident_mb(detector: DetectorProcess) -> float:
-    status = Path(f"/proc/{detector.process.process_id}/status").read_text()
-    return int(status.partition("VmRSS:")[2].split()[0]) / 1024
-
-
 @pytest.fixture(scope="module")
 def large_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file whose network takes 85 MB."""
@@ -350,7 +346,7 @@ def large_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("runtime", ["torch", "onnxruntime"])
+@pytest.mark.parametrize("runtime", ["torch", "onnxruntime", "openvino"])
 def test_deactivate_gives_the_memory_of_the_model_back(
     detector: DetectorProcess, large_weights: Path, runtime: str
 ) -> None:
@@ -359,12 +355,12 @@ def test_deactivate_gives_the_memory_of_the_model_back(
     assert detector.node.set_parameters(weights=str(large_weights), runtime=runtime, image_size=64) == ""
     detector.bring_to("active")
     detector.bring_to("inactive")  # what a runtime brings once, its code, stays
-    before_mb = resident_mb(detector)
+    before_mb = resident_mb(detector.process.process_id)
     for _ in range(2):
         detector.bring_to("active")
-        assert resident_mb(detector) > before_mb + 80
+        assert resident_mb(detector.process.process_id) > before_mb + 80
         detector.bring_to("inactive")
-        assert resident_mb(detector) < before_mb * 1.1
+        assert resident_mb(detector.process.process_id) < before_mb * 1.1
 
 
 # Parameter files as people write them

@@ -22,8 +22,8 @@ from yolov5_lifecycle.checkpoint import read_checkpoint
 
 Table = Mapping[str, tuple[Callable[[], bytes], str]]
 MAX_SECONDS = 20
-MAX_GROWN_MB = 300
-"""The memory of a process may grow by this much over all files; some ask for 16 TB."""
+MAX_GROWN_MB = 100
+"""The memory of a process may grow by this much while it reads a file; some ask for 16 TB."""
 
 CHECKPOINTS: Table = {
     f"{kind}: {name}": case
@@ -139,8 +139,8 @@ def test_no_file_takes_up_the_memory_or_the_time(answers: dict[str, Answer]) -> 
     assert answers.keys() == TOLD.keys()
     slowest = max(answers.values(), key=lambda answer: answer.seconds)
     assert slowest.seconds < MAX_SECONDS, slowest
-    grown_mb = sum(answer.grown_mb for answer in answers.values())
-    assert grown_mb < MAX_GROWN_MB, max(answers.values(), key=lambda answer: answer.grown_mb)
+    largest = max(answers.values(), key=lambda answer: answer.grown_mb)
+    assert largest.grown_mb < MAX_GROWN_MB, largest
 
 
 def test_most_refusals_differ(answers: dict[str, Answer]) -> None:

@@ -16,6 +16,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from vision_msgs.msg import Detection2DArray
 
+from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.model import Model
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.sighting import stamp_ns
@@ -105,7 +106,7 @@ class Watch:
         while not change.done():
             self._ask()
         assert change.result().result.successful, change.result().result.reason
-        self.resident_mb.append(_resident_mb(self._detector.process.process_id))
+        self.resident_mb.append(resident_mb(self._detector.process.process_id))
 
     def sent(self) -> int:
         """Pictures sent from the first that was detected to the last: a gap is known by what follows it."""
@@ -148,13 +149,6 @@ class Watch:
 
     def _take_truth(self, truth: Detection2DArray) -> None:
         self._sent_ns.append(stamp_ns(truth.header))
-
-
-def _resident_mb(process_id: int) -> float:
-    """Memory of a process that is in RAM."""
-    lines = Path(f"/proc/{process_id}/status").read_text().splitlines()
-    (kilobytes,) = (line.split()[1] for line in lines if line.startswith("VmRSS"))
-    return int(kilobytes) / 1024
 
 
 def _class_names(message: Detection2DArray) -> set[str]:
