@@ -51,6 +51,6 @@ class ModelLoader:
 
         await self._background.finish(self._background.submit(free))
 
-    def close(self) -> None:
-        """Drop what has not begun; what runs goes on, unwaited for."""
-        self._background.close()
+    def close(self) -> bool:
+        """Drop what has not begun; False when a model is being made or freed, which goes on, unwaited for."""
+        return self._background.close()
