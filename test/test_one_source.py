@@ -45,7 +45,7 @@ def test_a_setting_occurs_where_it_is_declared_and_where_it_is_used(setting: Set
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
-def test_a_default_stands_once(setting: Setting) -> None:
+def test_a_setting_is_declared_once(setting: Setting) -> None:
     declared = [
         line
         for line in (REPOSITORY / "yolov5_lifecycle" / SETTINGS_FILE).read_text().splitlines()
