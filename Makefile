@@ -35,6 +35,8 @@ DEPENDENCIES := $(VENV)/.dependencies-$(PYTHON_VERSION)
 INTERFACES := $(VENV)/.interfaces
 PACKAGE := $(VENV)/.package
 INTERFACES_BUILD := build/vision_msgs-$(SET)
+# Found now: the recipes look in the environment first, whose own Python goes when it is made anew.
+override PYTHON := $(or $(shell PATH="$${PATH//'$(abspath $(VENV))/bin:'/}"; command -v $(PYTHON)),$(PYTHON))
 TYPED := $(wildcard yolov5_lifecycle test soak tools benchmark launch requirements)
 
 .PHONY: help install demo test coverage soak bench lint docs clean
