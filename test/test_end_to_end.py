@@ -37,6 +37,7 @@ from yolov5_lifecycle.architecture import SIZES
 from yolov5_lifecycle.raw_image import ENCODINGS
 from yolov5_lifecycle.ros.child_process import ChildProcess, ProcessError, entry_point
 from yolov5_lifecycle.ros.messages import image_message, picture
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.ros.sighting import Sighting, pairwise_iou, recall, stamp_ns
 from yolov5_lifecycle.safetensors_file import write_safetensors
 from yolov5_lifecycle.scene import CLASS_NAMES
@@ -94,7 +95,7 @@ def test_a_camera_and_the_detector_find_the_shapes_where_they_are(detector: Dete
         last_ns = stamp_ns(messages[-1].header)
         assert detector.transition("activate")
         observer.wait_for(lambda: stamp_ns(messages[-1].header) > last_ns, "messages once active again")
-        assert camera.stop(signal.SIGINT) == 0
+        assert camera.stop(signal.SIGINT, timeout_s=PATIENCE_S) == 0
     observer.destroy_subscription(subscription)
 
 
@@ -322,7 +323,7 @@ def test_a_signal_ends_the_process_cleanly(state: str, signal_number: signal.Sig
         detector.bring_to(state)
         if state == "active":
             detector.look()
-        assert detector.process.stop(signal_number, timeout_s=15.0) == 0
+        assert detector.process.stop(signal_number, timeout_s=PATIENCE_S) == 0
     assert "Traceback" not in detector.process.output
 
 
@@ -331,7 +332,7 @@ def test_the_transition_shutdown_ends_the_process_cleanly() -> None:
         detector.bring_to("active")
         with suppress(ProcessError):  # it may end before its answer has come
             detector.transition("shutdown")
-        assert detector.process.wait(15.0) == 0
+        assert detector.process.wait(PATIENCE_S) == 0
     assert "Traceback" not in detector.process.output
 
 
@@ -421,4 +422,4 @@ def test_a_parameter_file_that_cannot_be_parsed_fails_configure(tmp_path: Path) 
         assert "parameter file" in detector.status()["last problem"]
         assert "line" in detector.process.output
         assert detector.node.state() == "unconfigured"
-        assert detector.process.stop(signal.SIGTERM) == 0
+        assert detector.process.stop(signal.SIGTERM, timeout_s=PATIENCE_S) == 0

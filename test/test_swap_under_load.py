@@ -19,6 +19,7 @@ from vision_msgs.msg import Detection2DArray
 from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.model import Model
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.ros.sighting import stamp_ns
 from yolov5_lifecycle.safetensors_file import write_safetensors
 
@@ -177,7 +178,7 @@ def test_swaps_lose_no_frame_mix_no_models_and_hold_nobody_up(
         for _ in range(TRIES - 1):
             if not swapping.is_within(limits):
                 swapping, limits = _swaps_and_limits(watch, weights)
-        assert camera.stop() == 0
+        assert camera.stop(timeout_s=PATIENCE_S) == 0
     status = detector.status()
     assert is_balanced(status)
     # What the camera tells of each picture may itself be lost to this busy process, never added to.
