@@ -10,12 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from colcon_workspace import REPOSITORY
 from numpy.typing import NDArray
 from random_model import CLASS_NAMES, TINY, random_model
 
 from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.architecture import SIZES, Architecture
 from yolov5_lifecycle.boxes import Selection, select
+from yolov5_lifecycle.detections import Detections
 from yolov5_lifecycle.detector import load_detector
 from yolov5_lifecycle.images import Order, Picture
 from yolov5_lifecycle.letterbox import Letterbox
@@ -24,6 +26,7 @@ from yolov5_lifecycle.model import Model
 from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_runtimes, load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
+from yolov5_lifecycle.scene import Scene
 from yolov5_lifecycle.weights import load_weights
 
 TINY_P6 = dataclasses.replace(SIZES["n6"], width_multiple=0.125, classes=len(CLASS_NAMES))
@@ -80,16 +83,31 @@ def test_a_real_picture_gives_the_detections_of_torch(
 ) -> None:
     model = load_weights(reference_dir / "weights" / "yolov5n.pt").model
     bus = cv2.imread(str(reference_dir / "images" / "bus.jpg"))
-    source = cv2.resize(bus, source_hw[::-1])
-    letterbox = Letterbox.fit(source_hw, image_size=640, stride=32)
-    frame = letterbox.apply(source)
-    raw, expected = (loaded(model, name)(frame, "bgr") for name in (runtime_name, "torch"))
+    found = same_detections(model, runtime_name, Picture(cv2.resize(bus, source_hw[::-1]), "bgr"), 640)
+    assert len(found) > 0 or source_hw == (33, 500)
+
+
+@pytest.mark.parametrize("source_hw", [(240, 320), (480, 640), (320, 180)], ids=lambda hw: f"{hw[1]}x{hw[0]}")
+def test_a_trained_model_finds_in_a_scene_what_it_finds_in_torch(
+    runtime_name: str, source_hw: tuple[int, int]
+) -> None:
+    model = load_weights(REPOSITORY / "weights" / "shapes.safetensors").model
+    shown, truth = Scene(8, source_hw).frame(0)
+    found = same_detections(model, runtime_name, Picture(shown, "rgb"), 320)
+    assert len(found) >= len(truth.class_ids) - 1 > 0
+
+
+def same_detections(model: Model, runtime_name: str, picture: Picture, image_size: int) -> Detections:
+    """What both runtimes find in the picture, in network pixels."""
+    letterbox = Letterbox.fit(picture.size_hw, image_size=image_size, stride=32)
+    frame = letterbox.apply(picture.pixels)
+    raw, expected = (loaded(model, name)(frame, picture.order) for name in (runtime_name, "torch"))
     assert_same_predictions(raw, expected)
     found, wanted = (select(rows, Selection()) for rows in (raw, expected))
     np.testing.assert_array_equal(found.class_ids, wanted.class_ids)
     np.testing.assert_allclose(found.scores, wanted.scores, rtol=0, atol=SCORES)
     np.testing.assert_allclose(found.boxes_xyxy, wanted.boxes_xyxy, rtol=0, atol=BOXES_PX)
-    assert len(found) > 0 or source_hw == (33, 500)
+    return found
 
 
 def test_the_order_of_colours_makes_no_difference(runtime_name: str) -> None:
