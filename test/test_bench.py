@@ -8,12 +8,13 @@ import signal
 from pathlib import Path
 
 import pytest
+from colcon_workspace import REPOSITORY
 
 from benchmark.contender import contender
 from benchmark.report import Goal, goal_table, row, table, write_report
 from benchmark.task import Task
 
-WEIGHTS = Path(__file__).parents[1] / "weights" / "shapes.safetensors"
+WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
 EAGER = Task("rivals", "eager torch", str(WEIGHTS), (96, 128))
 DETECTOR = Task("work", "runtime torch", str(WEIGHTS), (96, 128))
 

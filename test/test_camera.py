@@ -15,6 +15,7 @@ from typing import Any, get_args
 import cv2
 import numpy as np
 import pytest
+from colcon_workspace import REPOSITORY
 from detector_process import PARAMETERS, SCENE, as_arguments, detector_process, environment
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -33,7 +34,6 @@ from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.sighting import Sighting, stamp_ns
 from yolov5_lifecycle.scene import CLASS_NAMES, Scene
 
-REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
 CAMERA_PAGE = REPOSITORY / "docs" / "camera.md"
 GREYS = (10, 90, 170, 250)

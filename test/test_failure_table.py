@@ -6,7 +6,8 @@ import ast
 from pathlib import Path
 
 import pytest
-from test_documentation import REPOSITORY, table
+from colcon_workspace import REPOSITORY
+from test_documentation import table
 
 TESTS = Path(__file__).parent
 PINNED = {

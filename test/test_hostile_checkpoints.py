@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from colcon_workspace import REPOSITORY
 from hostile_archives import ARCHIVES, FOREIGN_FILES, valid
 from hostile_pickles import BOMBS, GADGETS, MARKER, TENSORS
 from hostile_safetensors import FILES
@@ -71,7 +72,7 @@ def read_all(folder: Path) -> dict[str, Answer]:
     reader = subprocess.run(
         [sys.executable, Path(__file__).with_name("hostile_reader.py"), folder / "valid.pt", files],
         cwd=workplace,
-        env=os.environ | {"PYTHONPATH": f"{workplace}:{Path(__file__).parents[1]}"},
+        env=os.environ | {"PYTHONPATH": f"{workplace}:{REPOSITORY}"},
         capture_output=True,
         text=True,
     )
@@ -124,7 +125,7 @@ print(events)
     workplace = folder / "workplace"
     seen = subprocess.run(
         [sys.executable, "-B", "-c", script],
-        env=os.environ | {"PYTHONPATH": f"{workplace}:{Path(__file__).parent}:{Path(__file__).parents[1]}"},
+        env=os.environ | {"PYTHONPATH": f"{workplace}:{Path(__file__).parent}:{REPOSITORY}"},
         capture_output=True,
         text=True,
         check=True,

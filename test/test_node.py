@@ -481,10 +481,10 @@ def test_a_detected_frame_ends_the_count_of_failures(served: ServedNode, prepare
     runtime = prepare.running
 
     def fail_every_other_time() -> np.ndarray:
-        return fail() if runtime.calls % 2 else prediction("cat", 0.9)
+        return fail() if len(runtime.calls) % 2 else prediction("cat", 0.9)
 
     runtime.run = fail_every_other_time
-    served.send_until(lambda: runtime.calls >= 8, "eight frames")
+    served.send_until(lambda: len(runtime.calls) >= 8, "eight frames")
     assert served.state() == "active"
 
 

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from colcon_workspace import REPOSITORY
 
 from yolov5_lifecycle.setting import Setting
 from yolov5_lifecycle.settings import SETTINGS
 
-REPOSITORY = Path(__file__).parents[1]
 SOURCES = sorted(
     [*(REPOSITORY / "yolov5_lifecycle").rglob("*.py"), REPOSITORY / "tools" / "settings_documents.py"]
 )

@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from colcon_workspace import REPOSITORY
 from detector_process import DetectorProcess, as_arguments, detector_process, environment, is_balanced
 from random_model import CLASS_NAMES, TINY, random_model, random_network
 from rcl_interfaces.srv import SetParametersAtomically
@@ -23,7 +24,6 @@ from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.ros.sighting import stamp_ns
 from yolov5_lifecycle.safetensors_file import write_safetensors
 
-REPOSITORY = Path(__file__).parents[1]
 SWAPS = 50
 RATE_HZ = 30.0
 FRUIT = ("apple", "pear")
