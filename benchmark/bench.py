@@ -11,7 +11,7 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmark.models import untrained_weights
@@ -65,7 +65,8 @@ class Bench:
         for task, peak_mb in peaks_mb.items():
             self._add(row("memory", task.name, self._loads[-1], [peak_mb], unit="MB at most"))
         for busy in self._loads:
-            self._compare_forwards(busy)
+            medians_ms = {name: median for (name, load), median in self._medians_ms.items() if load == busy}
+            self.goals += forward_goals(medians_ms, busy)
 
     def model_sizes(self) -> None:
         """The forward of larger networks."""
@@ -99,17 +100,6 @@ class Bench:
         self.rows.append(new)
         if new.unit == "ms":
             self._medians_ms[new.name, new.busy] = new.median
-
-    def _compare_forwards(self, busy: int) -> None:
-        auto_ms = self._medians_ms[_AUTO, busy]
-        rival_ms = min(self._medians_ms[name, busy] for name in _BEST_RIVALS)
-        detector_ms = self._medians_ms["detector", busy]
-        usual_ratio = self._medians_ms[_USUAL, busy] / auto_ms
-        self.goals += [
-            Goal("forward / best bare rival", busy, auto_ms / rival_ms, True, 1.10),
-            Goal(f"{_USUAL} / forward", busy, usual_ratio, False, 4.0 if busy else 2.2),
-            Goal("detector / forward", busy, detector_ms / auto_ms, True, 1.20),
-        ]
 
     def _passage(self, node: MeasuredDetector, size: str, busy: int) -> None:
         picture = picture_file(_hw(size), self._folder)
@@ -155,9 +145,20 @@ class Bench:
         self.goals.append(Goal("nobody listens [% of a core]", 0, 100 * share, True, 2.0))
 
 
+def forward_goals(medians_ms: Mapping[str, float], busy: int) -> list[Goal]:
+    """What the medians of forwards and stages, by name, should keep beside so many busy processes."""
+    auto_ms = medians_ms[_AUTO]
+    rival_ms = min(medians_ms[name] for name in _BEST_RIVALS)
+    return [
+        Goal("forward / best bare rival", busy, auto_ms / rival_ms, True, 1.10),
+        Goal(f"{_USUAL} / forward", busy, medians_ms[_USUAL] / auto_ms, False, 4.0 if busy else 2.2),
+        Goal("detector / forward", busy, medians_ms["detector"] / auto_ms, True, 1.20),
+    ]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print and write; 0."""
-    options = _options(arguments)
+    options = parser().parse_args(arguments)
     gc.disable()  # a full collection would stop the one who receives detections for 0.2 s
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         bench = Bench(
@@ -176,13 +177,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+def parser() -> argparse.ArgumentParser:
+    """Of the words of the command line."""
     parser = argparse.ArgumentParser(prog="bench", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n")
     parser.add_argument("--size", default="1280x720", choices=SIZES_WH, help="default: %(default)s")
     parser.add_argument("--busy", type=int, default=1, metavar="N", help="processes; default: %(default)s")
     parser.add_argument("--quick", action="store_true", help="fewer rounds, one size")
-    return parser.parse_args(arguments)
+    return parser
 
 
 def _hw(size: str) -> tuple[int, int]:
