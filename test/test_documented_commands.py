@@ -32,6 +32,8 @@ from test_documentation import (
     typed,
 )
 
+import soak.__main__ as soak
+from benchmark import bench
 from yolov5_lifecycle import convert
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.observer import Observer
@@ -58,6 +60,8 @@ NOT_RUN = {
 """How a command begins, and why it is not tried."""
 
 TOPICS = {row[0].partition(" ")[2].strip("`").replace("~", NODE) for row in table(README, "Topics")}
+PARSERS = {"BENCH_FLAGS": bench.parser, "SOAK_FLAGS": soak.parser}
+"""What takes the words that `make` hands on."""
 TRANSITIONS = {"configure", "activate", "deactivate", "cleanup", "shutdown"}
 ADDITIONS = {
     "detector": ["-p", "autostart:=true", "-p", "runtime:=torch"],
@@ -87,7 +91,14 @@ def check_make(target: str, *assignments: str) -> None:
     makefile = (REPOSITORY / "Makefile").read_text()
     assert re.search(rf"^{target}:", makefile, re.MULTILINE)
     for assignment in assignments:
-        assert re.search(rf"^{assignment.partition('=')[0]} \?=", makefile, re.MULTILINE)
+        variable, _, value = assignment.partition("=")
+        assert re.search(rf"^{variable} \?=", makefile, re.MULTILINE)
+        check_flags(variable, value)
+
+
+def check_flags(variable: str, words: str) -> None:
+    if variable in PARSERS:
+        PARSERS[variable]().parse_args(shlex.split(words))
 
 
 def check_param(verb: str, node: str, name: str = "", value: str = "") -> None:
@@ -154,6 +165,13 @@ def test_a_command_of_ros_or_make_names_what_there_is(page: Path) -> None:
     for command in commands(page):
         if start := check_of(command):
             CHECKS[start](*shlex.split(command.removeprefix(start)))
+
+
+@every_page
+def test_the_words_that_make_hands_on_are_understood(page: Path) -> None:
+    for span in spans(page):
+        if assignment := re.fullmatch(r'(\w+_FLAGS)="(.*)"', span):
+            check_flags(*assignment.groups())
 
 
 # What this package installs is run, in a home with the files that the pages speak of.
