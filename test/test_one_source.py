@@ -9,8 +9,11 @@ from pathlib import Path
 import pytest
 from colcon_workspace import REPOSITORY
 
+from yolov5_lifecycle.boxes import Selection
+from yolov5_lifecycle.scene import CLASS_NAMES
+from yolov5_lifecycle.selection import selection
 from yolov5_lifecycle.setting import Setting
-from yolov5_lifecycle.settings import SETTINGS
+from yolov5_lifecycle.settings import SETTINGS, Settings
 
 SOURCES = sorted(
     [*(REPOSITORY / "yolov5_lifecycle").rglob("*.py"), REPOSITORY / "tools" / "settings_documents.py"]
@@ -52,3 +55,7 @@ def test_a_setting_is_declared_once(setting: Setting) -> None:
         if line.strip().startswith(f"{setting.name}: Annotated[")
     ]
     assert len(declared) == 1
+
+
+def test_a_selection_keeps_by_default_what_the_settings_do() -> None:
+    assert selection(Settings(), CLASS_NAMES) == Selection()
