@@ -30,6 +30,9 @@ export AMENT_PREFIX_PATH := $(abspath $(VENV))
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 
+# Found now: the recipes look in the environment first, whose own Python goes when it is made anew.
+override PYTHON := $(or $(shell PATH="$${PATH//'$(abspath $(VENV))/bin:'/}"; command -v $(PYTHON)),$(PYTHON))
+
 # A stamp is written after its step has succeeded, never before: an interrupted step is done again from its beginning.
 # The first one carries Python's version, so another PYTHON makes another environment.
 PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)

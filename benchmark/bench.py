@@ -11,12 +11,12 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmark.models import untrained_weights
 from benchmark.neighbours import busy_neighbours
-from benchmark.node import DetectorNode, detector_node, picture_file
+from benchmark.node import MeasuredDetector, detector_node, picture_file
 from benchmark.report import Goal, Row, goal_table, row, table, write_report
 from benchmark.rivals import RIVALS
 from benchmark.rounds import measure
@@ -65,7 +65,8 @@ class Bench:
         for task, peak_mb in peaks_mb.items():
             self._add(row("memory", task.name, self._loads[-1], [peak_mb], unit="MB at most"))
         for busy in self._loads:
-            self._compare_forwards(busy)
+            medians_ms = {name: median for (name, load), median in self._medians_ms.items() if load == busy}
+            self.goals += forward_goals(medians_ms, busy)
 
     def model_sizes(self) -> None:
         """The forward of larger networks."""
@@ -100,18 +101,7 @@ class Bench:
         if new.unit == "ms":
             self._medians_ms[new.name, new.busy] = new.median
 
-    def _compare_forwards(self, busy: int) -> None:
-        auto_ms = self._medians_ms[_AUTO, busy]
-        rival_ms = min(self._medians_ms[name, busy] for name in _BEST_RIVALS)
-        detector_ms = self._medians_ms["detector", busy]
-        usual_ratio = self._medians_ms[_USUAL, busy] / auto_ms
-        self.goals += [
-            Goal("forward / best bare rival", busy, auto_ms / rival_ms, True, 1.10),
-            Goal(f"{_USUAL} / forward", busy, usual_ratio, False, 4.0 if busy else 2.2),
-            Goal("detector / forward", busy, detector_ms / auto_ms, True, 1.20),
-        ]
-
-    def _passage(self, node: DetectorNode, size: str, busy: int) -> None:
+    def _passage(self, node: MeasuredDetector, size: str, busy: int) -> None:
         picture = picture_file(_hw(size), self._folder)
         for rate_hz in (_SLOW_HZ, _USUAL_HZ):
             passage = node.watch(picture, rate_hz=rate_hz, frames=20 if self._quick else 100)
@@ -128,7 +118,7 @@ class Bench:
         """The usual pace of a camera if the detector can follow it, else the slow one."""
         return _USUAL_HZ if self._medians_ms["detector", busy] < 1e3 / _USUAL_HZ else _SLOW_HZ
 
-    def _saturation(self, node: DetectorNode, busy: int) -> None:
+    def _saturation(self, node: MeasuredDetector, busy: int) -> None:
         picture = picture_file(_hw(self._size), self._folder)
         rate_hz = _FLOOD * 1e3 / self._medians_ms[_AUTO, busy]
         passage = node.watch(picture, rate_hz=rate_hz, frames=40 if self._quick else 200)
@@ -137,7 +127,7 @@ class Bench:
         share = passage.rate_hz * self._medians_ms[_AUTO, busy] / 1e3
         self.goals.append(Goal("throughput * forward", busy, share, False, 0.90))
 
-    def _rate_limit(self, node: DetectorNode) -> None:
+    def _rate_limit(self, node: MeasuredDetector) -> None:
         picture = picture_file((480, 640), self._folder)
         node.set_parameters(max_rate=_SLOW_HZ)
         passage = node.watch(picture, rate_hz=_USUAL_HZ, frames=40 if self._quick else 100)
@@ -148,16 +138,27 @@ class Bench:
         )
         self.goals.append(Goal("deviation from max_rate [%]", 0, 100 * deviation, True, 2.0))
 
-    def _idle(self, node: DetectorNode) -> None:
+    def _idle(self, node: MeasuredDetector) -> None:
         picture = picture_file((480, 640), self._folder)
         share = node.idle_cpu_share(picture, rate_hz=30.0, duration_s=_IDLE_S)
         self._add(row("node", "nobody listens", 0, [100 * share], unit="% of a core"))
         self.goals.append(Goal("nobody listens [% of a core]", 0, 100 * share, True, 2.0))
 
 
+def forward_goals(medians_ms: Mapping[str, float], busy: int) -> list[Goal]:
+    """What the medians of forwards and stages, by name, should keep beside so many busy processes."""
+    auto_ms = medians_ms[_AUTO]
+    rival_ms = min(medians_ms[name] for name in _BEST_RIVALS)
+    return [
+        Goal("forward / best bare rival", busy, auto_ms / rival_ms, True, 1.10),
+        Goal(f"{_USUAL} / forward", busy, medians_ms[_USUAL] / auto_ms, False, 4.0 if busy else 2.2),
+        Goal("detector / forward", busy, medians_ms["detector"] / auto_ms, True, 1.20),
+    ]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print and write; 0."""
-    options = _options(arguments)
+    options = parser().parse_args(arguments)
     gc.disable()  # a full collection would stop the one who receives detections for 0.2 s
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         bench = Bench(
@@ -176,13 +177,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+def parser() -> argparse.ArgumentParser:
+    """Of the words of the command line."""
     parser = argparse.ArgumentParser(prog="bench", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n")
     parser.add_argument("--size", default="1280x720", choices=SIZES_WH, help="default: %(default)s")
     parser.add_argument("--busy", type=int, default=1, metavar="N", help="processes; default: %(default)s")
     parser.add_argument("--quick", action="store_true", help="fewer rounds, one size")
-    return parser.parse_args(arguments)
+    return parser
 
 
 def _hw(size: str) -> tuple[int, int]:

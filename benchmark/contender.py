@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from benchmark.process_memory import peak_resident_mb
 from benchmark.task import Task
 
 _WARM_UPS = 3
@@ -42,7 +43,7 @@ class Contender:
     @property
     def peak_resident_mb(self) -> float:
         """The most memory that the process had in RAM."""
-        return memory_mb(self.process.pid, "VmHWM")
+        return peak_resident_mb(self.process.pid)
 
 
 @contextmanager
@@ -66,13 +67,6 @@ def contender(task: Task, environment: Mapping[str, str]) -> Iterator[Contender]
     finally:
         process.kill()
         process.communicate()
-
-
-def memory_mb(process_id: int, entry: str) -> float:
-    """An entry of /proc/PID/status, such as VmHWM."""
-    lines = Path(f"/proc/{process_id}/status").read_text().splitlines()
-    (kilobytes,) = (line.split()[1] for line in lines if line.startswith(f"{entry}:"))
-    return int(kilobytes) / 1024
 
 
 def _call_of(task: Task) -> Callable[[], object]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 from vision_msgs.msg import Detection2DArray
 
-from benchmark.contender import memory_mb
+from benchmark.process_memory import peak_resident_mb
 from benchmark.work import scene_picture
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.domain import isolated, own_domain
@@ -34,7 +34,7 @@ class Passage:
     cpu_ms_per_frame: float
 
 
-class DetectorNode:
+class MeasuredDetector:
     """A detector process that was configured, and who watches it. Made by `detector_node`."""
 
     def __init__(self, observer: Observer, process: ChildProcess, environment: Mapping[str, str]) -> None:
@@ -57,7 +57,7 @@ class DetectorNode:
     @property
     def peak_resident_mb(self) -> float:
         """The most memory that the process had in RAM."""
-        return memory_mb(self._process.process_id, "VmHWM")
+        return peak_resident_mb(self._process.process_id)
 
     def watch(self, picture: Path, *, rate_hz: float, frames: int) -> Passage:
         """A camera that sends `picture` over and over, until `frames` detections have come."""
@@ -110,7 +110,7 @@ class DetectorNode:
 
 
 @contextmanager
-def detector_node(weights: Path, cache: Path) -> Iterator[DetectorNode]:
+def detector_node(weights: Path, cache: Path) -> Iterator[MeasuredDetector]:
     """A configured detector with `weights`, which remembers its choice of runtime in `cache`."""
     with ExitStack() as stack:
         domain = stack.enter_context(own_domain())
@@ -124,7 +124,7 @@ def detector_node(weights: Path, cache: Path) -> Iterator[DetectorNode]:
         command = [entry_point("detector"), "--ros-args", "-p", f"weights:={weights}", "-p", "device:=cpu"]
         process = stack.enter_context(ChildProcess("detector", command, environment))
         observer = stack.enter_context(closing(Observer("bench", domain=domain, check=process.check_running)))
-        yield DetectorNode(observer, process, environment)
+        yield MeasuredDetector(observer, process, environment)
 
 
 def picture_file(picture_hw: tuple[int, int], folder: Path) -> Path:

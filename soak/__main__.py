@@ -63,9 +63,11 @@ def _trials_of_many(seed: int) -> dict[str, Trial]:
     }
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Returns 0 when every claim holds, 1 otherwise."""
-    names = [*_watched_trials(0, 0), *_trials_of_many(0)]
+_NAMES = [*_watched_trials(0, 0), *_trials_of_many(0)]
+
+
+def parser() -> argparse.ArgumentParser:
+    """Of the words of the command line."""
     parser = argparse.ArgumentParser(prog="make soak", description="Long trials of the detector's process.")
     parser.add_argument(
         "--minutes", type=float, default=30.0, help="of the mixed trial; default: %(default)s"
@@ -74,19 +76,24 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--only",
         nargs="+",
-        choices=names,
-        default=names,
+        choices=_NAMES,
+        default=_NAMES,
         metavar="TRIAL",
-        help=f"some of: {', '.join(names)}",
+        help=f"some of: {', '.join(_NAMES)}",
     )
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Returns 0 when every claim holds, 1 otherwise."""
+    options = parser().parse_args(arguments)
     watches: list[BalanceWatch] = []
     trials = _trials_of_many(options.seed) | {
         name: _in_own_process(trial, watches)
         for name, trial in _watched_trials(options.seed, options.minutes).items()
     }
     findings: list[Finding] = []
-    for name in filter(options.only.__contains__, names):
+    for name in filter(options.only.__contains__, _NAMES):
         print(f"{name} ...", file=sys.stderr, flush=True)
         findings.append(found(name, trials[name]))
         write_report(_REPORT, vars(options), findings)  # hours may lie between two of them

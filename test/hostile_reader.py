@@ -7,12 +7,14 @@ for; then each file of FOLDER, in order of their names.
 from __future__ import annotations
 
 import json
+import os
 import resource
 import sys
 import time
 import warnings
 from pathlib import Path
 
+from benchmark.process_memory import forget_peak, peak_resident_mb, resident_mb
 from yolov5_lifecycle.weights import load_weights
 
 MEMORY_BYTES = 3 << 30
@@ -29,7 +31,8 @@ SUSPECT = (
 
 
 def read(path: Path) -> dict[str, object]:
-    before_kb, begin = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+    forget_peak()
+    before_mb, begin = resident_mb(os.getpid()), time.perf_counter()
     try:
         load_weights(path)
         outcome, message = "accepted", ""
@@ -40,7 +43,7 @@ def read(path: Path) -> dict[str, object]:
         "outcome": outcome,
         "message": message,
         "seconds": time.perf_counter() - begin,
-        "grown_mb": (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb) / 1024,
+        "grown_mb": peak_resident_mb(os.getpid()) - before_mb,
     }
 
 

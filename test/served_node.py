@@ -23,11 +23,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
+from scripted_runtime import ScriptedRuntime
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from yolov5_lifecycle.detector import Detector
-from yolov5_lifecycle.images import Order
 from yolov5_lifecycle.preparation import Prepare, PreparedModel
 from yolov5_lifecycle.ros.node import DetectorNode
 from yolov5_lifecycle.settings import Settings
@@ -43,28 +43,6 @@ _SERVICES = {
     "set_parameters": SetParameters,
     "set_parameters_atomically": SetParametersAtomically,
 }
-
-
-class ScriptedRuntime:
-    """Predicts what the test says: `run` may be replaced at any time, and raise, wait or answer nonsense."""
-
-    name = "scripted"
-    device = "cpu"
-    precision = "fp32"
-
-    def __init__(self) -> None:
-        self.run: Callable[[], NDArray[np.float32]] = lambda: prediction("cat", 0.9)
-        self.on_close: Callable[[], None] = lambda: None
-        self.calls = 0
-        self.is_closed = False
-
-    def __call__(self, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
-        self.calls += 1
-        return self.run()
-
-    def close(self) -> None:
-        self.is_closed = True
-        self.on_close()
 
 
 def prediction(class_name: str, score: float) -> NDArray[np.float32]:
@@ -93,7 +71,7 @@ class Preparations:
         if refusal := self.refusal:
             self.on_refusal()
             raise self.refusal_type(refusal)
-        runtime = ScriptedRuntime()
+        runtime = ScriptedRuntime(lambda: prediction("cat", 0.9))
         self.runtimes.append(runtime)
         detector = Detector(runtime, class_names=CLASS_NAMES, image_size=settings.image_size, stride=32)
         return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64)

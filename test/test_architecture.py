@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from colcon_workspace import REPOSITORY
 
-PACKAGE = Path(__file__).parents[1] / "yolov5_lifecycle"
+PACKAGE = REPOSITORY / "yolov5_lifecycle"
 ROS_MODULES = {
     "rclpy",
     "ament_index_python",

@@ -2,30 +2,103 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
-import signal
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import cv2
+import numpy as np
 import pytest
+import torch
+from colcon_workspace import REPOSITORY
+from numpy.typing import NDArray
 
+from benchmark.bench import forward_goals
 from benchmark.contender import contender
+from benchmark.node import detector_node, picture_file
 from benchmark.report import Goal, goal_table, row, table, write_report
+from benchmark.rivals import RIVALS, call_of
+from benchmark.rounds import measure
 from benchmark.task import Task
+from yolov5_lifecycle.scene import CLASS_NAMES
 
-WEIGHTS = Path(__file__).parents[1] / "weights" / "shapes.safetensors"
-EAGER = Task("rivals", "eager torch", str(WEIGHTS), (96, 128))
-DETECTOR = Task("work", "runtime torch", str(WEIGHTS), (96, 128))
+WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
+PICTURE_HW = (96, 128)
+EAGER = Task("rivals", "eager torch", str(WEIGHTS), PICTURE_HW)
+DETECTOR = Task("work", "runtime torch", str(WEIGHTS), PICTURE_HW)
+MEDIANS_MS = {
+    "runtime auto": 10.0,
+    "detector": 11.0,
+    "eager torch": 30.0,
+    "ONNX Runtime": 12.0,
+    "ONNX Runtime, no spinning": 11.0,
+    "OpenVINO": 9.5,
+}
 
 
-@pytest.mark.parametrize("task", [EAGER, DETECTOR], ids=lambda task: task.name)
-def test_a_contender_measures_as_many_rounds_as_asked(task: Task) -> None:
-    with contender(task, os.environ) as each:
-        times_ms = each.measure(4)
-        assert each.peak_resident_mb > 50
-    assert len(times_ms) == 4
-    assert all(0 < time_ms < 10_000 for time_ms in times_ms)
-    assert each.process.returncode == -signal.SIGKILL
+def test_contenders_measure_in_turns_beside_every_load(tmp_path: Path) -> None:
+    taken_ms, peaks_mb = measure([EAGER, DETECTOR], loads=(0, 1), turns=2, cache=tmp_path)
+    assert {key: len(times_ms) for key, times_ms in taken_ms.items()} == {
+        (task, busy): 6 for task in (EAGER, DETECTOR) for busy in (0, 1)
+    }
+    assert min(time_ms for times_ms in taken_ms.values() for time_ms in times_ms) > 0
+    assert peaks_mb.keys() == {EAGER, DETECTOR}
+    assert min(peaks_mb.values()) > 50
+
+
+@pytest.fixture
+def _environment() -> Iterator[None]:
+    """As it was, afterwards: the bench sets that of its own process."""
+    before = dict(os.environ)
+    yield
+    os.environ.clear()
+    os.environ.update(before)
+
+
+@pytest.mark.usefixtures("_environment")
+def test_the_node_is_watched_while_a_camera_runs(tmp_path: Path) -> None:
+    picture = picture_file(PICTURE_HW, tmp_path)
+    with detector_node(WEIGHTS, tmp_path) as node:
+        assert node.activate_s() > 0
+        passage = node.watch(picture, rate_hz=10.0, frames=5)
+        assert node.peak_resident_mb > 50
+    assert len(passage.latencies_ms) >= 5
+    assert min(passage.latencies_ms) > 0
+    assert passage.rate_hz > 0
+    assert passage.cpu_ms_per_frame > 0
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_a_rival_predicts_what_the_network_does(name: str) -> None:
+    if name == "OpenCV DNN" and cv2.__version__ < "5":
+        pytest.skip("OpenCV 4.6 cannot run the network")
+    found, expected = (rows_of(call_of(task)()) for task in (dataclasses.replace(EAGER, name=name), EAGER))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=0.01)
+
+
+def rows_of(answer: Any) -> NDArray[np.float32]:
+    """The rows in what a rival gives: them, or a collection that has them first."""
+    rows = answer if isinstance(answer, (np.ndarray, torch.Tensor)) else answer[0]
+    return np.asarray(rows).reshape(-1, 5 + len(CLASS_NAMES))
+
+
+@pytest.mark.parametrize(
+    ("changed", "missed"),
+    [
+        pytest.param({}, [], id="all reached"),
+        pytest.param({"OpenVINO": 9.0}, ["forward / best bare rival"], id="a faster rival"),
+        pytest.param({"eager torch": 20.0}, ["eager torch / forward"], id="fast usual way"),
+        pytest.param({"detector": 12.5}, ["detector / forward"], id="a slow detector"),
+    ],
+)
+def test_the_goals_of_forwards_compare_with_the_best_rival_and_the_usual_way(
+    changed: dict[str, float], missed: list[str]
+) -> None:
+    goals = forward_goals(MEDIANS_MS | changed, busy=0)
+    assert [goal.what for goal in goals if not goal.is_reached] == missed
 
 
 def test_a_contender_that_fails_is_named() -> None:

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 import rclpy
+from colcon_workspace import REPOSITORY
 from damaged_pictures import claiming_too_much
 from detector_process import PARAMETERS, SCENE, as_arguments, detector_process, environment
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -36,7 +37,6 @@ from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.sighting import Sighting, stamp_ns
 from yolov5_lifecycle.scene import CLASS_NAMES, Scene
 
-REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
 CAMERA_PAGE = REPOSITORY / "docs" / "camera.md"
 GREYS = (10, 90, 170, 250)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from colcon_workspace import REPOSITORY
 from random_model import CLASS_NAMES, random_model
 
 from yolov5_lifecycle.convert import main
@@ -135,7 +136,7 @@ def test_the_official_model_is_converted_by_the_command(reference_dir: Path, tmp
         capture_output=True,
         text=True,
         timeout=100,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
     )
     assert (finished.returncode, finished.stderr) == (0, "")
     assert f"parameters  {OFFICIAL_PARAMETERS}" in finished.stdout

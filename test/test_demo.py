@@ -14,6 +14,7 @@ import pytest
 from yolov5_lifecycle.ros.child_process import ChildProcess, ProcessError, entry_point
 from yolov5_lifecycle.ros.demo import main, table
 from yolov5_lifecycle.ros.demonstration import Phase, longest_gap_s
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.ros.sighting import Sighting, pairwise_iou, recall
 
 NO_BOXES = np.zeros((0, 4))
@@ -42,7 +43,7 @@ def test_the_demo_says_why_it_cannot_run(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.chdir(tmp_path)
     (tmp_path / "build").write_text("a file where a folder should be")
     with ChildProcess("demo", [entry_point("demo")], os.environ) as demo:
-        assert demo.wait(20.0) == 1
+        assert demo.wait(PATIENCE_S) == 1
     assert demo.output.startswith("demo failed: ")
     assert "Traceback" not in demo.output
 
@@ -64,9 +65,9 @@ def test_a_word_that_the_demo_does_not_know_is_refused(capsys: pytest.CaptureFix
 def test_the_end_of_the_demo_ends_what_it_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with ChildProcess("demo", [entry_point("demo")], os.environ) as demo:
-        demo.wait_for_output("started as processes", 20.0)
+        demo.wait_for_output("started as processes", PATIENCE_S)
         started = [int(word) for word in demo.output.splitlines()[0].split() if word.isdigit()]
-        assert demo.stop(signal.SIGTERM, timeout_s=10.0) == 143
+        assert demo.stop(signal.SIGTERM, timeout_s=PATIENCE_S) == 143
     assert len(started) == 2
     assert not any(Path(f"/proc/{process_id}").exists() for process_id in started)
 
@@ -74,7 +75,7 @@ def test_the_end_of_the_demo_ends_what_it_started(tmp_path: Path, monkeypatch: p
 def test_a_process_that_ends_too_early_is_reported_with_its_last_words() -> None:
     program = "import sys; print('first'); sys.exit('out of coffee')"
     with ChildProcess("coffee machine", [sys.executable, "-c", program], os.environ) as process:
-        assert process.wait(20.0) == 1
+        assert process.wait(PATIENCE_S) == 1
         with pytest.raises(ProcessError, match=r"coffee machine ended with exit code 1[^$]*out of coffee"):
             process.check_running()
 
@@ -83,7 +84,7 @@ def test_a_process_that_does_not_end_is_reported_and_killed() -> None:
     ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)"
     program = f"{ignore}; print('ready', flush=True); time.sleep(60)"
     with ChildProcess("mule", [sys.executable, "-c", program], os.environ) as process:
-        process.wait_for_output("ready", 20.0)
+        process.wait_for_output("ready", PATIENCE_S)
         with pytest.raises(ProcessError, match=r"mule did not end within 0\.1 s"):
             process.stop(signal.SIGTERM, timeout_s=0.1)
     assert not Path(f"/proc/{process.process_id}").exists()

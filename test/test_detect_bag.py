@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from colcon_workspace import REPOSITORY
 from damaged_pictures import claiming_too_much
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
@@ -48,7 +49,6 @@ from yolov5_lifecycle.scene import CLASS_NAMES, Truth
 from yolov5_lifecycle.selection import selection
 from yolov5_lifecycle.settings import Settings
 
-REPOSITORY = Path(__file__).parents[1]
 MODEL = {
     "weights": str(REPOSITORY / "weights" / "shapes.safetensors"),
     "image_size": 320,

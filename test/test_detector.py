@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from random_model import CLASS_NAMES, random_model
+from scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.boxes import Selection
 from yolov5_lifecycle.detector import Detector, load_detector
@@ -18,32 +19,16 @@ from yolov5_lifecycle.runtimes.torch_device import DeviceError
 EVERYTHING = Selection(confidence_threshold=0.01)
 
 
-class ScriptedRuntime:
-    """Answers every frame with `raw` and remembers what it was asked."""
-
-    name = "scripted"
-    device = "cpu"
-    precision = "fp32"
-
-    def __init__(self, raw: NDArray[np.float32]) -> None:
-        self.raw = raw
-        self.calls: list[tuple[tuple[int, ...], Order]] = []
-        self.is_closed = False
-
-    def __call__(self, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
-        self.calls.append((frame.shape, order))
-        return self.raw
-
-    def close(self) -> None:
-        self.is_closed = True
-
-
 def row(cx: float, cy: float, w: float, h: float, *scores: float) -> list[float]:
     return [cx, cy, w, h, 1.0, *scores]
 
 
 def rows(*listed: list[float]) -> NDArray[np.float32]:
     return np.array(listed, np.float32).reshape(-1, 5 + len(CLASS_NAMES))
+
+
+def predicting(raw: NDArray[np.float32]) -> ScriptedRuntime:
+    return ScriptedRuntime(lambda: raw)
 
 
 def detector_of(runtime: Runtime, image_size: int = 64) -> Detector:
@@ -56,7 +41,7 @@ def random_picture(height: int, width: int, order: Order = "rgb") -> Picture:
 
 def test_boxes_come_back_in_pixels_of_the_picture() -> None:
     # 100 x 200 becomes 32 x 64 in a frame of its own size: scale 0.32, no padding.
-    runtime = ScriptedRuntime(rows(row(32, 16, 16, 8, 0, 0.75, 0), row(0, 0, 32, 16, 0.5, 0, 0)))
+    runtime = predicting(rows(row(32, 16, 16, 8, 0, 0.75, 0), row(0, 0, 32, 16, 0.5, 0, 0)))
     found = detector_of(runtime).detect(random_picture(100, 200), Selection())
     expected = np.array([[75, 37.5, 125, 62.5], [0, 0, 50, 25]])
     np.testing.assert_allclose(found.boxes_xyxy, expected, rtol=1e-5)
@@ -66,19 +51,19 @@ def test_boxes_come_back_in_pixels_of_the_picture() -> None:
 
 def test_a_detection_that_lies_all_in_the_padding_is_dropped() -> None:
     # 64 x 16 is 16 x 64 turned; its frame is 64 x 32 with 8 grey columns on each side.
-    runtime = ScriptedRuntime(rows(row(4, 30, 6, 6, 1, 0, 0), row(4, 30, 12, 6, 0, 0.5, 0)))
+    runtime = predicting(rows(row(4, 30, 6, 6, 1, 0, 0), row(4, 30, 12, 6, 0, 0.5, 0)))
     found = detector_of(runtime).detect(random_picture(64, 16), Selection())
     np.testing.assert_array_equal(found.boxes_xyxy, [[0, 27, 2, 33]])
     assert found.class_ids.tolist() == [1]
 
 
 def test_nothing_predicted_is_nothing_detected() -> None:
-    assert len(detector_of(ScriptedRuntime(rows())).detect(random_picture(10, 10), Selection())) == 0
+    assert len(detector_of(predicting(rows())).detect(random_picture(10, 10), Selection())) == 0
 
 
 @pytest.mark.parametrize("order", ["rgb", "bgr"])
 def test_the_runtime_is_told_the_order_of_colours(order: Order) -> None:
-    runtime = ScriptedRuntime(rows())
+    runtime = predicting(rows())
     detector_of(runtime).detect(random_picture(30, 64, order), Selection())
     assert runtime.calls == [((32, 64, 3), order)]
 
@@ -102,7 +87,7 @@ def test_the_runtime_is_told_the_order_of_colours(order: Order) -> None:
 )
 def test_predictions_that_cannot_be_are_an_error(raw: NDArray[np.float32], message: str) -> None:
     with pytest.raises(InferenceError, match=message):
-        detector_of(ScriptedRuntime(raw)).detect(random_picture(10, 10), Selection())
+        detector_of(predicting(raw)).detect(random_picture(10, 10), Selection())
 
 
 @pytest.mark.parametrize(
@@ -119,22 +104,22 @@ def test_an_image_size_off_the_stride_is_refused_with_the_nearest_good_ones(
     image_size: int, stride: int, remedy: str
 ) -> None:
     with pytest.raises(ValueError, match=remedy):
-        Detector(ScriptedRuntime(rows()), class_names=CLASS_NAMES, image_size=image_size, stride=stride)
+        Detector(predicting(rows()), class_names=CLASS_NAMES, image_size=image_size, stride=stride)
 
 
 def test_warming_up_runs_the_frame_of_the_pictures_to_come() -> None:
-    runtime = ScriptedRuntime(rows())
+    runtime = predicting(rows())
     detector_of(runtime, image_size=640).warm_up((720, 1280))
     assert {shape for shape, _ in runtime.calls} == {(384, 640, 3)}
 
 
 def test_warming_up_finds_weights_that_give_no_numbers() -> None:
     with pytest.raises(InferenceError, match="not finite"):
-        detector_of(ScriptedRuntime(rows(row(np.nan, 0, 1, 1, 0, 0, 0)))).warm_up()
+        detector_of(predicting(rows(row(np.nan, 0, 1, 1, 0, 0, 0)))).warm_up()
 
 
 def test_closing_closes_the_runtime() -> None:
-    runtime = ScriptedRuntime(rows())
+    runtime = predicting(rows())
     detector_of(runtime).close()
     assert runtime.is_closed
 

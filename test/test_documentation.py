@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
+from colcon_workspace import REPOSITORY
 from rclpy.parameter import Parameter
 from served_node import Preparations, ServedNode
 from test_status import GOOD
@@ -26,7 +27,6 @@ from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED
 from yolov5_lifecycle.scene import CLASS_NAMES
 from yolov5_lifecycle.settings import SETTINGS, meant_setting, validated
 
-REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
 REFERENCE = REPOSITORY / "docs" / "reference.md"
 TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"

@@ -16,6 +16,7 @@ from colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from detector_process import NODE, environment
 from file_server import FileServer, sending_ranges
 from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from recorded_scene import jpeg, pictures, raw, record, video
 from rosbags.rosbag2 import StoragePlugin
 from sensor_msgs.msg import Image
@@ -31,6 +32,8 @@ from test_documentation import (
     typed,
 )
 
+import soak.__main__ as soak
+from benchmark import bench
 from yolov5_lifecycle import convert
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.observer import Observer
@@ -57,6 +60,8 @@ NOT_RUN = {
 """How a command begins, and why it is not tried."""
 
 TOPICS = {row[0].partition(" ")[2].strip("`").replace("~", NODE) for row in table(README, "Topics")}
+PARSERS = {"BENCH_FLAGS": bench.parser, "SOAK_FLAGS": soak.parser}
+"""What takes the words that `make` hands on."""
 TRANSITIONS = {"configure", "activate", "deactivate", "cleanup", "shutdown"}
 ADDITIONS = {
     "detector": ["-p", "autostart:=true", "-p", "runtime:=torch"],
@@ -86,7 +91,14 @@ def check_make(target: str, *assignments: str) -> None:
     makefile = (REPOSITORY / "Makefile").read_text()
     assert re.search(rf"^{target}:", makefile, re.MULTILINE)
     for assignment in assignments:
-        assert re.search(rf"^{assignment.partition('=')[0]} \?=", makefile, re.MULTILINE)
+        variable, _, value = assignment.partition("=")
+        assert re.search(rf"^{variable} \?=", makefile, re.MULTILINE)
+        check_flags(variable, value)
+
+
+def check_flags(variable: str, words: str) -> None:
+    if variable in PARSERS:
+        PARSERS[variable]().parse_args(shlex.split(words))
 
 
 def check_param(verb: str, node: str, name: str = "", value: str = "") -> None:
@@ -155,6 +167,13 @@ def test_a_command_of_ros_or_make_names_what_there_is(page: Path) -> None:
             CHECKS[start](*shlex.split(command.removeprefix(start)))
 
 
+@every_page
+def test_the_words_that_make_hands_on_are_understood(page: Path) -> None:
+    for span in spans(page):
+        if assignment := re.fullmatch(r'(\w+_FLAGS)="(.*)"', span):
+            check_flags(*assignment.groups())
+
+
 # What this package installs is run, in a home with the files that the pages speak of.
 
 
@@ -201,6 +220,7 @@ OURS = list(
     )
 )
 NODES = [command for command in OURS if "--ros-args" in command]
+AT_ONCE = 4
 
 
 @pytest.mark.usefixtures("home", "_mirror")
@@ -212,14 +232,17 @@ def test_a_command_that_ends_does_so_as_the_pages_say(command: str) -> None:
 
 
 @pytest.mark.timeout(300)
-def test_every_node_starts_as_the_pages_say(home: Path, ros_domain: int) -> None:
+@pytest.mark.parametrize("nodes", [NODES[first : first + AT_ONCE] for first in range(0, len(NODES), AT_ONCE)])
+def test_every_node_starts_as_the_pages_say(home: Path, ros_domain: int, nodes: list[str]) -> None:
     convert.main(["best.pt", "best.safetensors"])
-    with ExitStack() as stack:  # all at once: that is quicker
-        processes = [stack.enter_context(typed_in(home, node, ros_domain)) for node in NODES]
+    with ExitStack() as stack:
+        processes = [stack.enter_context(typed_in(home, node, ros_domain)) for node in nodes]
+        observer = stack.enter_context(closing(Observer("client", domain=ros_domain)))
         for process in processes:
             if process.name.startswith("detector"):
                 process.wait_for_output("active with weights", 240)
-        wait_for_an_image(stack.enter_context(closing(Observer("client", domain=ros_domain))))
+            else:
+                wait_for_an_image(observer, process.name)
         for process in processes:
             process.check_running()
 
@@ -229,7 +252,10 @@ def typed_in(home: Path, node: str, domain: int) -> ChildProcess:
     return ChildProcess(node, [entry_point(name), *words, *ADDITIONS[name]], environment(domain))
 
 
-def wait_for_an_image(observer: Observer) -> None:
+def wait_for_an_image(observer: Observer, camera: str) -> None:
+    remapped = re.search(r" -r image_raw:=(\S+)", camera)
+    topic = remapped[1] if remapped else "/image_raw"
     images: list[Image] = []
-    observer.create_subscription(Image, f"{NODE}/image_raw", images.append, 1)
-    observer.wait_for(lambda: bool(images), "an image")
+    any_camera = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    observer.create_subscription(Image, topic, images.append, any_camera)
+    observer.wait_for(lambda: bool(images), f"an image on {topic}")

@@ -32,10 +32,12 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
+from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.architecture import SIZES
 from yolov5_lifecycle.raw_image import ENCODINGS
 from yolov5_lifecycle.ros.child_process import ChildProcess, ProcessError, entry_point
 from yolov5_lifecycle.ros.messages import image_message, picture
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.ros.sighting import Sighting, pairwise_iou, recall, stamp_ns
 from yolov5_lifecycle.safetensors_file import write_safetensors
 from yolov5_lifecycle.scene import CLASS_NAMES
@@ -93,7 +95,7 @@ def test_a_camera_and_the_detector_find_the_shapes_where_they_are(detector: Dete
         last_ns = stamp_ns(messages[-1].header)
         assert detector.transition("activate")
         observer.wait_for(lambda: stamp_ns(messages[-1].header) > last_ns, "messages once active again")
-        assert camera.stop(signal.SIGINT) == 0
+        assert camera.stop(signal.SIGINT, timeout_s=PATIENCE_S) == 0
     observer.destroy_subscription(subscription)
 
 
@@ -321,7 +323,7 @@ def test_a_signal_ends_the_process_cleanly(state: str, signal_number: signal.Sig
         detector.bring_to(state)
         if state == "active":
             detector.look()
-        assert detector.process.stop(signal_number, timeout_s=15.0) == 0
+        assert detector.process.stop(signal_number, timeout_s=PATIENCE_S) == 0
     assert "Traceback" not in detector.process.output
 
 
@@ -330,16 +332,11 @@ def test_the_transition_shutdown_ends_the_process_cleanly() -> None:
         detector.bring_to("active")
         with suppress(ProcessError):  # it may end before its answer has come
             detector.transition("shutdown")
-        assert detector.process.wait(15.0) == 0
+        assert detector.process.wait(PATIENCE_S) == 0
     assert "Traceback" not in detector.process.output
 
 
 # What deactivate gives back
-
-
-def resident_mb(detector: DetectorProcess) -> float:
-    status = Path(f"/proc/{detector.process.process_id}/status").read_text()
-    return int(status.partition("VmRSS:")[2].split()[0]) / 1024
 
 
 @pytest.fixture(scope="module")
@@ -350,7 +347,7 @@ def large_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("runtime", ["torch", "onnxruntime"])
+@pytest.mark.parametrize("runtime", ["torch", "onnxruntime", "openvino"])
 def test_deactivate_gives_the_memory_of_the_model_back(
     detector: DetectorProcess, large_weights: Path, runtime: str
 ) -> None:
@@ -359,12 +356,12 @@ def test_deactivate_gives_the_memory_of_the_model_back(
     assert detector.node.set_parameters(weights=str(large_weights), runtime=runtime, image_size=64) == ""
     detector.bring_to("active")
     detector.bring_to("inactive")  # what a runtime brings once, its code, stays
-    before_mb = resident_mb(detector)
+    before_mb = resident_mb(detector.process.process_id)
     for _ in range(2):
         detector.bring_to("active")
-        assert resident_mb(detector) > before_mb + 80
+        assert resident_mb(detector.process.process_id) > before_mb + 80
         detector.bring_to("inactive")
-        assert resident_mb(detector) < before_mb * 1.1
+        assert resident_mb(detector.process.process_id) < before_mb * 1.1
 
 
 # Parameter files as people write them
@@ -425,4 +422,4 @@ def test_a_parameter_file_that_cannot_be_parsed_fails_configure(tmp_path: Path) 
         assert "parameter file" in detector.status()["last problem"]
         assert "line" in detector.process.output
         assert detector.node.state() == "unconfigured"
-        assert detector.process.stop(signal.SIGTERM) == 0
+        assert detector.process.stop(signal.SIGTERM, timeout_s=PATIENCE_S) == 0

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from colcon_workspace import REPOSITORY
 from hostile_archives import ARCHIVES, FOREIGN_FILES, valid
 from hostile_pickles import BOMBS, GADGETS, MARKER, TENSORS
 from hostile_safetensors import FILES
@@ -22,8 +23,8 @@ from yolov5_lifecycle.checkpoint import read_checkpoint
 
 Table = Mapping[str, tuple[Callable[[], bytes], str]]
 MAX_SECONDS = 20
-MAX_GROWN_MB = 300
-"""The memory of a process may grow by this much over all files; some ask for 16 TB."""
+MAX_GROWN_MB = 100
+"""The memory of a process may grow by this much while it reads a file; some ask for 16 TB."""
 
 CHECKPOINTS: Table = {
     f"{kind}: {name}": case
@@ -71,7 +72,7 @@ def read_all(folder: Path) -> dict[str, Answer]:
     reader = subprocess.run(
         [sys.executable, Path(__file__).with_name("hostile_reader.py"), folder / "valid.pt", files],
         cwd=workplace,
-        env=os.environ | {"PYTHONPATH": f"{workplace}:{Path(__file__).parents[1]}"},
+        env=os.environ | {"PYTHONPATH": f"{workplace}:{REPOSITORY}"},
         capture_output=True,
         text=True,
     )
@@ -124,7 +125,7 @@ print(events)
     workplace = folder / "workplace"
     seen = subprocess.run(
         [sys.executable, "-B", "-c", script],
-        env=os.environ | {"PYTHONPATH": f"{workplace}:{Path(__file__).parent}:{Path(__file__).parents[1]}"},
+        env=os.environ | {"PYTHONPATH": f"{workplace}:{Path(__file__).parent}:{REPOSITORY}"},
         capture_output=True,
         text=True,
         check=True,
@@ -139,8 +140,8 @@ def test_no_file_takes_up_the_memory_or_the_time(answers: dict[str, Answer]) -> 
     assert answers.keys() == TOLD.keys()
     slowest = max(answers.values(), key=lambda answer: answer.seconds)
     assert slowest.seconds < MAX_SECONDS, slowest
-    grown_mb = sum(answer.grown_mb for answer in answers.values())
-    assert grown_mb < MAX_GROWN_MB, max(answers.values(), key=lambda answer: answer.grown_mb)
+    largest = max(answers.values(), key=lambda answer: answer.grown_mb)
+    assert largest.grown_mb < MAX_GROWN_MB, largest
 
 
 def test_most_refusals_differ(answers: dict[str, Answer]) -> None:

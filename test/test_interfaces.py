@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 import rclpy
+from colcon_workspace import REPOSITORY
 from rclpy.context import Context
 from rclpy.node import Node
 from vision_msgs import msg
@@ -44,5 +44,5 @@ def test_a_type_is_published_under_the_official_hash(node: Node, name: str, offi
 
 
 def test_every_message_definition_is_compared() -> None:
-    definitions = Path(__file__).parents[1] / "interfaces" / "vision_msgs" / "msg"
+    definitions = REPOSITORY / "interfaces" / "vision_msgs" / "msg"
     assert {file.stem for file in definitions.glob("*.msg")} == OFFICIAL_HASHES.keys()

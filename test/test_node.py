@@ -17,11 +17,14 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 from served_node import Preparations, ServedNode, class_ids_of, image, prediction
 
+from yolov5_lifecycle.ros.detection import REST_TIMEOUT_S
 from yolov5_lifecycle.ros.messages import picture
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings import SETTINGS
 
 STATES = ("unconfigured", "inactive", "active")
+LEGAL_NUMBERS = {"unconfigured": (1, 5), "inactive": (3, 2, 6), "active": (4, 7), "finalized": ()}
+"""What lifecycle_msgs calls the transitions out of each state."""
 
 
 @pytest.fixture
@@ -79,14 +82,25 @@ def test_refused_transitions_do_not_flood_the_log(served: ServedNode) -> None:
     assert 1 <= sum("'cleanup' refused in state unconfigured" in said for said in served.log) <= most
 
 
-@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("state", LEGAL_NUMBERS)
 def test_every_transition_number_is_answered(served: ServedNode, state: str) -> None:
-    """Whatever the number does, the node answers and goes on to answer."""
+    """A process ends in finalized; its node would go on to answer."""
     served.bring_to(state)
-    legal = {1, 2, 3, 4, 5, 6, 7}
-    for transition_id in sorted(set(range(256)) - legal):
+    for transition_id in sorted(set(range(256)) - set(LEGAL_NUMBERS[state])):
         assert not served.transition("", transition_id)
     assert served.state() == state
+
+
+@pytest.mark.parametrize(
+    ("state", "transition_id"),
+    [(state, transition_id) for state, legal in LEGAL_NUMBERS.items() for transition_id in legal],
+)
+def test_a_transition_may_be_asked_for_by_its_number(
+    served: ServedNode, state: str, transition_id: int
+) -> None:
+    served.bring_to(state)
+    assert served.transition("", transition_id)
+    assert served.state() != state
 
 
 def test_shutdown_from_active_frees_the_model(served: ServedNode, prepare: Preparations) -> None:
@@ -528,6 +542,25 @@ def test_a_rejected_image_is_counted_and_the_next_one_detected(served: ServedNod
     assert counts.pop("received") == sum(counts.values())
 
 
+def test_rejected_images_do_not_flood_the_log(served: ServedNode) -> None:
+    served.bring_to("active")
+    begun_s = time.monotonic()
+
+    def are_rejected() -> bool:
+        served.images.publish(image(encoding="nonsense"))
+        values = {item.key: item.value for item in served.diagnostics[-1].status[0].values}
+        return int(values["frames rejected"]) >= 100
+
+    served.status()
+    served.wait_for(are_rejected, "a hundred rejections")
+    counts = served.counts()
+    assert counts["received"] == counts["rejected"] + counts["stale"] + counts["pending"]
+    assert not served.transition("nonsense")
+    served.wait_for_log("'nonsense' refused")
+    most = (time.monotonic() - begun_s) / 5 + 1
+    assert 1 <= sum("image rejected: " in said for said in served.log) <= most
+
+
 def fail() -> np.ndarray:
     raise RuntimeError("the device is on fire")
 
@@ -556,10 +589,10 @@ def test_a_detected_frame_ends_the_count_of_failures(served: ServedNode, prepare
     runtime = prepare.running
 
     def fail_every_other_time() -> np.ndarray:
-        return fail() if runtime.calls % 2 else prediction("cat", 0.9)
+        return fail() if len(runtime.calls) % 2 else prediction("cat", 0.9)
 
     runtime.run = fail_every_other_time
-    served.send_until(lambda: runtime.calls >= 8, "eight frames")
+    served.send_until(lambda: len(runtime.calls) >= 8, "eight frames")
     assert served.state() == "active"
 
 
@@ -576,9 +609,15 @@ def test_a_hung_inference_does_not_hold_deactivate(served: ServedNode, prepare: 
     served.publish()
     served.wait_for(entered.is_set, "inference to hang")
     assert served.state() == "active"
-    served.wait_for(lambda: "or it hangs" in served.status().message, "the hint")
+    hint = "at one image for more than 2 s: the model is too slow for this machine, or it hangs"
+    served.wait_for(lambda: hint in served.status().message, "the hint")
+    served.wait_for_log(hint)
+    begun_s = time.monotonic()
     assert served.transition("deactivate")
-    assert "did not end" in served.status().message
+    assert REST_TIMEOUT_S <= time.monotonic() - begun_s < 3 * REST_TIMEOUT_S
+    given_up = f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was given up"
+    assert served.status().message == given_up
+    served.wait_for_log(given_up)
     release.set()
     assert served.transition("activate")
     assert class_ids_of(served.detect()) == ["cat"]

@@ -7,11 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from colcon_workspace import REPOSITORY
 
+from yolov5_lifecycle.boxes import Selection
+from yolov5_lifecycle.scene import CLASS_NAMES
+from yolov5_lifecycle.selection import selection
 from yolov5_lifecycle.setting import Setting
-from yolov5_lifecycle.settings import SETTINGS
+from yolov5_lifecycle.settings import SETTINGS, Settings
 
-REPOSITORY = Path(__file__).parents[1]
 SOURCES = sorted(
     [*(REPOSITORY / "yolov5_lifecycle").rglob("*.py"), REPOSITORY / "tools" / "settings_documents.py"]
 )
@@ -45,10 +48,14 @@ def test_a_setting_occurs_where_it_is_declared_and_where_it_is_used(setting: Set
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
-def test_a_default_stands_once(setting: Setting) -> None:
+def test_a_setting_is_declared_once(setting: Setting) -> None:
     declared = [
         line
         for line in (REPOSITORY / "yolov5_lifecycle" / SETTINGS_FILE).read_text().splitlines()
         if line.strip().startswith(f"{setting.name}: Annotated[")
     ]
     assert len(declared) == 1
+
+
+def test_a_selection_keeps_by_default_what_the_settings_do() -> None:
+    assert selection(Settings(), CLASS_NAMES) == Selection()

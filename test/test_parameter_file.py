@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from colcon_workspace import REPOSITORY
 
 from yolov5_lifecycle.offline.detect_bag import wanted_settings
 from yolov5_lifecycle.parameter_file import ParameterFileError, assigned_value, file_values
 from yolov5_lifecycle.settings import Settings
-
-REPOSITORY = Path(__file__).parents[1]
 
 
 @pytest.fixture

@@ -6,13 +6,14 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
-from detector_process import environment, scene_image
+from colcon_workspace import REPOSITORY
+from detector_process import NODE, environment, scene_image
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
@@ -21,16 +22,16 @@ from vision_msgs.msg import Detection2DArray
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.domain import own_domain
-from yolov5_lifecycle.ros.observer import Observer
+from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer, RemoteLifecycleNode
 
-REPOSITORY = Path(__file__).parents[1]
-SCRIPT = Path(__file__).with_name("faulty_detector.py")
+DEVICE_LOST = "the device is lost to this process, which ends: DeviceLostError: the GPU fell off the bus"
+SCRIPT = Path(__file__).with_name("scripted_detector.py")
 
 
 @contextmanager
-def faulty_detector(fault: str) -> Iterator[tuple[ChildProcess, Observer]]:
-    """A detector that starts by itself and has `fault`."""
-    command = [sys.executable, str(SCRIPT), fault, "--ros-args", "-p", "autostart:=true"]
+def scripted_detector(script: str) -> Iterator[tuple[ChildProcess, Observer]]:
+    """A detector that starts by itself, with models that behave as `script` says."""
+    command = [sys.executable, str(SCRIPT), script, "--ros-args", "-p", "autostart:=true"]
     with (
         own_domain() as domain,
         ChildProcess("detector", command, environment(domain)) as process,
@@ -41,8 +42,8 @@ def faulty_detector(fault: str) -> Iterator[tuple[ChildProcess, Observer]]:
 
 def send_until(observer: Observer, is_done: Callable[[], bool], what: str) -> None:
     """Publish pictures to the node until `is_done()`."""
-    observer.create_subscription(Detection2DArray, "/yolov5/detections", lambda _: None, 10)
-    publisher = observer.create_publisher(Image, "/yolov5/image_raw", 1)
+    observer.create_subscription(Detection2DArray, f"{NODE}/detections", lambda _: None, 10)
+    publisher = observer.create_publisher(Image, f"{NODE}/image_raw", 1)
 
     def is_over() -> bool:
         publisher.publish(scene_image())
@@ -51,15 +52,23 @@ def send_until(observer: Observer, is_done: Callable[[], bool], what: str) -> No
     observer.wait_for(is_over, what)
 
 
-def test_a_lost_device_ends_the_process_with_its_own_code() -> None:
-    with faulty_detector("lose_device") as (process, observer):
-        send_until(observer, lambda: "fallen off the bus" in process.output, "the fault")
-        assert process.wait(10) == EXIT_DEVICE_LOST
+def test_a_lost_device_is_told_and_ends_the_process_with_its_own_code() -> None:
+    told: list[str] = []
+
+    def take(message: DiagnosticArray) -> None:
+        told.extend(status.message for status in message.status)
+
+    with scripted_detector("lose_device") as (process, observer):
+        observer.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
+        observer.wait_for(lambda: bool(told), "the first diagnostics")
+        send_until(observer, lambda: DEVICE_LOST in told, "the diagnostics of the lost device")
+        assert process.wait(PATIENCE_S) == EXIT_DEVICE_LOST
+    assert DEVICE_LOST in process.output
 
 
 def ask_for_another_model(observer: Observer, process: ChildProcess) -> None:
     """Set a parameter that needs a reload, and wait until that has begun."""
-    client = observer.create_client(SetParametersAtomically, "/yolov5/set_parameters_atomically")
+    client = observer.create_client(SetParametersAtomically, f"{NODE}/set_parameters_atomically")
     observer.wait_for(client.service_is_ready, "the service of parameters")
     parameter = Parameter("image_size", value=320).to_parameter_msg()
 
@@ -70,19 +79,53 @@ def ask_for_another_model(observer: Observer, process: ChildProcess) -> None:
     observer.wait_for(is_loading, "the reload")
 
 
-@pytest.mark.parametrize("fault", ["hang", "load_slowly", "reload_slowly"])
-def test_a_signal_ends_the_process_in_time_whatever_hangs(fault: str) -> None:
-    with faulty_detector(fault) as (process, observer):
-        if fault == "hang":
-            send_until(observer, lambda: "hanging" in process.output, "the model")
-        elif fault == "load_slowly":
-            observer.wait_for(lambda: "loading slowly" in process.output, "the model")
-        else:
-            observer.wait_for(lambda: "active with" in process.output, "the first model")
-            ask_for_another_model(observer, process)
-        begun_s = time.monotonic()
-        assert process.stop(signal.SIGTERM, timeout_s=10) == 0
-        assert time.monotonic() - begun_s < 5
+def be_active(observer: Observer, process: ChildProcess) -> None:
+    observer.wait_for(lambda: "active with" in process.output, "the first model")
+
+
+def be_inactive(observer: Observer, process: ChildProcess) -> None:
+    be_active(observer, process)
+    node = RemoteLifecycleNode(observer, NODE)
+    node.wait_until_reachable()
+    assert node.change_state("deactivate")
+
+
+def load(observer: Observer, process: ChildProcess) -> None:
+    observer.wait_for(lambda: "loading slowly" in process.output, "the model")
+
+
+def reload(observer: Observer, process: ChildProcess) -> None:
+    be_active(observer, process)
+    ask_for_another_model(observer, process)
+
+
+def hang(observer: Observer, process: ChildProcess) -> None:
+    send_until(observer, lambda: "hanging" in process.output, "the model")
+
+
+LOADER_LEFT = "a model is still being loaded or freed: its thread is left behind"
+INFERENCE_LEFT = "inference still has not ended: its thread is left behind"
+
+
+@pytest.mark.parametrize(
+    ("script", "come_to", "models", "left"),
+    [
+        pytest.param("work", be_active, 1, [], id="active"),
+        pytest.param("work", be_inactive, 1, [], id="inactive"),
+        pytest.param("load_slowly", load, 0, [LOADER_LEFT], id="loading"),
+        pytest.param("reload_slowly", reload, 1, [LOADER_LEFT], id="reloading"),
+        pytest.param("hang", hang, 1, [INFERENCE_LEFT], id="hanging"),
+    ],
+)
+def test_a_signal_releases_every_model_and_ends_the_process_whatever_hangs(
+    script: str, come_to: Callable[[Observer, ChildProcess], None], models: int, left: list[str]
+) -> None:
+    """What hangs does so for longer than the process is waited for."""
+    with scripted_detector(script) as (process, observer):
+        come_to(observer, process)
+        assert process.stop(signal.SIGTERM, timeout_s=PATIENCE_S) == 0
+    assert process.output.count("model closed") == models
+    assert [words for words in (LOADER_LEFT, INFERENCE_LEFT) if words in process.output] == left
     assert "Traceback" not in process.output
 
 
@@ -92,7 +135,7 @@ def test_a_signal_ends_the_process_cleanly_while_it_imports(name: str, signal_nu
     told_imports = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
     with ChildProcess(name, [entry_point(name)], told_imports) as process:
         process.wait_for_output(" rclpy\n", 60)
-        assert process.stop(signal_number) == 0
+        assert process.stop(signal_number, timeout_s=PATIENCE_S) == 0
     assert "Traceback" not in process.output
 
 

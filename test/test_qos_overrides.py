@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import rclpy
+from colcon_workspace import REPOSITORY
 from detector_process import NODE, PARAMETERS, as_arguments, detector_process
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -21,7 +22,7 @@ from yolov5_lifecycle.ros.outputs import Outputs
 from yolov5_lifecycle.ros.qos_overrides import qos_problems
 from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED, full_name
 
-PAGE = Path(__file__).parents[1] / "docs" / "images.md"
+PAGE = REPOSITORY / "docs" / "images.md"
 CAMERA = "/camera/image_raw"
 REMAP = ["--ros-args", "-r", f"~/image_raw:={CAMERA}"]
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT

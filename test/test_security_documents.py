@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import pytest
+from colcon_workspace import REPOSITORY
 from rclpy.node import Node
 from served_node import Preparations, ServedNode
 
@@ -17,7 +17,6 @@ from yolov5_lifecycle.pickle_program import MAX_CALLS
 from yolov5_lifecycle.safetensors_file import MAX_HEADER_BYTES
 from yolov5_lifecycle.weights import MAX_FILE_BYTES
 
-REPOSITORY = Path(__file__).parents[1]
 PAGE = " ".join((REPOSITORY / "docs" / "security.md").read_text().split())
 POLICY = ElementTree.parse(REPOSITORY / "config" / "security_policy.xml")
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from colcon_workspace import REPOSITORY
 
 from tools.shapes.evaluate import PICTURES, UNSEEN_SEED, evaluate, moving, stills
 from yolov5_lifecycle.boxes import Selection
@@ -14,7 +13,7 @@ from yolov5_lifecycle.images import Order, Picture
 from yolov5_lifecycle.scene import CLASS_NAMES, Scene
 from yolov5_lifecycle.weights import WeightsFile, load_weights
 
-WEIGHTS = Path(__file__).parents[1] / "weights"
+WEIGHTS = REPOSITORY / "weights"
 PATH = WEIGHTS / "shapes.safetensors"
 
 

@@ -10,18 +10,20 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from colcon_workspace import REPOSITORY
 from detector_process import DetectorProcess, as_arguments, detector_process, environment, is_balanced
 from random_model import CLASS_NAMES, TINY, random_model, random_network
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from vision_msgs.msg import Detection2DArray
 
+from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.model import Model
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.ros.sighting import stamp_ns
 from yolov5_lifecycle.safetensors_file import write_safetensors
 
-REPOSITORY = Path(__file__).parents[1]
 SWAPS = 50
 RATE_HZ = 30.0
 FRUIT = ("apple", "pear")
@@ -105,7 +107,7 @@ class Watch:
         while not change.done():
             self._ask()
         assert change.result().result.successful, change.result().result.reason
-        self.resident_mb.append(_resident_mb(self._detector.process.process_id))
+        self.resident_mb.append(resident_mb(self._detector.process.process_id))
 
     def sent(self) -> int:
         """Pictures sent from the first that was detected to the last: a gap is known by what follows it."""
@@ -150,13 +152,6 @@ class Watch:
         self._sent_ns.append(stamp_ns(truth.header))
 
 
-def _resident_mb(process_id: int) -> float:
-    """Memory of a process that is in RAM."""
-    lines = Path(f"/proc/{process_id}/status").read_text().splitlines()
-    (kilobytes,) = (line.split()[1] for line in lines if line.startswith("VmRSS"))
-    return int(kilobytes) / 1024
-
-
 def _class_names(message: Detection2DArray) -> set[str]:
     return {detection.results[0].hypothesis.class_id for detection in message.detections}
 
@@ -183,7 +178,7 @@ def test_swaps_lose_no_frame_mix_no_models_and_hold_nobody_up(
         for _ in range(TRIES - 1):
             if not swapping.is_within(limits):
                 swapping, limits = _swaps_and_limits(watch, weights)
-        assert camera.stop() == 0
+        assert camera.stop(timeout_s=PATIENCE_S) == 0
     status = detector.status()
     assert is_balanced(status)
     # What the camera tells of each picture may itself be lost to this busy process, never added to.

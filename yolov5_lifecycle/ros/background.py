@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rclpy.node import Node
 from rclpy.task import Future as RosFuture
@@ -18,10 +18,14 @@ class Background:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="background")
+        self._unfinished: set[Future[Any]] = set()
 
     def submit(self, work: Callable[[], Result]) -> Future[Result]:
         """Queue `work`; the future has its result or exception."""
-        return self._thread.submit(work)
+        future = self._thread.submit(work)
+        self._unfinished.add(future)
+        future.add_done_callback(self._unfinished.discard)
+        return future
 
     async def finish(self, future: Future[Result]) -> Future[Result]:
         """Wait in a callback of the executor until `future` is done; returns it."""
@@ -38,6 +42,7 @@ class Background:
         await done
         return future
 
-    def close(self) -> None:
-        """Drop what has not begun; what runs goes on, unwaited for."""
+    def close(self) -> bool:
+        """Drop what has not begun; False when something runs, which goes on, unwaited for."""
         self._thread.shutdown(wait=False, cancel_futures=True)
+        return not self._unfinished

@@ -59,6 +59,6 @@ class ModelLoader:
         if (error := (await self._background.finish(freed)).exception()) is not None:
             self._node.get_logger().error(f"the replaced model could not be freed: {error}")
 
-    def close(self) -> None:
-        """Drop what has not begun; what runs goes on, unwaited for."""
-        self._background.close()
+    def close(self) -> bool:
+        """Drop what has not begun; False when a model is being made or freed, which goes on, unwaited for."""
+        return self._background.close()

@@ -124,11 +124,13 @@ class DetectorNode(LifecycleNode):
             self.trigger_activate()
 
     def close(self) -> None:
-        """Shut down from any state and release everything; a thread that hangs is left at its work."""
+        """Shut down from any state and release everything; a thread that hangs is left behind and logged."""
         if self.state_label in ("unconfigured", "inactive", "active"):
             self.trigger_shutdown()
-        self._loader.close()
-        self._worker.close(REST_TIMEOUT_S)
+        if not self._loader.close():
+            self.get_logger().warning("a model is still being loaded or freed: its thread is left behind")
+        if not self._worker.close(REST_TIMEOUT_S):
+            self.get_logger().warning("inference still has not ended: its thread is left behind")
         self.destroy_node()
         # destroy_node leaves the state machine's services, which would go on taking requests.
         self._state_machine.destroy_when_not_in_use()

@@ -1,4 +1,4 @@
-"""The installed detector's `main` with a runtime that fails as its first argument says."""
+"""The detector's `main` with models that behave as its first argument says, and tell when they are closed."""
 
 from __future__ import annotations
 
@@ -16,13 +16,17 @@ from yolov5_lifecycle.settings import Settings
 
 
 def lose_device() -> NDArray[np.float32]:
-    raise DeviceLostError("the GPU has fallen off the bus")
+    raise DeviceLostError("the GPU fell off the bus")
 
 
 def hang() -> NDArray[np.float32]:
     print("hanging", flush=True)  # noqa: T201 - the test reads it
     time.sleep(60)
     raise AssertionError("nobody waits that long")
+
+
+def tell_of_closing() -> None:
+    print("model closed", flush=True)  # noqa: T201 - the test reads it
 
 
 def prepare_slowly(settings: Settings) -> PreparedModel:
@@ -40,6 +44,7 @@ def prepare(settings: Settings) -> PreparedModel:
     if fault == "load_slowly" or (fault == "reload_slowly" and PREPARATIONS.runtimes):
         return prepare_slowly(settings)
     model = PREPARATIONS(settings)
+    PREPARATIONS.running.on_close = tell_of_closing
     PREPARATIONS.running.run = FAULTS.get(fault, PREPARATIONS.running.run)
     return model
 

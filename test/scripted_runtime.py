@@ -1,0 +1,35 @@
+"""A runtime of the test's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.images import Order
+
+
+class ScriptedRuntime:
+    """Predicts what `run` says, which may be replaced at any time, and raise, wait or answer nonsense.
+
+    `calls` are the shapes of the frames and their orders of colours.
+    """
+
+    name = "scripted"
+    device = "cpu"
+    precision = "fp32"
+
+    def __init__(self, run: Callable[[], NDArray[np.float32]]) -> None:
+        self.run = run
+        self.on_close: Callable[[], None] = lambda: None
+        self.calls: list[tuple[tuple[int, ...], Order]] = []
+        self.is_closed = False
+
+    def __call__(self, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
+        self.calls.append((frame.shape, order))
+        return self.run()
+
+    def close(self) -> None:
+        self.is_closed = True
+        self.on_close()
