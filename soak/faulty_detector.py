@@ -91,8 +91,8 @@ class FaultyRuntime:
         self._runtime.close()
 
 
-def prepare(settings: Settings) -> PreparedModel:
-    model = prepare_model(settings)
+def prepare(settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
+    model = prepare_model(settings, source_hw)
     model.detector.runtime = FaultyRuntime(model.detector.runtime)
     return model
 

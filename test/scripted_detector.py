@@ -29,7 +29,7 @@ def tell_of_closing() -> None:
     print("model closed", flush=True)  # noqa: T201 - the test reads it
 
 
-def prepare_slowly(settings: Settings) -> PreparedModel:
+def prepare_slowly() -> PreparedModel:
     print("loading slowly", flush=True)  # noqa: T201 - the test reads it
     time.sleep(60)
     raise AssertionError("nobody waits that long")
@@ -39,11 +39,11 @@ FAULTS = {"lose_device": lose_device, "hang": hang}
 PREPARATIONS = Preparations()
 
 
-def prepare(settings: Settings) -> PreparedModel:
+def prepare(settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
     fault = sys.argv[1]
     if fault == "load_slowly" or (fault == "reload_slowly" and PREPARATIONS.runtimes):
-        return prepare_slowly(settings)
-    model = PREPARATIONS(settings)
+        return prepare_slowly()
+    model = PREPARATIONS(settings, source_hw)
     PREPARATIONS.running.on_close = tell_of_closing
     PREPARATIONS.running.run = FAULTS.get(fault, PREPARATIONS.running.run)
     return model

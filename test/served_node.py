@@ -63,9 +63,11 @@ class Preparations:
         self.gate = threading.Event()
         self.gate.set()
         self.begun = threading.Semaphore(0)
+        self.sources_hw: list[tuple[int, int]] = []
         self.runtimes: list[ScriptedRuntime] = []
 
-    def __call__(self, settings: Settings) -> PreparedModel:
+    def __call__(self, settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
+        self.sources_hw.append(source_hw)
         self.begun.release()
         assert self.gate.wait(PATIENCE_S)
         if refusal := self.refusal:

@@ -37,7 +37,7 @@ from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from yolov5_lifecycle.annotate import annotate
 from yolov5_lifecycle.detections import Detections
-from yolov5_lifecycle.detector import Detector
+from yolov5_lifecycle.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.images import Order
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.recorded_types import TYPES
@@ -85,7 +85,7 @@ def as_ros(path: Path) -> list[tuple[str, int, object]]:
 def published(message: Image | CompressedImage) -> tuple[Detection2DArray, Image]:
     """What the node publishes for `message`: detections and annotated image."""
     settings = Settings.model_validate(MODEL)
-    detector = prepare_once(settings).detector
+    detector = prepare_once(settings, USUAL_SOURCE_HW).detector
     picture = messages.picture(message)
     detections = detector.detect(picture, selection(settings, detector.class_names))
     drawn = annotate(picture, detections, detector.class_names)
@@ -223,7 +223,7 @@ class RaisingRuntime:
 
 def prepare_raising(error: BaseException) -> Prepare:
     detector = Detector(RaisingRuntime(error), class_names=CLASS_NAMES, image_size=320, stride=32)
-    return lambda settings: PreparedModel(settings, detector, Path("/raising.pt"), "0" * 64)
+    return lambda settings, _: PreparedModel(settings, detector, Path("/raising.pt"), "0" * 64)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from random_model import CLASS_NAMES, random_model
 from scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.boxes import Selection
-from yolov5_lifecycle.detector import Detector, load_detector
+from yolov5_lifecycle.detector import USUAL_SOURCE_HW, Detector, load_detector
 from yolov5_lifecycle.images import Order, Picture
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
@@ -115,7 +115,7 @@ def test_warming_up_runs_the_frame_of_the_pictures_to_come() -> None:
 
 def test_warming_up_finds_weights_that_give_no_numbers() -> None:
     with pytest.raises(InferenceError, match="not finite"):
-        detector_of(predicting(rows(row(np.nan, 0, 1, 1, 0, 0, 0)))).warm_up()
+        detector_of(predicting(rows(row(np.nan, 0, 1, 1, 0, 0, 0)))).warm_up(USUAL_SOURCE_HW)
 
 
 def test_closing_closes_the_runtime() -> None:

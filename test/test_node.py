@@ -17,6 +17,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 from served_node import Preparations, ServedNode, class_ids_of, image, prediction
 
+from yolov5_lifecycle.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.ros.detection import REST_TIMEOUT_S
 from yolov5_lifecycle.ros.messages import picture
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
@@ -123,7 +124,7 @@ def test_activate_that_cannot_load_says_why_and_stays_inactive(
 
 
 def test_an_unexpected_exception_in_activate_leads_back_to_unconfigured(ros_domain: int) -> None:
-    def broken(settings: object) -> None:
+    def broken(settings: object, source_hw: object) -> None:
         raise KeyError("surprise")
 
     with ServedNode(broken) as served:  # type: ignore[arg-type]
@@ -324,6 +325,18 @@ def test_a_refused_reload_leaves_model_and_value_alone(served: ServedNode, prepa
     assert served.get("weights") == ""
     assert class_ids_of(served.detect()) == ["cat"]
     assert not prepare.running.is_closed
+
+
+def test_a_model_is_warmed_up_for_pictures_like_the_last_one(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+    served.detect()
+    assert served.set(image_size=320)[0]
+    assert served.transition("deactivate")
+    assert served.transition("activate")
+    picture_hw = image().height, image().width
+    assert prepare.sources_hw == [USUAL_SOURCE_HW, picture_hw, picture_hw]
 
 
 def test_a_reload_is_told_in_the_log(served: ServedNode, prepare: Preparations) -> None:

@@ -17,7 +17,7 @@ from yolov5_lifecycle.runtimes.choice import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.loading import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 
-_USUAL_SOURCE_HW = (480, 640)
+USUAL_SOURCE_HW = (480, 640)
 
 
 class Detector:
@@ -58,7 +58,7 @@ class Detector:
             boxes_xyxy[visible], found.scores[visible], found.class_ids[visible], found.best_missed
         )
 
-    def warm_up(self, source_hw: tuple[int, int] = _USUAL_SOURCE_HW) -> None:
+    def warm_up(self, source_hw: tuple[int, int]) -> None:
         """Detect in grey pictures as large as those to come, as the first runs of a size are slow.
 
         Raises InferenceError like `detect`.
@@ -102,7 +102,7 @@ def load_detector(
     _check_image_size(image_size, stride)
     choice = Choice(runtime, "as set")
     if runtime == "auto":
-        frame_hw = Letterbox.fit(_USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
+        frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
         choice = choose_runtime(model, device=device, precision=precision, frame_hw=frame_hw)
     loaded = load_runtime(model, choice.runtime, device=device, precision=precision)
     return Detector(

@@ -58,11 +58,12 @@ class PreparedModel:
             give_back_memory()
 
 
-Prepare = Callable[[Settings], PreparedModel]
+Prepare = Callable[[Settings, tuple[int, int]], PreparedModel]
+"""See `prepare_model`."""
 
 
-def prepare_model(settings: Settings) -> PreparedModel:
-    """Find, read, build and warm up the model that `settings` name.
+def prepare_model(settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
+    """Find, read and build the model that `settings` name, and warm it up with pictures of `source_hw`.
 
     Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
     """
@@ -80,7 +81,7 @@ def prepare_model(settings: Settings) -> PreparedModel:
         precision=settings.precision,
         image_size=settings.image_size,
     )
-    detector.warm_up()
+    detector.warm_up(source_hw)
     return PreparedModel(settings, detector, weights.path, weights.sha256)
 
 

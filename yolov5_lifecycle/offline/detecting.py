@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from typing import Protocol, TypeVar
 
 from yolov5_lifecycle.detections import Detections
+from yolov5_lifecycle.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.frame_balance import FrameBalance, FrameCounter, Outcome
 from yolov5_lifecycle.images import ImageError, Picture
 from yolov5_lifecycle.offline.stored_picture import StoredPicture
@@ -67,7 +68,7 @@ class OfflineDetector:
     def __init__(self, settings: Settings, watch: Watch, *, prepare: Prepare = prepare_model) -> None:
         self.settings = settings
         self._watch = watch
-        self._detector = prepare(settings).detector
+        self._detector = prepare(settings, USUAL_SOURCE_HW).detector
         self.class_names = self._detector.class_names
         if problems := model_problems(settings, self.class_names):
             raise SettingsError(problems)

@@ -11,6 +11,7 @@ from yolov5_lifecycle.preparation import PreparedModel
 from yolov5_lifecycle.rate import LatencyWindow, RateLimit
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.image_input import ImageInput, InputStatus, ReceivedFrame
+from yolov5_lifecycle.ros.last_picture import LastPicture
 from yolov5_lifecycle.ros.outputs import Outputs
 from yolov5_lifecycle.ros.pipeline import Pipeline
 from yolov5_lifecycle.selection import selection
@@ -36,10 +37,12 @@ class Detection:
         model: PreparedModel,
         outputs: Outputs,
         worker: Worker[ReceivedFrame],
+        last_picture: LastPicture,
     ) -> None:
         self._node = node
         self._outputs = outputs
         self._worker = worker
+        self._last_picture = last_picture
         self._rate_limit = RateLimit()
         self._lost = 0
         self.latencies = LatencyWindow()
@@ -107,6 +110,7 @@ class Detection:
             outputs=self._outputs,
             latencies=self.latencies,
             empty_frames=self.empty_frames,
+            last_picture=self._last_picture,
         )
 
     def _offer(self, frame: ReceivedFrame) -> None:

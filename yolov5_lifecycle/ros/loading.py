@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from concurrent.futures import Future
 
@@ -10,6 +9,7 @@ from rclpy.node import Node
 
 from yolov5_lifecycle.preparation import Prepare, PreparedModel
 from yolov5_lifecycle.ros.background import Background
+from yolov5_lifecycle.ros.last_picture import LastPicture
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.setting import Change
 from yolov5_lifecycle.settings import Settings
@@ -23,18 +23,27 @@ REFUSALS = (ValueError, OSError, RuntimeError)
 class ModelLoader:
     """Prepares one model at a time in a thread of its own, from birth to `close`.
 
-    `on_device_lost(reason)` is called when no further model can be prepared.
+    It is warmed up for pictures like the last one. `on_device_lost(reason)` is called when no further model
+    can be prepared.
     """
 
-    def __init__(self, node: Node, prepare: Prepare, *, on_device_lost: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        prepare: Prepare,
+        *,
+        last_picture: LastPicture,
+        on_device_lost: Callable[[str], None],
+    ) -> None:
         self._node = node
         self._prepare = prepare
+        self._last_picture = last_picture
         self._on_device_lost = on_device_lost
         self._background = Background(node)
 
     def begin(self, settings: Settings) -> Preparation:
         """Queue the preparation of the model for `settings`."""
-        return self._background.submit(functools.partial(self._prepare, settings))
+        return self._background.submit(lambda: self._prepare(settings, self._last_picture.size_hw))
 
     async def load(self, wanted: Callable[[], Settings | None]) -> Preparation | None:
         """The finished preparation of what `wanted()` asks for, and still asks for at the end.

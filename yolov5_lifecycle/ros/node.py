@@ -17,6 +17,7 @@ from yolov5_lifecycle.ros.detection import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.image_input import ReceivedFrame
+from yolov5_lifecycle.ros.last_picture import LastPicture
 from yolov5_lifecycle.ros.loading import REFUSALS, ModelLoader, Preparation
 from yolov5_lifecycle.ros.outputs import Outputs
 from yolov5_lifecycle.ros.reconfiguration import Reconfiguration
@@ -86,7 +87,10 @@ class DetectorNode(LifecycleNode):
         self._worker: Worker[ReceivedFrame] = Worker(
             on_failure=self._failures.failed, on_success=self._failures.succeeded
         )
-        self._loader = ModelLoader(self, prepare, on_device_lost=self._lose_device)
+        self._last_picture = LastPicture()
+        self._loader = ModelLoader(
+            self, prepare, last_picture=self._last_picture, on_device_lost=self._lose_device
+        )
         self._reconfiguration = Reconfiguration(
             self,
             loader=self._loader,
@@ -171,7 +175,12 @@ class DetectorNode(LifecycleNode):
             self.report("activate refused: " + " ".join(map(str, problems)))
             return FAILURE
         self._detection = Detection(
-            self, settings=self._settings, model=model, outputs=self._outputs, worker=self._worker
+            self,
+            settings=self._settings,
+            model=model,
+            outputs=self._outputs,
+            worker=self._worker,
+            last_picture=self._last_picture,
         )
         self._failures.succeeded()
         self._problem = ""

@@ -15,6 +15,7 @@ from yolov5_lifecycle.images import Picture
 from yolov5_lifecycle.rate import LatencyWindow
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.image_input import ReceivedFrame
+from yolov5_lifecycle.ros.last_picture import LastPicture
 from yolov5_lifecycle.ros.outputs import Outputs
 
 
@@ -27,10 +28,12 @@ class Pipeline:
     outputs: Outputs
     latencies: LatencyWindow
     empty_frames: EmptyFrames
+    last_picture: LastPicture
 
     def __call__(self, frame: ReceivedFrame) -> Callable[[], None]:
         """Detect; what comes back publishes the result. Raises ImageError for an unreadable image."""
         picture = messages.picture(frame.message)
+        self.last_picture.size_hw = picture.size_hw
         detections = self.detector.detect(picture, self.selection)
         return lambda: self._deliver(frame, picture, detections)
 
