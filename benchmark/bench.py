@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmark.models import untrained_weights
 from benchmark.neighbours import busy_neighbours
 from benchmark.node import MeasuredDetector, detector_node, picture_file
-from benchmark.report import Goal, Row, goal_table, row, table, write_report
+from benchmark.report import STAGE, Goal, Row, goal_table, row, table, write_report
 from benchmark.rivals import RIVALS
 from benchmark.rounds import measure
 from benchmark.task import Task
@@ -60,7 +60,7 @@ class Bench:
         turns = 4 if self._quick else 25
         taken_ms, peaks_mb = measure(tasks, loads=self._loads, turns=turns, cache=self._folder)
         for (task, busy), times_ms in taken_ms.items():
-            what = "stage" if task.name in _STAGES else "forward"
+            what = STAGE if task.name in _STAGES else "forward"
             self._add(row(what, task.name, busy, times_ms))
         for task, peak_mb in peaks_mb.items():
             self._add(row("memory", task.name, self._loads[-1], [peak_mb], unit="MB at most"))

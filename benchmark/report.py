@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+STAGE = "stage"
 _PACKAGES = ("torch", "onnxruntime", "openvino", "opencv-python-headless", "numpy")
 
 
@@ -53,18 +54,27 @@ def row(what: str, name: str, busy: int, values: Sequence[float], *, unit: str =
 
 
 def table(rows: Iterable[Row]) -> str:
-    """Rows as lines; the ratio is that to the smallest median of the same thing under the same load."""
+    """Rows as lines, with the ratio to the smallest median of the same thing under the same load.
+
+    A stage has its share of the longest instead, which is the whole of them.
+    """
     rows = list(rows)
     heads = f"{'':10}{'':34}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"
     lines = [heads, "-" * len(heads)]
     for each in rows:
-        best = min(other.median for other in rows if (other.what, other.busy) == (each.what, each.busy))
-        ratio = f"{each.median / best:.2f}" if best and each.unit == "ms" else ""
+        medians = [other.median for other in rows if (other.what, other.busy) == (each.what, each.busy)]
+        ratio = _ratio(each, min(medians), max(medians)) if each.unit == "ms" else ""
         lines.append(
             f"{each.what:10}{each.name:34}{each.busy:4}{each.median:10.2f}{each.p95:10.2f}"
             f"{each.spread:8.0%}{ratio:>7} {each.unit}"
         )
     return "\n".join(lines)
+
+
+def _ratio(each: Row, shortest: float, longest: float) -> str:
+    if each.what == STAGE:
+        return f"{each.median / longest:.0%}" if longest else ""
+    return f"{each.median / shortest:.2f}" if shortest else ""
 
 
 def goal_table(goals: Iterable[Goal]) -> str:

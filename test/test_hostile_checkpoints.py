@@ -48,6 +48,10 @@ class Answer(NamedTuple):
     grown_mb: float
     events: list[str]
 
+    @property
+    def is_refused(self) -> bool:
+        return self.outcome in ("WeightsError", "UncheckedError")
+
 
 def write_all(folder: Path) -> dict[str, str]:
     """All files, and which case each file name stands for."""
@@ -98,7 +102,7 @@ def test_a_valid_file_is_what_the_others_differ_from() -> None:
 @pytest.mark.parametrize("case", TOLD)
 def test_the_file_is_refused_in_its_own_words(case: str, answers: dict[str, Answer]) -> None:
     answer = answers[case]
-    assert answer.outcome in ("WeightsError", "UncheckedError"), answer.message
+    assert answer.is_refused, answer
     assert TOLD[case] in answer.message
     assert answer.name in answer.message
     assert answer.message.isprintable()

@@ -74,12 +74,14 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
             )
         return WeightsFile(Path(os.path.realpath(path)), digest, reader(data))
     except (WeightsError, MemoryError, RuntimeError) as error:
-        if not is_out_of_memory(error):
-            if isinstance(error, WeightsError):
-                raise type(error)(f"{path}: {error}.") from None
+        if is_out_of_memory(error):
+            refusal: WeightsError = UncheckedError("there is not enough memory to read it; free some")
+        elif isinstance(error, WeightsError):
+            refusal = error
+        else:
             raise
-    # What the attempt has taken is free again here.
-    raise UncheckedError(f"{path}: there is not enough memory to read it; free some.")
+    # Only here is what the attempt has taken free again.
+    raise type(refusal)(f"{path}: {refusal}.")
 
 
 def expanded(path: Path) -> Path:

@@ -85,7 +85,7 @@ class Worker(Generic[Frame]):
             if not rested:
                 self._counter.finish(Outcome.FAILED)
                 self._busy = False
-                self._given_up.append(self._thread)
+                self._given_up = [thread for thread in self._given_up if thread.is_alive()] + [self._thread]
                 self._thread = self._new_thread()
                 self._thread.start()
             return rested
