@@ -148,7 +148,7 @@ class Bench:
 def forward_goals(medians_ms: Mapping[str, float], busy: int) -> list[Goal]:
     """What the medians of forwards and stages, by name, should keep beside so many busy processes."""
     auto_ms = medians_ms[_AUTO]
-    rival_ms = min(medians_ms[name] for name in _BEST_RIVALS)
+    rival_ms = min(medians_ms[name] for name in _BEST_RIVALS if name in medians_ms)
     return [
         Goal("forward / best bare rival", busy, auto_ms / rival_ms, True, 1.10),
         Goal(f"{_USUAL} / forward", busy, medians_ms[_USUAL] / auto_ms, False, 4.0 if busy else 2.2),

@@ -1,6 +1,7 @@
 """What a user could take instead of this project's runtimes: the bare forward of each.
 
-torch is imported before the package, which would change how OpenMP waits.
+torch is imported before the package, which would change how OpenMP waits; the others when they are asked for,
+as they may be absent.
 """
 
 from __future__ import annotations
@@ -11,8 +12,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import onnxruntime
-import openvino
 import torch
 from numpy.typing import NDArray
 
@@ -61,6 +60,8 @@ def _channels_last(network: Network, planes: NDArray[np.uint8]) -> Call:
 
 
 def _onnxruntime(network: Network, planes: NDArray[np.uint8], *, spins: bool) -> Call:
+    import onnxruntime
+
     options = onnxruntime.SessionOptions()
     options.add_session_config_entry("session.intra_op.allow_spinning", str(int(spins)))
     graph = onnx_graph(network, (planes.shape[2], planes.shape[3]))
@@ -69,6 +70,8 @@ def _onnxruntime(network: Network, planes: NDArray[np.uint8], *, spins: bool) ->
 
 
 def _openvino(network: Network, planes: NDArray[np.uint8]) -> Call:
+    import openvino
+
     core = openvino.Core()
     graph = core.read_model(onnx_graph(network, (planes.shape[2], planes.shape[3])))
     # Without the second hint it computes in bfloat16 where the CPU can, and the scores are others.

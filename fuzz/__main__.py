@@ -11,6 +11,14 @@ from fuzz.targets import TARGETS
 
 def main() -> int:
     """Returns 0 when no target was taken wrongly, 1 otherwise."""
+    options = parser().parse_args()
+    broken = [name for name in options.only if not _holds(name, options.seconds)]
+    print(f"taken wrongly: {', '.join(broken) or 'none'}")
+    return 1 if broken else 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The words of the command line."""
     parser = argparse.ArgumentParser(prog="make fuzz", description="Search for bytes that are taken wrongly.")
     parser.add_argument(
         "--only",
@@ -21,10 +29,7 @@ def main() -> int:
         help=f"some of: {', '.join(TARGETS)}",
     )
     parser.add_argument("--seconds", type=int, default=60, help="for each target; default: %(default)s")
-    options = parser.parse_args()
-    broken = [name for name in options.only if not _holds(name, options.seconds)]
-    print(f"taken wrongly: {', '.join(broken) or 'none'}")
-    return 1 if broken else 0
+    return parser
 
 
 def _holds(name: str, seconds: int) -> bool:

@@ -49,6 +49,13 @@ def test_contenders_measure_in_turns_beside_every_load(tmp_path: Path) -> None:
     assert min(peaks_mb.values()) > 50
 
 
+def test_a_rival_that_does_not_run_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    unknown = dataclasses.replace(EAGER, name="abacus")
+    taken_ms, _ = measure([unknown, EAGER], loads=(0,), turns=1, cache=tmp_path)
+    assert taken_ms.keys() == {(EAGER, 0)}
+    assert "left out: 'abacus' failed" in capsys.readouterr().err
+
+
 @pytest.fixture
 def _environment() -> Iterator[None]:
     """As it was, afterwards: the bench sets that of its own process."""

@@ -32,6 +32,7 @@ from test_documentation import (
     typed,
 )
 
+import fuzz.__main__ as fuzz
 import soak.__main__ as soak
 from benchmark import bench
 from yolov5_lifecycle import convert
@@ -60,7 +61,7 @@ NOT_RUN = {
 """How a command begins, and why it is not tried."""
 
 TOPICS = {row[0].partition(" ")[2].strip("`").replace("~", NODE) for row in table(README, "Topics")}
-PARSERS = {"BENCH_FLAGS": bench.parser, "SOAK_FLAGS": soak.parser}
+PARSERS = {"BENCH_FLAGS": bench.parser, "FUZZ_FLAGS": fuzz.parser, "SOAK_FLAGS": soak.parser}
 """What takes the words that `make` hands on."""
 TRANSITIONS = {"configure", "activate", "deactivate", "cleanup", "shutdown"}
 ADDITIONS = {

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from colcon_workspace import REPOSITORY
 
 from fuzz.targets import TARGETS
 
-CORPUS = Path(__file__).parents[1] / "fuzz" / "corpus"
+CORPUS = REPOSITORY / "fuzz" / "corpus"
 FILES = sorted(CORPUS.glob("*/*"))
 LARGEST_BYTES = 4096
 
