@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 from vision_msgs.msg import Detection2DArray
 
+from benchmark import light_camera
 from benchmark.process_memory import peak_resident_mb
 from benchmark.work import scene_picture
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
@@ -95,8 +96,7 @@ class MeasuredDetector:
 
     @contextmanager
     def _camera(self, picture: Path, rate_hz: float) -> Iterator[None]:
-        parameters = ["-p", f"source:={picture}", "-p", f"rate:={rate_hz}", "-p", "encoding:=bgr8"]
-        command = [entry_point("camera"), "--ros-args", *parameters, "-r", f"image_raw:={_NODE}/image_raw"]
+        command = [sys.executable, light_camera.__file__, str(picture), str(rate_hz)]
         with ChildProcess("camera", command, self._environment):
             yield
 
