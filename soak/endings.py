@@ -108,7 +108,7 @@ def clean_restarts(moments: Iterable[str], seed: int) -> Finding:
 
 
 def _counts(met: Counter[str]) -> str:
-    return ", ".join(f"{moment} {count}" for moment, count in met.items()) or "none"
+    return ", ".join(f"{moment} {count}" for moment, count in met.items() if count) or "none"
 
 
 def _end(number: signal.Signals, moment: str, random: Random, met: Counter[str]) -> None:
