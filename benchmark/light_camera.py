@@ -1,7 +1,7 @@
 """A camera's process that takes as little of the machine as a driver in C++.
 
-`light_camera.py PICTURE RATE_HZ`: the message is serialized once; for each image only its stamp is written
-into the bytes.
+`light_camera.py PICTURE RATE_HZ TOPIC`: the message is serialized once; for each image only its stamp is
+written into the bytes.
 """
 
 from __future__ import annotations
@@ -9,6 +9,11 @@ from __future__ import annotations
 import struct
 import sys
 import time
+
+from yolov5_lifecycle.heap import prepare_heap
+
+if __name__ == "__main__":
+    prepare_heap()  # before the imports below begin threads
 
 import cv2
 import numpy as np
@@ -18,20 +23,17 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from yolov5_lifecycle.heap import prepare_heap
 from yolov5_lifecycle.ros.messages import image_message
 
-_TOPIC = "/yolov5/image_raw"
 _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4
 """Behind the header of the serialization: an image begins with its own header, and that with the stamp."""
 
 
-def main(picture: str, rate_hz: float) -> None:
+def main(picture: str, rate_hz: float, topic: str) -> None:
     """Does not return."""
-    prepare_heap()
     rclpy.init()
-    publisher = rclpy.create_node("light_camera").create_publisher(Image, _TOPIC, QoSProfile(depth=1))
+    publisher = rclpy.create_node("light_camera").create_publisher(Image, topic, QoSProfile(depth=1))
     pixels = np.asarray(cv2.imread(picture), np.uint8)
     data = bytearray(serialize_message(image_message(pixels, "bgr8", Header(frame_id="lens"))))
     due_s = time.monotonic()
@@ -43,4 +45,4 @@ def main(picture: str, rate_hz: float) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], float(sys.argv[2]))
+    main(sys.argv[1], float(sys.argv[2]), sys.argv[3])

@@ -96,7 +96,7 @@ class MeasuredDetector:
 
     @contextmanager
     def _camera(self, picture: Path, rate_hz: float) -> Iterator[None]:
-        command = [sys.executable, light_camera.__file__, str(picture), str(rate_hz)]
+        command = [sys.executable, light_camera.__file__, str(picture), str(rate_hz), f"{_NODE}/image_raw"]
         with ChildProcess("camera", command, self._environment):
             yield
 

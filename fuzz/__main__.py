@@ -1,4 +1,4 @@
-"""Searches each target in a process of its own. `python -m fuzz --help`."""
+"""Searches each target in a process of its own: `make fuzz FUZZ_FLAGS=--help`."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import cv2
 import numpy as np
@@ -38,6 +39,15 @@ def served(prepare: Preparations) -> Iterator[ServedNode]:
     with ServedNode(prepare) as served:
         yield served
     assert served.escaped == []
+
+
+def begin_loading(served: ServedNode, prepare: Preparations) -> Any:
+    """Ask an inactive node to activate, which waits for `prepare.gate`; the future of the answer."""
+    served.bring_to("inactive")
+    prepare.gate.clear()
+    answer = served.begin_transition("activate")
+    assert prepare.begun.acquire(timeout=10)
+    return answer
 
 
 # Lifecycle
@@ -154,10 +164,7 @@ def test_an_unexpected_exception_while_releasing_releases_the_rest(
 
 
 def test_services_answer_while_the_model_loads(served: ServedNode, prepare: Preparations) -> None:
-    served.bring_to("inactive")
-    prepare.gate.clear()
-    activation = served.begin_transition("activate")
-    assert prepare.begun.acquire(timeout=10)
+    activation = begin_loading(served, prepare)
     assert served.state() == "inactive"
     assert served.get("confidence_threshold") == 0.25
     assert not activation.done()
@@ -168,10 +175,7 @@ def test_services_answer_while_the_model_loads(served: ServedNode, prepare: Prep
 
 
 def test_a_second_activate_while_loading_is_refused(served: ServedNode, prepare: Preparations) -> None:
-    served.bring_to("inactive")
-    prepare.gate.clear()
-    first = served.begin_transition("activate")
-    assert prepare.begun.acquire(timeout=10)
+    first = begin_loading(served, prepare)
     assert not served.transition("activate")
     prepare.gate.set()
     served.wait_for(first.done, "the first activate")
@@ -183,10 +187,7 @@ def test_a_second_activate_while_loading_is_refused(served: ServedNode, prepare:
 def test_another_transition_wins_over_a_loading_activate(
     served: ServedNode, prepare: Preparations, label: str, state: str
 ) -> None:
-    served.bring_to("inactive")
-    prepare.gate.clear()
-    activation = served.begin_transition("activate")
-    assert prepare.begun.acquire(timeout=10)
+    activation = begin_loading(served, prepare)
     assert served.transition(label)
     prepare.gate.set()
     served.wait_for(activation.done, "activate")
@@ -198,11 +199,8 @@ def test_another_transition_wins_over_a_loading_activate(
 def test_cleanup_wins_over_an_activate_whose_model_cannot_be_loaded(
     served: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to("inactive")
-    prepare.gate.clear()
     prepare.refusal = "/no/such.pt: there is no such file"
-    activation = served.begin_transition("activate")
-    assert prepare.begun.acquire(timeout=10)
+    activation = begin_loading(served, prepare)
     assert served.transition("cleanup")
     prepare.gate.set()
     served.wait_for(activation.done, "activate")
@@ -214,10 +212,7 @@ def test_cleanup_wins_over_an_activate_whose_model_cannot_be_loaded(
 def test_an_activate_of_an_earlier_configuration_is_given_up(
     served: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to("inactive")
-    prepare.gate.clear()
-    earlier = served.begin_transition("activate")
-    assert prepare.begun.acquire(timeout=10)
+    earlier = begin_loading(served, prepare)
     assert served.transition("cleanup")
     assert served.transition("configure")
     later = served.begin_transition("activate")
@@ -230,11 +225,8 @@ def test_an_activate_of_an_earlier_configuration_is_given_up(
 def test_a_path_mended_while_the_wrong_one_is_looked_for_is_loaded(
     served: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to("inactive")
-    prepare.gate.clear()
     prepare.refusal = "/no/such.pt: there is no such file"
-    activation = served.begin_transition("activate")
-    assert prepare.begun.acquire(timeout=10)
+    activation = begin_loading(served, prepare)
     prepare.on_refusal = lambda: setattr(prepare, "refusal", "")
     assert served.set(weights="/such.pt") == (True, "")
     prepare.gate.set()
@@ -245,10 +237,7 @@ def test_a_path_mended_while_the_wrong_one_is_looked_for_is_loaded(
 def test_settings_changed_while_loading_are_the_ones_that_run(
     served: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to("inactive")
-    prepare.gate.clear()
-    activation = served.begin_transition("activate")
-    assert prepare.begun.acquire(timeout=10)
+    activation = begin_loading(served, prepare)
     assert served.set(image_size=320) == (True, "")
     prepare.gate.set()
     served.wait_for(activation.done, "activate")

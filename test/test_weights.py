@@ -209,6 +209,9 @@ def hide_a_shortage() -> None:
         pytest.param(lambda: torch.empty(1 << 60, dtype=torch.uint8), True, id="torch's"),
         pytest.param(lambda: torch.empty(-1), False, id="another of torch"),
         pytest.param(lambda: fail(WeightsError("damaged")), False, id="damage"),
+        pytest.param(
+            lambda: fail(WeightsError("no tensor 'can't allocate memory'")), False, id="damage that says so"
+        ),
     ],
 )
 def test_a_shortage_of_memory_is_told_from_damage(fail: Callable[[], object], is_shortage: bool) -> None:

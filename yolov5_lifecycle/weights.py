@@ -93,9 +93,13 @@ def expanded(path: Path) -> Path:
 
 
 def is_out_of_memory(error: BaseException | None) -> bool:
-    """Whether memory ran out in what led to `error`; torch says so in the words of a RuntimeError."""
+    """Whether memory ran out in what led to `error`; torch says so in the words of a RuntimeError.
+
+    The words of others do not count: they may quote the file.
+    """
     while error is not None:
-        if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
+        is_told_by_torch = isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+        if isinstance(error, MemoryError) or is_told_by_torch:
             return True
         error = error.__context__
     return False

@@ -26,8 +26,8 @@ _USAGE = """\
 detector: finds objects in the images on ~/image_raw and publishes them on ~/detections.
 Parameters are given as in `detector --ros-args -p device:=cpu --params-file config/yolov5.yaml`:"""
 
-# So long the inference thread may have to wait for Python while an image is taken. Python's own 5 ms cost 6 %
-# of the detections beside a camera of 60 Hz, and 2 of 27 ms beside one of 30 Hz.
+# So long the inference thread may have to wait for Python while an image is taken; docs/performance.md tells
+# what Python's own 5 ms cost.
 _SWITCH_S = 0.0002
 
 EXIT_DEVICE_LOST = 3

@@ -8,6 +8,7 @@ import sys
 from typing import NoReturn
 
 from yolov5_lifecycle.heap import prepare_heap
+from yolov5_lifecycle.one_line import in_one_line
 
 
 def prepare_process() -> None:
@@ -23,7 +24,7 @@ def prepare_process() -> None:
 
 def refuse_python(command: str, error: ImportError) -> NoReturn:
     """End with code 1 and one line: what is missing, for which Python, and why it may be the wrong one."""
-    problem = " ".join(str(error).split())
+    problem = in_one_line(str(error))
     sys.stderr.write(
         f"{command}: {sys.executable} cannot import what the node needs: {problem}. The node runs with the "
         "Python that built it, which needs torch, pydantic 2, safetensors and a sourced ROS: build the "
