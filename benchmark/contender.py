@@ -19,6 +19,7 @@ from benchmark.process_memory import peak_resident_mb
 from benchmark.task import Task
 
 _WARM_UPS = 3
+_SET_BY_THE_PACKAGE = ("OMP_WAIT_POLICY", "OPENBLAS_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def contender(task: Task, environment: Mapping[str, str]) -> Iterator[Contender]
     """A process for `task`, warm."""
     command = [sys.executable, "-m", "benchmark.contender", json.dumps(asdict(task))]
     # What the package sets for its own processes is not meant for its rivals.
-    kept = {name: value for name, value in environment.items() if name != "OMP_WAIT_POLICY"}
+    kept = {name: value for name, value in environment.items() if name not in _SET_BY_THE_PACKAGE}
     process = subprocess.Popen(
         command,
         env=kept,

@@ -31,7 +31,7 @@ def call_of(task: Task) -> Callable[[], object]:
     if is_forward:
         letterbox = _letterbox(detector, picture)
         frame = letterbox.apply(picture.pixels)
-        return lambda: detector.runtime(frame, picture.order)
+        return lambda: detector.runtime(frame, picture.order, Selection().confidence_threshold)
     return _stage(task.name, detector, picture)
 
 
@@ -42,8 +42,9 @@ def scene_picture(picture_hw: tuple[int, int]) -> Picture:
 
 def _stage(name: str, detector: Detector, picture: Picture) -> Callable[[], object]:
     letterbox = _letterbox(detector, picture)
-    raw = detector.runtime(letterbox.apply(picture.pixels), picture.order)
-    crowded = _crowded(raw)
+    frame = letterbox.apply(picture.pixels)
+    raw = detector.runtime(frame, picture.order, Selection().confidence_threshold)
+    crowded = _crowded(detector.runtime(frame, picture.order))
     stages: dict[str, Callable[[], object]] = {
         "letterbox": lambda: letterbox.apply(picture.pixels),
         "selection": lambda: letterbox.undo(select(raw, Selection()).boxes_xyxy),
@@ -54,11 +55,9 @@ def _stage(name: str, detector: Detector, picture: Picture) -> Callable[[], obje
 
 
 def _crowded(raw: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Raw predictions as of a network that has seen _CROWD objects, evenly spread over its rows."""
-    crowded = raw.copy()
-    rows = np.linspace(0, len(raw) - 1, _CROWD).astype(int)
-    crowded[rows, 4] = 0.9
-    crowded[rows, 5] = 0.9
+    """Predictions of a network that has seen _CROWD objects, evenly spread over `raw`, which is all of it."""
+    crowded = raw[np.linspace(0, len(raw) - 1, _CROWD).astype(int)]
+    crowded[:, 4:6] = 0.9
     return crowded
 
 

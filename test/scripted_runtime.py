@@ -26,7 +26,7 @@ class ScriptedRuntime:
         self.calls: list[tuple[tuple[int, ...], Order]] = []
         self.is_closed = False
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
+    def __call__(self, frame: NDArray[np.uint8], order: Order, threshold: float = 0.0) -> NDArray[np.float32]:
         self.calls.append((frame.shape, order))
         return self.run()
 

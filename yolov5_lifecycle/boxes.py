@@ -13,9 +13,6 @@ from yolov5_lifecycle.detections import Detections
 MAX_CANDIDATES = 30_000
 """Of more boxes above the threshold only the best enter the suppression, as in YOLOv5."""
 
-_LOOKED_AT = 1000
-"""Of nothing found, so many of the likeliest rows tell the best score: all of 25,200 would take 4 ms."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Selection:
@@ -35,7 +32,7 @@ def cxcywh_to_xyxy(boxes_cxcywh: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def select(raw: NDArray[np.float32], selection: Selection) -> Detections:
-    """Detections in network pixels, best first, from raw predictions (N, 5 + C) of `Network`.
+    """Detections in network pixels, best first, from raw predictions (n, 5 + C) of a `Runtime`.
 
     YOLOv5's rules with one class a box: objectness, and objectness * best class score, both above the
     threshold, then suppression within each class, or across classes when agnostic. The score is the product.
@@ -53,8 +50,8 @@ def select(raw: NDArray[np.float32], selection: Selection) -> Detections:
         iou_threshold=selection.iou_threshold,
         limit=selection.max_detections,
     )
-    best_missed = 0.0 if len(kept) else _best_score(raw, selection.classes)
-    return Detections(boxes_xyxy[kept], scores[kept], class_ids[kept], best_missed)
+    best_missed = 0.0 if len(kept) else _scored(raw, 0.0, selection.classes)[1].max(initial=0.0)
+    return Detections(boxes_xyxy[kept], scores[kept], class_ids[kept], float(best_missed))
 
 
 def _scored(
@@ -68,13 +65,6 @@ def _scored(
     if classes is not None:
         wanted &= np.isin(class_ids, list(classes))
     return rows[wanted, :4], scores[wanted], class_ids[wanted]
-
-
-def _best_score(raw: NDArray[np.float32], classes: frozenset[int] | None) -> float:
-    """The highest score of the rows with the highest objectness; no score is above that."""
-    if len(raw) > _LOOKED_AT:
-        raw = raw[np.argpartition(raw[:, 4], -_LOOKED_AT)[-_LOOKED_AT:]]
-    return float(_scored(raw, 0.0, classes)[1].max(initial=0.0))
 
 
 def suppress(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.images import Order
 from yolov5_lifecycle.model import Model
-from yolov5_lifecycle.network import Network, fuse
+from yolov5_lifecycle.network import Detect, Network, fuse
+from yolov5_lifecycle.runtimes.detection_head import DetectionHead, Features
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.runtimes.size_cache import SizeCache
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
 
-_SIZES_KEPT = 4  # each holds the weights; a node sees as many sizes as its cameras have
 _PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
 
-Run = Callable[[NDArray[np.uint8]], NDArray[np.float32]]
-"""Planes (1, 3, h, w) RGB -> predictions (N, 5 + C) in memory of their own."""
+Run = Callable[[NDArray[np.uint8]], Sequence[Features]]
+"""Planes (1, 3, h, w) RGB -> the features of each level, which the next run may overwrite."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,11 @@ class CompiledRuntime:
     precision = "fp32"
 
     def __init__(self, network: Network, engine: Engine) -> None:
-        self._network: Network | None = fuse(network)
+        fuse(network)
         self._engine = engine
-        self._compiled: dict[tuple[int, int], _Compiled] = {}
+        self._compiled: SizeCache[_Compiled] | None = SizeCache(
+            lambda size_hw: _Compiled(network, engine, size_hw)
+        )
 
     @classmethod
     def load(cls, model: Model, engine: Engine, *, device: str, precision: str) -> CompiledRuntime:
@@ -62,39 +65,31 @@ class CompiledRuntime:
     def name(self) -> str:
         return self._engine.name
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
+    def __call__(self, frame: NDArray[np.uint8], order: Order, threshold: float = 0.0) -> NDArray[np.float32]:
         """See `Runtime`; the first frame of a size waits for the compiler."""
-        if self._network is None:
+        if self._compiled is None:
             raise InferenceError("The runtime was closed; load the model again.")
         try:
-            return self._compiled_for(self._network, frame)(frame, order)
+            return self._compiled[frame.shape[0], frame.shape[1]](frame, order, threshold)
         except self._engine.errors as error:
             problem = str(error).partition("\n")[0]
         raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
 
     def close(self) -> None:
         """See `Runtime`."""
-        self._network = None
-        self._compiled.clear()
-
-    def _compiled_for(self, network: Network, frame: NDArray[np.uint8]) -> _Compiled:
-        size_hw = (frame.shape[0], frame.shape[1])
-        compiled = self._compiled.pop(size_hw, None)
-        if compiled is None:
-            while len(self._compiled) >= _SIZES_KEPT:
-                del self._compiled[next(iter(self._compiled))]  # the least recently used
-            compiled = _Compiled(self._engine.compile(onnx_graph(network, size_hw)), size_hw)
-        self._compiled[size_hw] = compiled
-        return compiled
+        self._compiled = None
 
 
 class _Compiled:
     """A runnable network for one size, and its input memory."""
 
-    def __init__(self, run: Run, size_hw: tuple[int, int]) -> None:
-        self._run = run
+    def __init__(self, network: Network, engine: Engine, size_hw: tuple[int, int]) -> None:
+        self._run = engine.compile(onnx_graph(network, size_hw))
+        detect = network.model[-1]
+        assert isinstance(detect, Detect)
+        self._head = DetectionHead(detect)
         self._planes = np.empty((1, 3, *size_hw), np.uint8)
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
+    def __call__(self, frame: NDArray[np.uint8], order: Order, threshold: float) -> NDArray[np.float32]:
         cv2.split(frame, [self._planes[0, plane] for plane in _PLANES[order]])  # written in place
-        return self._run(self._planes)
+        return self._head(self._run(self._planes), threshold)

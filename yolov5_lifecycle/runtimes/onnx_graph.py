@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from yolov5_lifecycle.network import C3, SPPF, Bottleneck, Concat, Conv, Detect, Network
+from yolov5_lifecycle.network import C3, SPPF, Bottleneck, Concat, Conv, Network
 
 # The oldest ones that have every operator as it is used here; every runtime of today reads them.
 _OPSET = 13
@@ -20,57 +21,51 @@ _IR_VERSION = 8
 def onnx_graph(network: Network, size_hw: tuple[int, int]) -> bytes:
     """A serialized ONNX model of a fused `network` for frames of `size_hw`, multiples of the largest stride.
 
-    Its input `planes` is uint8 (1, 3, h, w) RGB in 0..255; its output `raw` is float32 (N, 5 + C), the rows
-    that `Network.forward` gives.
+    Its input `planes` is uint8 (1, 3, h, w) RGB in 0..255. Its outputs, float32 (1, channels, ny, nx), are
+    what the network's last layer, `Detect`, gets: that layer is not in it.
     """
     graph = _Graph(size_hw)
     pixels = graph.add("Cast", "planes", to=TensorProto.FLOAT)
     pixels = graph.add("Mul", pixels, graph.constant(np.float32(1 / 255)))
-    outputs: list[str] = []
-    for layer, module in zip(network.architecture.layers, network.model, strict=True):
-        last = outputs[-1] if outputs else pixels
-        inputs = [last if source == -1 else outputs[source] for source in layer.sources]
-        outputs.append(graph.layer(module, inputs))
-    return graph.serialized(outputs[-1])
+    _, *layers, detect = network.architecture.layers
+    outputs = [graph.layer(network.model[0], [pixels])]
+    for layer, module in zip(layers, network.model[1:-1], strict=True):
+        outputs.append(graph.layer(module, [outputs[source] for source in layer.sources]))
+    return graph.serialized([outputs[source] for source in detect.sources])
 
 
 class _Graph:
     """Nodes and constants, growing; a value is known by its name."""
 
     def __init__(self, size_hw: tuple[int, int]) -> None:
-        self._size_hw = size_hw
-        self._nodes: list[onnx.NodeProto] = []
-        self._constants: list[TensorProto] = []
+        opset = helper.make_opsetid("", _OPSET)
+        self._model = onnx.ModelProto(ir_version=_IR_VERSION, opset_import=[opset])
+        self._graph = self._model.graph  # grown in place, as each copy of large weights takes a while
+        self._graph.name = "yolov5"
+        self._graph.input.append(helper.make_tensor_value_info("planes", TensorProto.UINT8, [1, 3, *size_hw]))
 
-    def add(self, operator: str, *inputs: str, outputs: int = 1, **attributes: Any) -> str:
-        """The (first) output of a new node; others are called the same with _1, _2 ... behind."""
-        name = f"{operator}{len(self._nodes)}"
-        names = [name, *(f"{name}_{index}" for index in range(1, outputs))]
-        self._nodes.append(helper.make_node(operator, list(inputs), names, **attributes))
+    def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
+        """The output of a new node."""
+        name = f"{operator}{len(self._graph.node)}"
+        self._graph.node.append(helper.make_node(operator, list(inputs), [name], **attributes))
         return name
 
     def constant(self, value: Tensor | NDArray[Any] | np.generic) -> str:
         array = value.detach().cpu().numpy() if isinstance(value, Tensor) else np.asarray(value)
-        name = f"constant{len(self._constants)}"
-        self._constants.append(
-            numpy_helper.from_array(np.ascontiguousarray(array).reshape(array.shape), name)
-        )
+        name = f"constant{len(self._graph.initializer)}"
+        tensor = numpy_helper.from_array(np.ascontiguousarray(array).reshape(array.shape), name)
+        self._graph.initializer.append(tensor)
         return name
 
-    def serialized(self, raw: str) -> bytes:
-        self._nodes.append(helper.make_node("Identity", [raw], ["raw"]))
-        planes = helper.make_tensor_value_info("planes", TensorProto.UINT8, [1, 3, *self._size_hw])
-        output = helper.make_tensor_value_info("raw", TensorProto.FLOAT, ["rows", "outputs"])
-        graph = helper.make_graph(self._nodes, "yolov5", [planes], [output], self._constants)
-        opset = helper.make_opsetid("", _OPSET)
-        model = helper.make_model(graph, opset_imports=[opset], ir_version=_IR_VERSION)
-        serialized: bytes = model.SerializeToString()
+    def serialized(self, outputs: Sequence[str]) -> bytes:
+        self._graph.output.extend(
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, None, None, None]) for name in outputs
+        )
+        serialized: bytes = self._model.SerializeToString()
         return serialized
 
     def layer(self, module: nn.Module, inputs: list[str]) -> str:
         """What a layer of the architecture gives."""
-        if isinstance(module, Detect):
-            return self._detect(module, inputs)
         if isinstance(module, Concat):
             return self.add("Concat", *inputs, axis=1)
         if isinstance(module, nn.Upsample):
@@ -126,29 +121,3 @@ class _Graph:
             strides=list(module.stride),
             pads=[int(pad) for pad in module.padding] * 2,
         )
-
-    def _detect(self, module: Detect, levels: list[str]) -> str:
-        """See `Detect.decode`; cells and anchors are constants, as the size is fixed."""
-        rows, offsets, scales, anchors = [], [], [], []
-        for convolution, level, stride, cells in zip(
-            module.m, levels, module.strides, module.anchors, strict=True
-        ):
-            ny, nx = (side // stride for side in self._size_hw)
-            shape = self.constant(np.array([module.anchors_per_cell, module.outputs, ny, nx], np.int64))
-            grid = self.add("Reshape", self._convolution(convolution, level), shape)
-            grid = self.add("Transpose", grid, perm=[0, 2, 3, 1])
-            rows.append(self.add("Reshape", grid, self.constant(np.array([-1, module.outputs], np.int64))))
-            cell_xy = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), axis=-1).reshape(-1, 2)
-            offsets.append(np.tile((cell_xy - 0.5) * stride, (module.anchors_per_cell, 1)))
-            scales.append(np.full((len(offsets[-1]), 1), 2 * stride))
-            anchors.append(np.repeat((4 * stride * cells).cpu().numpy(), ny * nx, axis=0))
-        sigma = self.add("Sigmoid", self.add("Concat", *rows, axis=0))
-        sizes = self.constant(np.array([2, 2, module.outputs - 4], np.int64))
-        sigma_xy = self.add("Split", sigma, sizes, outputs=3, axis=1)
-        sigma_wh, scores = f"{sigma_xy}_1", f"{sigma_xy}_2"
-        scale, offset, anchor = (
-            self.constant(np.concatenate(parts).astype(np.float32)) for parts in (scales, offsets, anchors)
-        )
-        xy = self.add("Add", self.add("Mul", sigma_xy, scale), offset)
-        wh = self.add("Mul", self.add("Mul", sigma_wh, sigma_wh), anchor)
-        return self.add("Concat", xy, wh, scores, axis=1)

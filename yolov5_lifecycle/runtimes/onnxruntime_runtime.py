@@ -22,7 +22,7 @@ def _compile(graph: bytes) -> Run:
     options.intra_op_num_threads = torch.get_num_threads()
     options.add_session_config_entry(*_waiting())
     session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-    return lambda planes: session.run(["raw"], {"planes": planes})[0]
+    return lambda planes: session.run(None, {"planes": planes})
 
 
 def _waiting() -> tuple[str, str]:

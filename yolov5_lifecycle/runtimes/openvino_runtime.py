@@ -29,4 +29,4 @@ def _compile(graph: bytes) -> Run:
         },
     )
     request = compiled.create_infer_request()
-    return lambda planes: request.infer([planes], share_inputs=True)[0]
+    return lambda planes: list(request.infer([planes], share_inputs=True, share_outputs=True).values())

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import torch
@@ -11,10 +14,17 @@ from torch import Tensor, nn
 from yolov5_lifecycle.images import Order
 from yolov5_lifecycle.model import Model
 from yolov5_lifecycle.network import Network, fuse
-from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
+from yolov5_lifecycle.runtimes.recorded_network import RecordedNetwork
+from yolov5_lifecycle.runtimes.runtime import LIKELIEST, DeviceLostError, InferenceError
+from yolov5_lifecycle.runtimes.size_cache import SizeCache
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
 
 _PRECISIONS = {torch.float32: "fp32", torch.float16: "fp16"}
+
+Forward = Callable[[Tensor], Tensor]
+"""A frame (h, w, 3) RGB -> all predictions (N, 5 + C), which the next frame may overwrite."""
+
+_log = logging.getLogger(__name__)
 
 
 class TorchRuntime:
@@ -25,7 +35,10 @@ class TorchRuntime:
     def __init__(self, network: Network, *, device: torch.device, dtype: torch.dtype) -> None:
         self._device = device
         self._dtype = dtype
-        self._network: Network | None = _prepared(network, device, dtype)
+        prepared = _prepared(network, device, dtype)
+        self._forwards: SizeCache[Forward] | None = SizeCache(
+            lambda size_hw: _forward(prepared, size_hw, device=device, dtype=dtype)
+        )
 
     @classmethod
     def load(cls, model: Model, *, device: str, precision: str) -> TorchRuntime:
@@ -55,12 +68,13 @@ class TorchRuntime:
     def precision(self) -> str:
         return _PRECISIONS[self._dtype]
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
+    def __call__(self, frame: NDArray[np.uint8], order: Order, threshold: float = 0.0) -> NDArray[np.float32]:
         """See `Runtime`; DeviceLostError when CUDA has given this process up."""
-        if self._network is None:
+        if self._forwards is None:
             raise InferenceError("The runtime was closed; load the model again.")
+        rgb = cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) if order == "bgr" else frame
         try:
-            return self._run(self._network, frame, order)
+            return self._run(self._forwards, torch.from_numpy(rgb), threshold)
         except torch.OutOfMemoryError as error:
             problem = f"{_first_line(error)} Use a smaller image_size or model."
         except RuntimeError as error:
@@ -70,18 +84,14 @@ class TorchRuntime:
 
     def close(self) -> None:
         """See `Runtime`."""
-        self._network = None
+        self._forwards = None
 
     @torch.inference_mode()
-    def _run(self, network: Network, frame: NDArray[np.uint8], order: Order) -> NDArray[np.float32]:
-        raw: NDArray[np.float32] = network(self._pixels(frame, order))[0].cpu().numpy()
-        return raw
-
-    def _pixels(self, frame: NDArray[np.uint8], order: Order) -> Tensor:
-        """(h, w, 3) uint8 -> (1, 3, h, w) RGB in [0, 1], in channels-last layout because it comes so."""
-        rgb = cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) if order == "bgr" else frame
-        pixels = torch.from_numpy(rgb).to(self._device).permute(2, 0, 1).unsqueeze(0)
-        return pixels.to(self._dtype) / 255
+    def _run(self, forwards: SizeCache[Forward], rgb: Tensor, threshold: float) -> NDArray[np.float32]:
+        raw = forwards[rgb.shape[0], rgb.shape[1]](rgb)
+        # Sorted out where they are: from a GPU all would take longer than the network.
+        rows: NDArray[np.float32] = _likely(raw, threshold).cpu().numpy()
+        return rows
 
     def _failure(self, problem: str) -> InferenceError:
         """What to raise for a failed frame; the device is tried, as some errors of CUDA are for ever."""
@@ -93,6 +103,34 @@ class TorchRuntime:
             except RuntimeError:
                 return DeviceLostError(f"{failure} The device is lost to this process; start it again.")
         return InferenceError(failure)
+
+
+def _forward(
+    network: Network, size_hw: tuple[int, int], *, device: torch.device, dtype: torch.dtype
+) -> Forward:
+    """How to run `network` on RGB frames (h, w, 3) of uint8: recorded where that is possible."""
+
+    def eager(rgb: Tensor) -> Tensor:
+        # Channels-last layout, because the frame comes so.
+        pixels = rgb.to(device).permute(2, 0, 1).unsqueeze(0).to(dtype) / 255
+        predictions: Tensor = network(pixels)[0]
+        return predictions
+
+    if device.type != "cuda":
+        return eager
+    try:
+        return RecordedNetwork(eager, size_hw, device)
+    except RuntimeError as error:
+        problem = _first_line(error)
+    _log.warning("The network is run step by step, as CUDA could not record it: %s", problem)
+    return eager
+
+
+def _likely(raw: Tensor, threshold: float) -> Tensor:
+    """The rows that `Runtime` promises, in memory of their own; those that are not numbers are among them."""
+    objectness = raw[:, 4]
+    lowest = objectness.topk(min(LIKELIEST, len(objectness)), sorted=False).values.min()
+    return raw[~(objectness < lowest.clamp(max=threshold))]
 
 
 def _prepared(network: Network, device: torch.device, dtype: torch.dtype) -> Network:
