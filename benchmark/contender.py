@@ -19,7 +19,7 @@ from benchmark.process_memory import peak_resident_mb
 from benchmark.task import Task
 
 _WARM_UPS = 3
-_SET_BY_THE_PACKAGE = ("OMP_WAIT_POLICY", "OPENBLAS_NUM_THREADS")
+_SET_BY_THE_PACKAGE = ("OMP_WAIT_POLICY", "OPENBLAS_NUM_THREADS")  # for its own processes, so for this one
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ class Contender:
 def contender(task: Task, environment: Mapping[str, str]) -> Iterator[Contender]:
     """A process for `task`, warm."""
     command = [sys.executable, "-m", "benchmark.contender", json.dumps(asdict(task))]
-    # What the package sets for its own processes is not meant for its rivals.
-    kept = {name: value for name, value in environment.items() if name not in _SET_BY_THE_PACKAGE}
+    if task.side == "rivals":
+        environment = {name: value for name, value in environment.items() if name not in _SET_BY_THE_PACKAGE}
     process = subprocess.Popen(
         command,
-        env=kept,
+        env=environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

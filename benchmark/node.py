@@ -119,7 +119,6 @@ def detector_node(weights: Path, cache: Path) -> Iterator[MeasuredDetector]:
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILE),
             "XDG_CACHE_HOME": str(cache),
         }
-        environment.pop("OMP_WAIT_POLICY", None)  # the process sets its own
         os.environ.update(environment)
         command = [entry_point("detector"), "--ros-args", "-p", f"weights:={weights}", "-p", "device:=cpu"]
         process = stack.enter_context(ChildProcess("detector", command, environment))

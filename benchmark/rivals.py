@@ -6,6 +6,8 @@ as they may be absent.
 
 from __future__ import annotations
 
+import tempfile
+import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -13,13 +15,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from torch import Tensor
 
 from benchmark.task import Task
 from benchmark.work import scene_picture
 from yolov5_lifecycle.letterbox import Letterbox
 from yolov5_lifecycle.network import Network, fuse
-from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 from yolov5_lifecycle.weights import load_weights
 
 IMAGE_SIZE = 640
@@ -34,13 +35,12 @@ def call_of(task: Task) -> Call:
     network.load_state_dict(model.state_dict)
     stride = max(model.architecture.strides)
     letterbox = Letterbox.fit(task.picture_hw, image_size=IMAGE_SIZE, stride=stride)
-    rgb = letterbox.apply(scene_picture(task.picture_hw).pixels)[..., ::-1]
-    return RIVALS[task.name](fuse(network), np.ascontiguousarray(rgb.transpose(2, 0, 1)[None]))
+    rgb = letterbox.apply(scene_picture(task.picture_hw).pixels)[..., ::-1].copy()
+    pixels = torch.from_numpy(rgb).permute(2, 0, 1)[None].float().contiguous() / 255
+    return RIVALS[task.name](fuse(network), pixels)
 
 
-def _eager_torch(network: Network, planes: NDArray[np.uint8]) -> Call:
-    pixels = torch.from_numpy(planes).float() / 255
-
+def _eager_torch(network: Network, pixels: Tensor) -> Call:
     @torch.inference_mode()
     def forward() -> object:
         return network(pixels)
@@ -48,50 +48,53 @@ def _eager_torch(network: Network, planes: NDArray[np.uint8]) -> Call:
     return forward
 
 
-def _channels_last(network: Network, planes: NDArray[np.uint8]) -> Call:
-    pixels = (torch.from_numpy(planes).float() / 255).to(memory_format=torch.channels_last)
+def _channels_last(network: Network, pixels: Tensor) -> Call:
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-    @torch.inference_mode()
-    def forward() -> object:
-        return network(pixels)
-
-    return forward
+    return _eager_torch(network, pixels.to(memory_format=torch.channels_last))
 
 
-def _onnxruntime(network: Network, planes: NDArray[np.uint8], *, spins: bool) -> Call:
+def _onnxruntime(network: Network, pixels: Tensor, *, spins: bool) -> Call:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.add_session_config_entry("session.intra_op.allow_spinning", str(int(spins)))
-    graph = onnx_graph(network, (planes.shape[2], planes.shape[3]))
+    graph = _exported(network, pixels)
     session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-    return lambda: session.run(["raw"], {"planes": planes})
+    return lambda: session.run(None, {"pixels": pixels.numpy()})
 
 
-def _openvino(network: Network, planes: NDArray[np.uint8]) -> Call:
+def _openvino(network: Network, pixels: Tensor) -> Call:
     import openvino
 
     core = openvino.Core()
-    graph = core.read_model(onnx_graph(network, (planes.shape[2], planes.shape[3])))
+    graph = core.read_model(_exported(network, pixels))
     # Without the second hint it computes in bfloat16 where the CPU can, and the scores are others.
     hints = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": "f32"}
     request = core.compile_model(graph, "CPU", hints).create_infer_request()
-    return lambda: request.infer([planes], share_inputs=True)
+    return lambda: request.infer([pixels.numpy()], share_inputs=True)
 
 
-def _opencv(network: Network, planes: NDArray[np.uint8]) -> Call:
-    graph = np.frombuffer(onnx_graph(network, (planes.shape[2], planes.shape[3])), np.uint8)
-    net = cv2.dnn.readNetFromONNX(graph)
+def _opencv(network: Network, pixels: Tensor) -> Call:
+    net = cv2.dnn.readNetFromONNX(np.frombuffer(_exported(network, pixels), np.uint8))
 
     def forward() -> object:
-        net.setInput(planes)
+        net.setInput(pixels.numpy())
         return net.forward()
 
     return forward
 
 
-RIVALS: Mapping[str, Callable[[Network, NDArray[np.uint8]], Call]] = {
+def _exported(network: Network, pixels: Tensor) -> bytes:
+    """The whole network as torch writes it in ONNX."""
+    with tempfile.NamedTemporaryFile(suffix=".onnx") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the exporter that replaces this one needs another package
+        torch.onnx.export(
+            network, (pixels,), file.name, dynamo=False, input_names=["pixels"], opset_version=13
+        )
+        return file.read()
+
+
+RIVALS: Mapping[str, Callable[[Network, Tensor], Call]] = {
     "eager torch": _eager_torch,
     "eager torch, channels last": _channels_last,
     "ONNX Runtime": partial(_onnxruntime, spins=True),

@@ -56,7 +56,7 @@ def _stage(name: str, detector: Detector, picture: Picture) -> Callable[[], obje
 
 def _crowded(raw: NDArray[np.float32]) -> NDArray[np.float32]:
     """Predictions of a network that has seen _CROWD objects, evenly spread over `raw`, which is all of it."""
-    crowded = raw[np.linspace(0, len(raw) - 1, _CROWD).astype(int)]
+    crowded: NDArray[np.float32] = raw[np.linspace(0, len(raw) - 1, _CROWD).astype(int)]
     crowded[:, 4:6] = 0.9
     return crowded
 

@@ -16,7 +16,7 @@ Features = NDArray[np.float32]
 
 
 class DetectionHead:
-    """`detect` in numpy: of 15,120 predictions a picture has some 300 that are looked at.
+    """`detect` in numpy: of 15,120 predictions some 100 to 300 are looked at.
 
     All of them would be a twelfth of the network's arithmetic, and 5 MB to convert and to hand on: together a
     fifth of the time of yolov5n at 384x640.

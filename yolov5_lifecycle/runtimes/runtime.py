@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.images import Order
 
-LIKELIEST = 100
+LIKELIEST = 30
 """So many predictions are given at least: when none is above the threshold, they tell by how little."""
 
 
