@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import threading
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -205,6 +207,55 @@ def test_cuda_predicts_what_the_cpu_predicts(precision: str, scores: float, boxe
     assert raw.shape == (len(expected), 5 + len(CLASS_NAMES))
     np.testing.assert_allclose(raw[:, :4], expected[:, :4], rtol=1e-3, atol=boxes_px)
     np.testing.assert_allclose(raw[:, 4:], expected[:, 4:], rtol=0, atol=scores)
+
+
+@needs_cuda
+def test_on_cuda_earlier_predictions_stay_as_they_are_and_sizes_may_alternate() -> None:
+    on_cpu = TorchRuntime.load(random_model(2), device="cpu", precision="fp32")
+    on_cuda = TorchRuntime.load(random_model(2), device="cuda", precision="fp32")
+    frames = [random_frame(64, width) for width in [*range(32, 225, 32), 32, 64]]
+    predicted = [on_cuda(frame, "rgb") for frame in frames]
+    for frame, raw in zip(frames, predicted, strict=True):
+        np.testing.assert_allclose(raw, on_cpu(frame, "rgb"), rtol=1e-3, atol=2e-3)
+
+
+@needs_cuda
+def test_cuda_records_while_another_model_is_loaded() -> None:
+    frame = random_frame()
+    expected = TorchRuntime.load(random_model(2), device="cpu", precision="fp32")(frame, "rgb")
+    done = threading.Event()
+
+    def load_again_and_again() -> None:
+        while not done.is_set():
+            TorchRuntime.load(random_model(3), device="cuda", precision="fp32")(random_frame(32, 32), "rgb")
+
+    with ThreadPoolExecutor() as pool:
+        loading = pool.submit(load_again_and_again)
+        try:
+            for _ in range(20):
+                raw = TorchRuntime.load(random_model(2), device="cuda", precision="fp32")(frame, "rgb")
+                np.testing.assert_allclose(raw, expected, rtol=1e-3, atol=2e-3)
+        finally:
+            done.set()
+        loading.result()
+
+
+@needs_cuda
+def test_what_cuda_cannot_record_is_run_step_by_step_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    class WaitingNetwork(Network):
+        """Waits for the GPU, which must not happen in a recording."""
+
+        def forward(self, pixels: Tensor) -> Tensor:
+            return super().forward(pixels) * float(torch.isfinite(pixels).all())
+
+    network = WaitingNetwork(TINY)
+    network.load_state_dict(random_model(2).state_dict)
+    frame = random_frame()
+    expected = TorchRuntime.load(random_model(2), device="cpu", precision="fp32")(frame, "rgb")
+    runtime = TorchRuntime(network, device=torch.device("cuda:0"), dtype=torch.float32)
+    for _ in range(2):
+        np.testing.assert_allclose(runtime(frame, "rgb"), expected, rtol=1e-3, atol=2e-3)
+    assert caplog.text.count("run step by step, as CUDA could not record it: ") == 1
 
 
 @needs_cuda
