@@ -12,11 +12,12 @@ from yolov5_lifecycle.model import Model, blueprint
 from yolov5_lifecycle.network import Network
 
 CLASS_NAMES = ("cat", "dog", "cow")
+_GAIN = 2.3  # as they are initialised, weights let a picture fade away from layer to layer
 TINY: Architecture = dataclasses.replace(SIZES["n"], width_multiple=0.125, classes=len(CLASS_NAMES))
 
 
 def random_network(seed: int, architecture: Architecture = TINY) -> Network:
-    """A network in evaluation mode; its normalisation statistics are random too, as after a training."""
+    """A network in evaluation mode, whose predictions depend on what it sees as much as after a training."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         network = Network(architecture).eval()
@@ -26,6 +27,8 @@ def random_network(seed: int, architecture: Architecture = TINY) -> Network:
                 module.running_var = 0.5 + torch.rand(module.num_features)
                 nn.init.uniform_(module.weight, 0.5, 1.5)
                 nn.init.normal_(module.bias, std=0.2)
+            if isinstance(module, nn.Conv2d):
+                module.weight.data *= _GAIN
     return network
 
 

@@ -81,7 +81,12 @@ def prepare_model(settings: Settings, source_hw: tuple[int, int]) -> PreparedMod
         precision=settings.precision,
         image_size=settings.image_size,
     )
-    detector.warm_up(source_hw)
+    try:
+        detector.warm_up(source_hw)
+    except BaseException:  # whose traceback keeps the detector alive
+        detector.close()
+        give_back_memory()
+        raise
     return PreparedModel(settings, detector, weights.path, weights.sha256)
 
 

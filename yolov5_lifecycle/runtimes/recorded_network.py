@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor
 
 _WARM_UPS = 3  # libraries choose their algorithms and take their memory, which a recording must not
+_PATIENCE_S = 10.0
+_ONE_AT_A_TIME = threading.Lock()
+_HAS_FAILED = threading.Event()
 
 
 class RecordedNetwork:
@@ -20,12 +25,19 @@ class RecordedNetwork:
         self, forward: Callable[[Tensor], Tensor], size_hw: tuple[int, int], device: torch.device
     ) -> None:
         self._frame = torch.zeros((*size_hw, 3), dtype=torch.uint8, device=device)
-        self._graph = torch.cuda.CUDAGraph()
-        with torch.cuda.device(device):
-            _warm_up(lambda: forward(self._frame))
-            # Other threads may take and free memory of the GPU meanwhile: a model that is loaded, say.
-            with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
-                self._predictions = forward(self._frame)
+        with _alone(), torch.cuda.device(device):
+            self._graph = torch.cuda.CUDAGraph()
+            # torch's own stream for recordings belongs to the first GPU that was recorded on, and stays the
+            # current one after a recording that has failed.
+            stream = torch.cuda.Stream()
+            stream.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(stream):
+                for _ in range(_WARM_UPS):
+                    forward(self._frame)
+                # Meanwhile other threads may take and free memory of the GPU: where a model is loaded, say.
+                with torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local"):
+                    self._predictions = forward(self._frame)
+            torch.cuda.current_stream().wait_stream(stream)
 
     def __call__(self, frame: Tensor) -> Tensor:
         """What `forward` gives, in memory that the next frame overwrites."""
@@ -34,11 +46,22 @@ class RecordedNetwork:
         return self._predictions
 
 
-def _warm_up(run: Callable[[], object]) -> None:
-    """On a stream of its own, as torch asks of what is recorded afterwards."""
-    stream = torch.cuda.Stream()
-    stream.wait_stream(torch.cuda.current_stream())
-    with torch.cuda.stream(stream):
-        for _ in range(_WARM_UPS):
-            run()
-    torch.cuda.current_stream().wait_stream(stream)
+@contextmanager
+def _alone() -> Iterator[None]:
+    """One recording at a time, as torch demands of a process, and none after one that has failed.
+
+    What that leaves behind in the allocator, the next one would stumble over (pytorch/pytorch#180395).
+    """
+    if not _ONE_AT_A_TIME.acquire(timeout=_PATIENCE_S):
+        raise RuntimeError(f"Another recording has not ended within {_PATIENCE_S:g} s.")
+    try:
+        if _HAS_FAILED.is_set():
+            raise RuntimeError("An earlier recording of this process has failed.")
+        yield
+    except torch.OutOfMemoryError:  # leaves nothing behind
+        raise
+    except RuntimeError:
+        _HAS_FAILED.set()
+        raise
+    finally:
+        _ONE_AT_A_TIME.release()

@@ -44,7 +44,7 @@ class TorchRuntime:
     def load(cls, model: Model, *, device: str, precision: str) -> TorchRuntime:
         """The network of `model` on the device and in the precision that the settings' words name.
 
-        Raises DeviceError, also when the device has no room for the network.
+        Raises DeviceError, also when the device has no room for the network, and DeviceLostError.
         """
         torch_device = resolve_device(device)
         dtype = resolve_precision(precision, torch_device)
@@ -55,6 +55,8 @@ class TorchRuntime:
             return cls(network, device=torch_device, dtype=dtype)
         except (torch.OutOfMemoryError, torch.AcceleratorError) as error:
             problem = _first_line(error)
+        if _is_lost(torch_device):
+            raise DeviceLostError(_lost(torch_device, problem))
         raise DeviceError(
             f"Device '{torch_device}' does not take the network: {problem} "
             "Use a smaller model or device 'cpu'."
@@ -94,15 +96,10 @@ class TorchRuntime:
         return rows
 
     def _failure(self, problem: str) -> InferenceError:
-        """What to raise for a failed frame; the device is tried, as some errors of CUDA are for ever."""
-        failure = f"torch failed on {self.device}: {problem}"
-        if self._device.type == "cuda":
-            try:
-                torch.cuda.synchronize(self._device)
-                torch.cuda.empty_cache()
-            except RuntimeError:
-                return DeviceLostError(f"{failure} The device is lost to this process; start it again.")
-        return InferenceError(failure)
+        """What to raise for a failed frame."""
+        if _is_lost(self._device):
+            return DeviceLostError(_lost(self._device, problem))
+        return InferenceError(f"torch failed on {self.device}: {problem}")
 
 
 def _forward(
@@ -121,7 +118,7 @@ def _forward(
     try:
         return RecordedNetwork(eager, size_hw, device)
     except RuntimeError as error:
-        problem = _first_line(error)
+        problem = _first_line(error.__context__ or error)  # the latter may only say that there was one before
     _log.warning("The network is run step by step, as CUDA could not record it: %s", problem)
     return eager
 
@@ -138,10 +135,28 @@ def _prepared(network: Network, device: torch.device, dtype: torch.dtype) -> Net
     for module in network.modules():
         if isinstance(module, nn.Conv2d):  # the anchors stay float32
             module.to(dtype)
+    if device.type == "cuda" and dtype == torch.float32:  # else convolutions take TF32, as coarse as fp16
+        torch.backends.cudnn.allow_tf32 = False
     network.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network
 
 
-def _first_line(error: RuntimeError) -> str:
+def _is_lost(device: torch.device) -> bool:
+    """Some errors of CUDA are for ever: then even waiting for the device fails, and freeing its memory."""
+    if device.type != "cuda":
+        return False
+    try:
+        torch.cuda.current_stream(device).synchronize()  # not for the whole device, where a thread may record
+        torch.cuda.empty_cache()
+    except RuntimeError:
+        return True
+    return False
+
+
+def _lost(device: torch.device, problem: str) -> str:
+    return f"torch failed on {device}: {problem} The device is lost to this process; start it again."
+
+
+def _first_line(error: BaseException) -> str:
     """torch appends its C++ stack and advice about environment variables."""
     return str(error).partition("\n")[0]
