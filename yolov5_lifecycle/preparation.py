@@ -85,7 +85,6 @@ def prepare_model(settings: Settings, source_hw: tuple[int, int]) -> PreparedMod
         detector.warm_up(source_hw)
     except BaseException:  # whose traceback keeps the detector alive
         detector.close()
-        give_back_memory()
         raise
     return PreparedModel(settings, detector, weights.path, weights.sha256)
 
