@@ -19,7 +19,7 @@ from benchmark.process_memory import peak_resident_mb
 from benchmark.task import Task
 
 _WARM_UPS = 3
-_SET_BY_THE_PACKAGE = ("OMP_WAIT_POLICY", "OPENBLAS_NUM_THREADS")  # for its own processes, so for this one
+_SET_BY_THE_PACKAGE = ("OMP_WAIT_POLICY", "OPENBLAS_NUM_THREADS")  # which is not meant for rivals
 
 
 @dataclass(frozen=True)

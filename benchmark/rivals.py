@@ -1,6 +1,6 @@
 """What a user could take instead of this project's runtimes: the bare forward of each.
 
-torch is imported before the package, which would change how OpenMP waits; the others when they are asked for,
+torch is imported before the package, which would change how threads wait; the others when they are asked for,
 as they may be absent.
 """
 

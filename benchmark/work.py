@@ -31,7 +31,7 @@ def call_of(task: Task) -> Callable[[], object]:
     if is_forward:
         letterbox = _letterbox(detector, picture)
         frame = letterbox.apply(picture.pixels)
-        return lambda: detector.runtime(frame, picture.order, Selection().confidence_threshold)
+        return lambda: detector.runtime(frame, picture.order, Selection().least_objectness)
     return _stage(task.name, detector, picture)
 
 
@@ -43,7 +43,7 @@ def scene_picture(picture_hw: tuple[int, int]) -> Picture:
 def _stage(name: str, detector: Detector, picture: Picture) -> Callable[[], object]:
     letterbox = _letterbox(detector, picture)
     frame = letterbox.apply(picture.pixels)
-    raw = detector.runtime(frame, picture.order, Selection().confidence_threshold)
+    raw = detector.runtime(frame, picture.order, Selection().least_objectness)
     crowded = _crowded(detector.runtime(frame, picture.order))
     stages: dict[str, Callable[[], object]] = {
         "letterbox": lambda: letterbox.apply(picture.pixels),

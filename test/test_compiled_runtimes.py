@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from random_model import CLASS_NAMES, TINY, random_model
 
 from benchmark.process_memory import resident_mb
-from yolov5_lifecycle.architecture import SIZES, Architecture
+from yolov5_lifecycle.architecture import SIZES, Architecture, Layer
 from yolov5_lifecycle.boxes import Selection, select
 from yolov5_lifecycle.detections import Detections
 from yolov5_lifecycle.detector import load_detector
@@ -31,6 +31,14 @@ from yolov5_lifecycle.weights import load_weights
 
 TINY_P6 = dataclasses.replace(SIZES["n6"], width_multiple=0.125, classes=len(CLASS_NAMES))
 TINY_DEEP = dataclasses.replace(TINY, depth_multiple=1.0, classes=1)
+DETECT_ALONE = dataclasses.replace(
+    TINY, anchors_px=(((10, 13), (16, 30)),), strides=(1,), layers=(Layer((-1,), 1, "Detect"),)
+)
+PIXELS_TWICE = dataclasses.replace(
+    DETECT_ALONE,
+    strides=(2,),
+    layers=(Layer((-1, -1), 1, "Concat"), Layer((-1,), 1, "Conv", (64, 3, 2)), Layer((-1,), 1, "Detect")),
+)
 SCORES = 2e-3
 BOXES_PX = 0.1
 
@@ -65,6 +73,8 @@ def assert_same_predictions(raw: NDArray[np.float32], expected: NDArray[np.float
         pytest.param(TINY, id="three levels"),
         pytest.param(TINY_P6, id="four levels"),
         pytest.param(TINY_DEEP, id="repeated bottlenecks, one class"),
+        pytest.param(DETECT_ALONE, id="no layer but the last"),
+        pytest.param(PIXELS_TWICE, id="a first layer that joins the picture with itself"),
     ],
 )
 def test_a_random_network_predicts_what_it_predicts_in_torch(

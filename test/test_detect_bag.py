@@ -214,7 +214,9 @@ class RaisingRuntime:
     def __init__(self, error: BaseException) -> None:
         self._error = error
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, threshold: float = 0.0) -> NDArray[np.float32]:
+    def __call__(
+        self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
+    ) -> NDArray[np.float32]:
         raise self._error
 
     def close(self) -> None:

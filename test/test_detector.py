@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from random_model import CLASS_NAMES, random_model
 from scripted_runtime import ScriptedRuntime
 
-from yolov5_lifecycle.boxes import Selection
+from yolov5_lifecycle.boxes import WORTH_TELLING, Selection
 from yolov5_lifecycle.detector import USUAL_SOURCE_HW, Detector, load_detector
 from yolov5_lifecycle.images import Order, Picture
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
@@ -61,11 +61,13 @@ def test_nothing_predicted_is_nothing_detected() -> None:
     assert len(detector_of(predicting(rows())).detect(random_picture(10, 10), Selection())) == 0
 
 
-@pytest.mark.parametrize("order", ["rgb", "bgr"])
-def test_the_runtime_is_told_the_order_of_colours(order: Order) -> None:
+@pytest.mark.parametrize(("order", "threshold", "least"), [("rgb", 0.03, 0.03), ("bgr", 0.6, WORTH_TELLING)])
+def test_the_runtime_is_told_the_order_of_colours_and_which_predictions_matter(
+    order: Order, threshold: float, least: float
+) -> None:
     runtime = predicting(rows())
-    detector_of(runtime).detect(random_picture(30, 64, order), Selection())
-    assert runtime.calls == [((32, 64, 3), order)]
+    detector_of(runtime).detect(random_picture(30, 64, order), Selection(confidence_threshold=threshold))
+    assert runtime.calls == [((32, 64, 3), order, least)]
 
 
 @pytest.mark.parametrize(
@@ -110,7 +112,7 @@ def test_an_image_size_off_the_stride_is_refused_with_the_nearest_good_ones(
 def test_warming_up_runs_the_frame_of_the_pictures_to_come() -> None:
     runtime = predicting(rows())
     detector_of(runtime, image_size=640).warm_up((720, 1280))
-    assert {shape for shape, _ in runtime.calls} == {(384, 640, 3)}
+    assert {shape for shape, *_ in runtime.calls} == {(384, 640, 3)}
 
 
 def test_warming_up_finds_weights_that_give_no_numbers() -> None:

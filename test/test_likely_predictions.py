@@ -1,11 +1,13 @@
-"""Of all predictions every runtime gives those that can become detections, and the likeliest in any case."""
+"""Of all predictions every runtime gives those that are likely enough to matter, and few others."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -19,7 +21,8 @@ from yolov5_lifecycle.detector import Detector
 from yolov5_lifecycle.images import Picture
 from yolov5_lifecycle.model import Model
 from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_runtimes, load_runtime
-from yolov5_lifecycle.runtimes.runtime import LIKELIEST, InferenceError, Runtime
+from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
+from yolov5_lifecycle.weights import load_weights
 
 FRAME = np.random.default_rng(0).integers(0, 256, (64, 128, 3), np.uint8)
 
@@ -57,41 +60,65 @@ def places(rows: NDArray[np.float32], every_row: NDArray[np.float32]) -> list[in
     return [int(place) for place in distances.argmin(axis=1)]
 
 
-@pytest.mark.parametrize("rank", [0, 5, LIKELIEST, 200, -1], ids=lambda rank: f"above the {rank}th")
-def test_all_above_the_threshold_are_given_in_their_order(
+@pytest.mark.parametrize("rank", [0, 5, 100, -1], ids=lambda rank: f"rank {rank}")
+def test_all_that_are_likely_enough_are_given_in_their_order_and_few_others(
     rank: int, runtime: Runtime, every_row: NDArray[np.float32]
 ) -> None:
-    objectness = np.sort(every_row[:, 4])[::-1]
-    threshold = float(objectness[rank])
-    given_places = places(runtime(FRAME, "rgb", threshold), every_row)
+    least = float(np.sort(every_row[:, 4])[::-1][rank])
+    given_places = places(runtime(FRAME, "rgb", least - 1e-5), every_row)
     assert given_places == sorted(set(given_places))
-    wanted = np.flatnonzero(every_row[:, 4] > threshold + 1e-5)
+    wanted = np.flatnonzero(every_row[:, 4] >= least)
     assert set(wanted) <= set(given_places)
+    assert len(given_places) <= 3 * len(wanted), "more than the cells with one of them"
 
 
-@pytest.mark.parametrize("threshold", [0.999, 1.0])
-def test_the_likeliest_are_given_when_none_is_above_the_threshold(
-    threshold: float, runtime: Runtime, every_row: NDArray[np.float32]
+@pytest.mark.parametrize("least_objectness", [0.999, 1.0])
+def test_none_is_given_when_none_is_likely_enough(
+    least_objectness: float, runtime: Runtime, every_row: NDArray[np.float32]
 ) -> None:
-    assert every_row[:, 4].max() < threshold
-    given_rows = runtime(FRAME, "rgb", threshold)
-    assert LIKELIEST <= len(given_rows) < len(every_row)
-    hundredth = np.sort(every_row[:, 4])[-LIKELIEST]
-    assert set(np.flatnonzero(every_row[:, 4] > hundredth + 1e-5)) <= set(places(given_rows, every_row))
+    assert every_row[:, 4].max() < 0.99
+    rows = runtime(FRAME, "rgb", least_objectness)
+    assert rows.shape == (0, every_row.shape[1])
+    assert rows.dtype == np.float32
 
 
-def test_without_a_threshold_all_are_given(runtime: Runtime, every_row: NDArray[np.float32]) -> None:
+def test_all_are_given_to_who_asks_for_no_objectness(
+    runtime: Runtime, every_row: NDArray[np.float32]
+) -> None:
     np.testing.assert_allclose(runtime(FRAME, "rgb"), every_row, rtol=1e-3, atol=1e-3)
 
 
-@settings(max_examples=20, deadline=None)
-@given(threshold=st.floats(0, 1), agnostic=st.booleans())
-def test_detections_are_those_of_all_predictions(threshold: float, agnostic: bool, runtime: Runtime) -> None:
-    selection = Selection(confidence_threshold=threshold, agnostic_nms=agnostic)
-    found, expected = (select(runtime(FRAME, "rgb", limit), selection) for limit in (threshold, 0.0))
+@settings(max_examples=30, deadline=None)
+@given(
+    threshold=st.floats(0, 1),
+    agnostic=st.booleans(),
+    classes=st.none() | st.frozensets(st.integers(0, len(CLASS_NAMES) - 1), min_size=1),
+)
+def test_detections_and_the_best_that_was_missed_are_those_of_all_predictions(
+    threshold: float, agnostic: bool, classes: frozenset[int] | None, runtime: Runtime
+) -> None:
+    selection = Selection(confidence_threshold=threshold, agnostic_nms=agnostic, classes=classes)
+    found, expected = (
+        select(runtime(FRAME, "rgb", least), selection) for least in (selection.least_objectness, 0.0)
+    )
     np.testing.assert_array_equal(found.class_ids, expected.class_ids)
     np.testing.assert_allclose(found.scores, expected.scores, rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.boxes_xyxy, expected.boxes_xyxy, rtol=0, atol=1e-3)
+    assert found.best_missed == pytest.approx(expected.best_missed, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("class_name", "best"), [("handbag", 0.0607), ("stop sign", 0.0617), ("skateboard", 0.0)]
+)
+def test_the_best_that_was_missed_of_one_class_is_told_beside_likelier_objects_of_others(
+    class_name: str, best: float, runtime_name: str, reference_dir: Path
+) -> None:
+    model = load_weights(reference_dir / "weights" / "yolov5n.pt").model
+    picture = Picture(cv2.imread(str(reference_dir / "images" / "bus.jpg")), "bgr")
+    detector = Detector(loaded(model, runtime_name), class_names=model.class_names, image_size=640, stride=32)
+    wanted = frozenset({model.class_names.index(class_name)})
+    found = detector.detect(picture, Selection(classes=wanted))
+    assert found.best_missed == pytest.approx(best, abs=1e-3)
 
 
 @pytest.mark.parametrize(

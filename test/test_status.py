@@ -131,6 +131,12 @@ def test_the_values_hold_every_count_and_the_configuration() -> None:
     assert BLIND.values()["best score in them"] == "0.61"
 
 
+def test_scores_that_are_mere_noise_are_not_told() -> None:
+    assert BLIND.empty is not None
+    noise = dataclasses.replace(BLIND, empty=dataclasses.replace(BLIND.empty, best_missed=0.0))
+    assert "152 frames, nothing even above 0.05: if there was something" in noise.remark
+
+
 def test_empty_frames_are_counted_until_something_is_found() -> None:
     frames = EmptyFrames(0.5)
     assert (frames.run.frames, frames.run.duration_s) == (0, 0.0)

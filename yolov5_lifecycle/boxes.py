@@ -14,6 +14,10 @@ MAX_CANDIDATES = 30_000
 """Of more boxes above the threshold only the best enter the suppression, as in YOLOv5."""
 
 
+WORTH_TELLING = 0.05
+"""A score below is noise: a threshold that lets it pass would be of no use."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Selection:
     """Which predictions become detections; thresholds in [0, 1], `classes` None means all."""
@@ -23,6 +27,11 @@ class Selection:
     max_detections: int = 1000
     classes: frozenset[int] | None = None
     agnostic_nms: bool = False
+
+    @property
+    def least_objectness(self) -> float:
+        """A prediction of less can neither become a detection nor be the best one that was missed."""
+        return min(self.confidence_threshold, WORTH_TELLING)
 
 
 def cxcywh_to_xyxy(boxes_cxcywh: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -50,7 +59,7 @@ def select(raw: NDArray[np.float32], selection: Selection) -> Detections:
         iou_threshold=selection.iou_threshold,
         limit=selection.max_detections,
     )
-    best_missed = 0.0 if len(kept) else _scored(raw, 0.0, selection.classes)[1].max(initial=0.0)
+    best_missed = 0.0 if len(kept) else _scored(raw, WORTH_TELLING, selection.classes)[1].max(initial=0.0)
     return Detections(boxes_xyxy[kept], scores[kept], class_ids[kept], float(best_missed))
 
 

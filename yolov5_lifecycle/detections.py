@@ -22,7 +22,7 @@ class Detections:
     class_ids: NDArray[np.int64]
     """(n,) indices into the model's class names."""
     best_missed: float = 0.0
-    """When nothing was found: the highest score that was too low."""
+    """When nothing was found: the highest score that was too low, 0 if none was worth telling."""
 
     def __post_init__(self) -> None:
         count = len(self.scores)

@@ -50,7 +50,7 @@ class Detector:
         """
         letterbox = Letterbox.fit(picture.size_hw, image_size=self.image_size, stride=self.stride)
         frame = letterbox.apply(picture.pixels)
-        raw = self.runtime(frame, picture.order, selection.confidence_threshold)
+        raw = self.runtime(frame, picture.order, selection.least_objectness)
         self._check(raw)
         found = select(raw, selection)
         boxes_xyxy = letterbox.undo(found.boxes_xyxy)

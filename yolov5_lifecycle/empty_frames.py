@@ -14,7 +14,7 @@ class EmptyRun:
     begun_s: float = 0.0
     ended_s: float = 0.0
     best_missed: float = 0.0
-    """The highest score that was too low."""
+    """The highest score that was too low, 0 if none was worth telling."""
 
     @property
     def duration_s(self) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rclpy.qos import ReliabilityPolicy
 
+from yolov5_lifecycle.boxes import WORTH_TELLING
 from yolov5_lifecycle.empty_frames import EmptyRun
 from yolov5_lifecycle.frame_balance import FrameBalance, Outcome
 from yolov5_lifecycle.preparation import PreparedModel
@@ -85,10 +86,11 @@ class Status:
         if self.input is None:
             return "idle (lazy): nobody listens to ~/detections or ~/image, so no images are taken"
         if self.empty is not None and self.empty.duration_s > EMPTY_S:
+            missed = self.empty.best_missed
+            best = f"the best {missed:.2g}" if missed else f"nothing even above {WORTH_TELLING:g}"
             return (
                 f"nothing scored above confidence_threshold {self.empty.threshold:g} in the last "
-                f"{self.empty.frames} frames, the best {self.empty.best_missed:.2g}: if there was "
-                "something, lower it, or empty classes"
+                f"{self.empty.frames} frames, {best}: if there was something, lower it, or empty classes"
             )
         return ""
 

@@ -65,12 +65,15 @@ class CompiledRuntime:
     def name(self) -> str:
         return self._engine.name
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, threshold: float = 0.0) -> NDArray[np.float32]:
+    def __call__(
+        self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
+    ) -> NDArray[np.float32]:
         """See `Runtime`; the first frame of a size waits for the compiler."""
-        if self._compiled is None:
+        compiled = self._compiled  # a thread that was given up may run while another closes
+        if compiled is None:
             raise InferenceError("The runtime was closed; load the model again.")
         try:
-            return self._compiled[frame.shape[0], frame.shape[1]](frame, order, threshold)
+            return compiled[frame.shape[0], frame.shape[1]](frame, order, least_objectness)
         except self._engine.errors as error:
             problem = str(error).partition("\n")[0]
         raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
@@ -81,7 +84,7 @@ class CompiledRuntime:
 
 
 class _Compiled:
-    """A runnable network for one size, and its input memory."""
+    """A runnable network for one size, its last layer and its input memory."""
 
     def __init__(self, network: Network, engine: Engine, size_hw: tuple[int, int]) -> None:
         self._run = engine.compile(onnx_graph(network, size_hw))
@@ -90,6 +93,8 @@ class _Compiled:
         self._head = DetectionHead(detect)
         self._planes = np.empty((1, 3, *size_hw), np.uint8)
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, threshold: float) -> NDArray[np.float32]:
+    def __call__(
+        self, frame: NDArray[np.uint8], order: Order, least_objectness: float
+    ) -> NDArray[np.float32]:
         cv2.split(frame, [self._planes[0, plane] for plane in _PLANES[order]])  # written in place
-        return self._head(self._run(self._planes), threshold)
+        return self._head(self._run(self._planes), least_objectness)

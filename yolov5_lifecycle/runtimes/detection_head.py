@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from yolov5_lifecycle.network import Detect
-from yolov5_lifecycle.runtimes.runtime import LIKELIEST
 
 Features = NDArray[np.float32]
 """What one level of the network knows of its cells, (1, channels, ny, nx)."""
 
 
 class DetectionHead:
-    """`detect` in numpy: of 15,120 predictions some 100 to 300 are looked at.
+    """`Detect` in numpy: of 15,120 predictions for a picture hardly 300 are looked at.
 
     All of them would be a twelfth of the network's arithmetic, and 5 MB to convert and to hand on: together a
     fifth of the time of yolov5n at 384x640.
@@ -28,14 +27,13 @@ class DetectionHead:
             for convolution, anchors, stride in zip(detect.m, detect.anchors, detect.strides, strict=True)
         ]
 
-    def __call__(self, features: Sequence[Features], threshold: float) -> NDArray[np.float32]:
+    def __call__(self, features: Sequence[Features], least_objectness: float) -> NDArray[np.float32]:
         """The rows that `Runtime` promises, whole cells of them, from the features of each level."""
         with np.errstate(all="ignore"):  # what is not a number stays so, for who looks at the rows
-            logits = [level.objectness(known) for level, known in zip(self._levels, features, strict=True)]
-            limit = np.minimum(np.log(threshold) - np.log1p(-threshold), _lowest_of_likeliest(logits))
+            least_logit = np.log(least_objectness) - np.log1p(-least_objectness)
             rows = [
-                level.rows(known, np.flatnonzero(~(objectness < limit)))
-                for level, known, objectness in zip(self._levels, features, logits, strict=True)
+                level.rows(known, np.flatnonzero(~(level.objectness(known) < least_logit)))
+                for level, known in zip(self._levels, features, strict=True)
             ]
         return np.concatenate(rows)
 
@@ -68,12 +66,3 @@ class _Level:
         sigma[..., 2:4] = (2 * sigma[..., 2:4]) ** 2 * self._anchors_px
         rows: NDArray[np.float32] = sigma.reshape(-1, sigma.shape[2])
         return rows
-
-
-def _lowest_of_likeliest(logits: Sequence[NDArray[np.float32]]) -> np.float32:
-    """NaN when there is one among the logits."""
-    every = np.concatenate(logits)
-    place = max(0, len(every) - LIKELIEST)
-    every.partition(place)
-    lowest: np.float32 = every[place:].min()  # NaN if there is one: those are sorted to the end
-    return lowest

@@ -1,4 +1,4 @@
-"""The network as an ONNX model of fixed size: what the compiling runtimes read."""
+"""The network without its last layer as an ONNX model of fixed size: what the compiling runtimes read."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def onnx_graph(network: Network, size_hw: tuple[int, int]) -> bytes:
     graph = _Graph(size_hw)
     pixels = graph.add("Cast", "planes", to=TensorProto.FLOAT)
     pixels = graph.add("Mul", pixels, graph.constant(np.float32(1 / 255)))
-    _, *layers, detect = network.architecture.layers
-    outputs = [graph.layer(network.model[0], [pixels])]
-    for layer, module in zip(layers, network.model[1:-1], strict=True):
-        outputs.append(graph.layer(module, [outputs[source] for source in layer.sources]))
-    return graph.serialized([outputs[source] for source in detect.sources])
+    *layers, detect = network.architecture.layers
+    outputs: list[str] = []
+    for layer, module in zip(layers, network.model[:-1], strict=True):
+        outputs.append(graph.layer(module, [(outputs or [pixels])[source] for source in layer.sources]))
+    return graph.serialized([(outputs or [pixels])[source] for source in detect.sources])
 
 
 class _Graph:

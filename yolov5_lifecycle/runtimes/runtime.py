@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.images import Order
 
-LIKELIEST = 30
-"""So many predictions are given at least: when none is above the threshold, they tell by how little."""
-
 
 class InferenceError(RuntimeError):
     """The network could not be run on a picture, or gave no usable predictions."""
@@ -36,11 +33,13 @@ class Runtime(Protocol):
     def precision(self) -> str:
         """What it really computes in: fp32 or fp16."""
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, threshold: float = 0.0) -> NDArray[np.float32]:
+    def __call__(
+        self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
+    ) -> NDArray[np.float32]:
         """Raw predictions (n, 5 + C) for a letterboxed frame (h, w, 3): rows of `Network.forward`.
 
-        In its order: all those whose objectness is above `threshold`, which is in [0, 1], and at least the
-        LIKELIEST; what else is given depends on the runtime. Raises InferenceError.
+        In its order: all those whose objectness is not below `least_objectness`, which is in [0, 1], up to
+        rounding; which others are given depends on the runtime. Raises InferenceError.
         """
 
     def close(self) -> None:

@@ -15,7 +15,7 @@ from yolov5_lifecycle.images import Order
 from yolov5_lifecycle.model import Model
 from yolov5_lifecycle.network import Network, fuse
 from yolov5_lifecycle.runtimes.recorded_network import RecordedNetwork
-from yolov5_lifecycle.runtimes.runtime import LIKELIEST, DeviceLostError, InferenceError
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.runtimes.size_cache import SizeCache
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
 
@@ -70,13 +70,16 @@ class TorchRuntime:
     def precision(self) -> str:
         return _PRECISIONS[self._dtype]
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, threshold: float = 0.0) -> NDArray[np.float32]:
+    def __call__(
+        self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
+    ) -> NDArray[np.float32]:
         """See `Runtime`; DeviceLostError when CUDA has given this process up."""
-        if self._forwards is None:
+        forwards = self._forwards  # a thread that was given up may run while another closes
+        if forwards is None:
             raise InferenceError("The runtime was closed; load the model again.")
         rgb = cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) if order == "bgr" else frame
         try:
-            return self._run(self._forwards, torch.from_numpy(rgb), threshold)
+            return self._run(forwards, torch.from_numpy(rgb), least_objectness)
         except torch.OutOfMemoryError as error:
             problem = f"{_first_line(error)} Use a smaller image_size or model."
         except RuntimeError as error:
@@ -89,16 +92,18 @@ class TorchRuntime:
         self._forwards = None
 
     @torch.inference_mode()
-    def _run(self, forwards: SizeCache[Forward], rgb: Tensor, threshold: float) -> NDArray[np.float32]:
+    def _run(self, forwards: SizeCache[Forward], rgb: Tensor, least_objectness: float) -> NDArray[np.float32]:
         raw = forwards[rgb.shape[0], rgb.shape[1]](rgb)
-        # Sorted out where they are: from a GPU all would take longer than the network.
-        rows: NDArray[np.float32] = _likely(raw, threshold).cpu().numpy()
+        # Picked where they are, as all would be 8 MB to fetch from a GPU; not a number is not below either.
+        rows: NDArray[np.float32] = raw[~(raw[:, 4] < least_objectness)].cpu().numpy()
         return rows
 
     def _failure(self, problem: str) -> InferenceError:
         """What to raise for a failed frame."""
         if _is_lost(self._device):
             return DeviceLostError(_lost(self._device, problem))
+        if self._device.type == "cuda":
+            torch.cuda.empty_cache()
         return InferenceError(f"torch failed on {self.device}: {problem}")
 
 
@@ -123,13 +128,6 @@ def _forward(
     return eager
 
 
-def _likely(raw: Tensor, threshold: float) -> Tensor:
-    """The rows that `Runtime` promises, in memory of their own; those that are not numbers are among them."""
-    objectness = raw[:, 4]
-    lowest = objectness.topk(min(LIKELIEST, len(objectness)), sorted=False).values.min()
-    return raw[~(objectness < lowest.clamp(max=threshold))]
-
-
 def _prepared(network: Network, device: torch.device, dtype: torch.dtype) -> Network:
     fuse(network)
     for module in network.modules():
@@ -142,12 +140,11 @@ def _prepared(network: Network, device: torch.device, dtype: torch.dtype) -> Net
 
 
 def _is_lost(device: torch.device) -> bool:
-    """Some errors of CUDA are for ever: then even waiting for the device fails, and freeing its memory."""
+    """Some errors of CUDA are for ever: then even waiting for the device fails."""
     if device.type != "cuda":
         return False
     try:
         torch.cuda.current_stream(device).synchronize()  # not for the whole device, where a thread may record
-        torch.cuda.empty_cache()
     except RuntimeError:
         return True
     return False
