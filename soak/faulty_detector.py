@@ -41,7 +41,7 @@ def lose_device(raw: Raw) -> Raw:
 
 
 def give_nan(raw: Raw) -> Raw:
-    return np.full_like(raw, np.nan)
+    return np.full((1, raw.shape[1]), np.nan, raw.dtype)
 
 
 def give_wrong_shape(raw: Raw) -> Raw:

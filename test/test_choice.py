@@ -14,15 +14,16 @@ import pytest
 from random_model import TINY, random_model
 
 from yolov5_lifecycle.detector import load_detector
-from yolov5_lifecycle.runtimes.choice import Choice, choices_folder, choose_runtime
+from yolov5_lifecycle.runtimes.cache_folder import cache_folder
+from yolov5_lifecycle.runtimes.choice import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.choice_record import read_figures, write_figures
 from yolov5_lifecycle.runtimes.loading import (
     REQUIREMENTS,
     RuntimeAbsentError,
-    installed_build,
     installed_runtimes,
     load_runtime,
 )
+from yolov5_lifecycle.runtimes.machine import installed_build
 from yolov5_lifecycle.runtimes.speed import measure_ms
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
@@ -196,7 +197,7 @@ def test_figures_are_read_as_they_were_written(tmp_path: Path) -> None:
 )
 def test_the_folder_is_the_users_cache(monkeypatch: pytest.MonkeyPatch, cache: str, expected: str) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", cache)
-    assert choices_folder() == Path(expected)
+    assert cache_folder("choices") == Path(expected)
 
 
 @pytest.fixture

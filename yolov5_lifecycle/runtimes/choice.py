@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
-import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
@@ -15,8 +13,10 @@ from pathlib import Path
 import torch
 
 from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.runtimes.cache_folder import cache_folder
 from yolov5_lifecycle.runtimes.choice_record import read_figures, write_figures
-from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_build, installed_runtimes
+from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_runtimes
+from yolov5_lifecycle.runtimes.machine import cpu_model, installed_build
 from yolov5_lifecycle.runtimes.speed import measure_ms
 from yolov5_lifecycle.runtimes.torch_device import resolve_device, resolve_precision
 
@@ -44,7 +44,7 @@ def choose_runtime(
 ) -> Choice:
     """The runtime for `auto`: torch on a GPU; on a CPU the fastest for frames of `frame_hw`.
 
-    What was measured is kept in `folder` (default: `choices_folder()`), so that it is measured once for an
+    What was measured is kept in `folder` (default: the user's cache), so that it is measured once for an
     architecture, a size of frame, the packages as they are installed and a CPU. Raises DeviceError.
     """
     torch_device = resolve_device(device)
@@ -54,20 +54,13 @@ def choose_runtime(
         return Choice("torch", f"the only one for {torch_device.type}")
     if installed == ["torch"]:
         return Choice("torch", "the only one installed")
-    record = (folder or choices_folder()) / f"{_key(model, installed, frame_hw)}.json"
+    record = (folder or cache_folder("choices")) / f"{_key(model, installed, frame_hw)}.json"
     figures_ms = read_figures(record, installed)
     if figures_ms is not None:
         return _fastest(figures_ms, f"remembered in {record}")
     figures_ms = measure(model, installed, precision=precision, frame_hw=frame_hw)
     problem = write_figures(record, figures_ms)
     return _fastest(figures_ms, problem or "measured now")
-
-
-def choices_folder() -> Path:
-    """$XDG_CACHE_HOME/yolov5_lifecycle/choices, XDG_CACHE_HOME being ~/.cache by default."""
-    cache = os.environ.get("XDG_CACHE_HOME", "")
-    root = Path(cache if Path(cache).is_absolute() else "~/.cache")
-    return root / "yolov5_lifecycle" / "choices"
 
 
 def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
@@ -85,16 +78,7 @@ def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
         repr(model.architecture),
         frame_hw,
         [installed_build(package) for package in packages],
-        _cpu_model(),
+        cpu_model(),
         torch.get_num_threads(),
     ]
     return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()[:16]
-
-
-def _cpu_model() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
-    except OSError:  # not Linux
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()

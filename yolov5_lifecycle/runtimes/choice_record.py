@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-_NO_FOLDER = (OSError, RuntimeError)  # the latter for ~ where there is no home folder
+from yolov5_lifecycle.runtimes.whole_file import NO_PLACE, write_whole
 
 
 def read_figures(path: Path, runtimes: Collection[str]) -> dict[str, float] | None:
@@ -18,7 +17,7 @@ def read_figures(path: Path, runtimes: Collection[str]) -> dict[str, float] | No
     """
     try:
         figures_ms = json.loads(path.expanduser().read_text(encoding="utf-8"))
-    except (*_NO_FOLDER, ValueError):
+    except (*NO_PLACE, ValueError):
         return None
     usable = isinstance(figures_ms, dict) and "torch" in figures_ms
     if usable and all(name in runtimes and _is_duration(ms) for name, ms in figures_ms.items()):
@@ -29,12 +28,8 @@ def read_figures(path: Path, runtimes: Collection[str]) -> dict[str, float] | No
 def write_figures(path: Path, figures_ms: Mapping[str, float]) -> str:
     """Whole or not at all; why it could not be written, "" when it was."""
     try:
-        path = path.expanduser()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside = path.with_suffix(f".{os.getpid()}")
-        beside.write_text(json.dumps(figures_ms) + "\n", encoding="utf-8")
-        beside.replace(path)
-    except _NO_FOLDER as error:
+        write_whole(path, json.dumps(figures_ms).encode() + b"\n")
+    except NO_PLACE as error:
         return f"measured now, not remembered: {error}"
     return ""
 

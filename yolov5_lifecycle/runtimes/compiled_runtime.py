@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 import torch
@@ -12,39 +9,28 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.images import Order
 from yolov5_lifecycle.model import Model
-from yolov5_lifecycle.network import Detect, Network, fuse
-from yolov5_lifecycle.runtimes.detection_head import DetectionHead, Features
-from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
+from yolov5_lifecycle.runtimes.cache_folder import cache_folder
+from yolov5_lifecycle.runtimes.compiled_store import CompiledStore
+from yolov5_lifecycle.runtimes.compiler import Compiler
+from yolov5_lifecycle.runtimes.detection_head import DetectionHead
+from yolov5_lifecycle.runtimes.engine import Engine, Run
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.runtimes.size_cache import SizeCache
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
 
 _PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
 
-Run = Callable[[NDArray[np.uint8]], Sequence[Features]]
-"""Planes (1, 3, h, w) RGB -> the features of each level, which the next run may overwrite."""
-
-
-@dataclass(frozen=True)
-class Engine:
-    """`compile` makes a serialized ONNX model runnable; it and what it makes may raise `errors`."""
-
-    name: str
-    compile: Callable[[bytes], Run]
-    errors: tuple[type[Exception], ...]
-
 
 class CompiledRuntime:
-    """A network on the CPU in fp32. Takes `network` over and fuses it. See `Runtime`."""
+    """A network on the CPU in fp32. See `Runtime`."""
 
     device = "cpu"
     precision = "fp32"
 
-    def __init__(self, network: Network, engine: Engine) -> None:
-        fuse(network)
+    def __init__(self, compiler: Compiler, engine: Engine) -> None:
         self._engine = engine
         self._compiled: SizeCache[_Compiled] | None = SizeCache(
-            lambda size_hw: _Compiled(network, engine, size_hw)
+            lambda size_hw: _Compiled(compiler.run(size_hw), compiler.head, size_hw)
         )
 
     @classmethod
@@ -56,10 +42,7 @@ class CompiledRuntime:
                 "Use device 'cpu' or runtime 'torch'."
             )
         resolve_precision(precision, torch.device("cpu"))
-        with torch.device("meta"):  # no time and memory for values that are replaced at once
-            network = Network(model.architecture)
-        network.load_state_dict(model.state_dict, assign=True)
-        return cls(network, engine)
+        return cls(Compiler(model, engine, CompiledStore(cache_folder("compiled"))), engine)
 
     @property
     def name(self) -> str:
@@ -86,11 +69,9 @@ class CompiledRuntime:
 class _Compiled:
     """A runnable network for one size, its last layer and its input memory."""
 
-    def __init__(self, network: Network, engine: Engine, size_hw: tuple[int, int]) -> None:
-        self._run = engine.compile(onnx_graph(network, size_hw))
-        detect = network.model[-1]
-        assert isinstance(detect, Detect)
-        self._head = DetectionHead(detect)
+    def __init__(self, run: Run, head: DetectionHead, size_hw: tuple[int, int]) -> None:
+        self._run = run
+        self._head = head
         self._planes = np.empty((1, 3, *size_hw), np.uint8)
 
     def __call__(

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from importlib.util import find_spec
-from pathlib import Path
 from types import MappingProxyType
 
 from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.runtimes.machine import installed_build
 from yolov5_lifecycle.runtimes.runtime import Runtime
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 
@@ -25,18 +24,6 @@ class RuntimeAbsentError(ValueError):
 def installed_runtimes() -> list[str]:
     """Words of the runtimes whose packages are here."""
     return [name for name, packages in REQUIREMENTS.items() if all(map(installed_build, packages))]
-
-
-def installed_build(package: str) -> str | None:
-    """What `import package` would run: its file and when that was written; another version differs.
-
-    It does not matter which distribution it is from: onnxruntime may be from onnxruntime-gpu. None when there
-    is none, or only a folder of that name.
-    """
-    spec = find_spec(package)
-    if spec is None or spec.origin is None:
-        return None
-    return f"{spec.origin} {Path(spec.origin).stat().st_mtime_ns}"
 
 
 def load_runtime(model: Model, runtime: str, *, device: str, precision: str) -> Runtime:

@@ -2,22 +2,48 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 import onnxruntime
 import torch
 from onnxruntime.capi import onnxruntime_pybind11_state as state
 
-from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Run
+from yolov5_lifecycle.runtimes.engine import Engine, Run
+
+_ERRORS = (
+    RuntimeError,
+    state.Fail,
+    state.InvalidArgument,
+    state.InvalidProtobuf,
+    state.InvalidGraph,
+    state.RuntimeException,
+    state.EPFail,
+)
 
 
 def onnxruntime_engine() -> Engine:
     """ONNX Runtime on the CPU, with as many threads as torch would use."""
-    errors = (RuntimeError, state.Fail, state.InvalidArgument, state.RuntimeException, state.EPFail)
-    return Engine("onnxruntime", _compile, errors)
+    return Engine("onnxruntime", _build, _session, _ERRORS)
 
 
-def _compile(graph: bytes) -> Run:
+def _build(graph: bytes) -> tuple[Run, bytes]:
+    """Kept is the graph with its nodes joined and its weights laid out for this processor.
+
+    ONNX Runtime hands that out as a file only; where none can be written, the graph is kept as it is.
+    """
+    try:
+        with tempfile.TemporaryDirectory(prefix="yolov5_lifecycle-") as folder:
+            file = Path(folder) / "optimized.onnx"
+            return _session(graph, str(file)), file.read_bytes()
+    except (OSError, *_ERRORS):
+        return _session(graph), graph
+
+
+def _session(graph: bytes, optimized_file: str = "") -> Run:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
+    options.optimized_model_filepath = optimized_file
     # A number of our own also keeps threads from being bound to cores, where they wait for a neighbour.
     options.intra_op_num_threads = torch.get_num_threads()
     options.add_session_config_entry(*_waiting())

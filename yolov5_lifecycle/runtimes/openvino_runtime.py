@@ -5,15 +5,16 @@ from __future__ import annotations
 import openvino
 import torch
 
-from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Run
+from yolov5_lifecycle.runtimes.engine import Engine, Run
 
 
 def openvino_engine() -> Engine:
     """OpenVINO on the CPU, with as many threads as torch would use.
 
-    It reads the graph itself: its converter for torch modules would send usage statistics.
+    It reads the graph itself: its converter for torch modules would send usage statistics. The graph is kept
+    as it is: what OpenVINO would keep is larger, and of large networks no faster to read than to make.
     """
-    return Engine("openvino", _compile, (RuntimeError,))
+    return Engine("openvino", lambda graph: (_compile(graph), graph), _compile, (RuntimeError,))
 
 
 def _compile(graph: bytes) -> Run:

@@ -1,0 +1,59 @@
+"""A network made runnable for a size of frame, from what was kept of the last time if possible."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+
+import torch
+
+from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.network import Detect, Network, fuse
+from yolov5_lifecycle.runtimes.compiled_store import CompiledStore
+from yolov5_lifecycle.runtimes.detection_head import DetectionHead
+from yolov5_lifecycle.runtimes.engine import Engine, Run
+from yolov5_lifecycle.runtimes.machine import cpu_model, installed_build
+from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
+
+_log = logging.getLogger(__name__)
+
+
+class Compiler:
+    """Compiles the network of `model` with `engine`; keeps what comes out in `store`.
+
+    `head` is the network's last layer, which is not compiled.
+    """
+
+    def __init__(self, model: Model, engine: Engine, store: CompiledStore) -> None:
+        with torch.device("meta"):  # no time and memory for values that are replaced at once
+            network = Network(model.architecture)
+        network.load_state_dict(model.state_dict, assign=True)
+        self._network = network.requires_grad_(False)
+        self._engine = engine
+        self._store = store
+        self._identity = _identity(model, engine)
+        detect = network.model[-1]
+        assert isinstance(detect, Detect)
+        self.head = DetectionHead(detect)
+
+    def run(self, size_hw: tuple[int, int]) -> Run:
+        """What runs frames of `size_hw`; raises the engine's errors."""
+        key = hashlib.sha256(f"{self._identity} {size_hw}".encode()).hexdigest()
+        kept = self._store.read(key)
+        if kept is not None:
+            try:
+                return self._engine.restore(kept)
+            except self._engine.errors as error:
+                _log.info("What was kept of a compiled model cannot be run, it is made anew: %s", error)
+        run, content = self._engine.build(onnx_graph(fuse(self._network), size_hw))
+        self._store.keep(key, content)
+        return run
+
+
+def _identity(model: Model, engine: Engine) -> str:
+    """A text for all that a compiled model depends on, but the size of frame."""
+    weights = hashlib.sha256()
+    for name, tensor in sorted(model.state_dict.items()):
+        weights.update(name.encode() + tensor.numpy().tobytes())
+    builds = [installed_build(package) for package in (engine.name, onnx_graph.__module__)]
+    return repr([engine.name, builds, cpu_model(), model.architecture, weights.hexdigest()])
