@@ -7,6 +7,7 @@ import logging
 import os
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -15,20 +16,22 @@ from numpy.typing import NDArray
 from random_model import TINY, random_model
 
 from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.runtimes import compiler
 from yolov5_lifecycle.runtimes.compiled_store import CompiledStore
 from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_runtimes, load_runtime
 
+ONE, TWO, THREE, FOUR = (digit * 64 for digit in "1234")
 FRAME = np.random.default_rng(0).integers(0, 256, (64, 96, 3), np.uint8)
 
 
 def test_what_is_kept_is_read_by_its_key(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
     for content in (b"0", b"1"):
-        CompiledStore(folder).keep("one", content)
-    CompiledStore(folder).keep("two", b"2")
+        CompiledStore(folder).keep(ONE, content)
+    CompiledStore(folder).keep(TWO, b"2")
     store = CompiledStore(folder)
-    assert [store.read(key) for key in ("one", "two", "three")] == [b"1", b"2", None]
-    assert sorted(file.name for file in folder.iterdir()) == ["one", "two"]
+    assert [store.read(key) for key in (ONE, TWO, THREE)] == [b"1", b"2", None]
+    assert sorted(file.name for file in folder.iterdir()) == [ONE, TWO]
 
 
 def truncate(file: Path) -> None:
@@ -53,11 +56,11 @@ def flip_a_bit(file: Path) -> None:
 )
 def test_what_is_damaged_is_as_good_as_none(damage: Callable[[Path], object], tmp_path: Path) -> None:
     store = CompiledStore(tmp_path)
-    store.keep("key", b"compiled")
-    damage(tmp_path / "key")
-    assert store.read("key") is None
-    store.keep("key", b"compiled")
-    assert store.read("key") == b"compiled"
+    store.keep(ONE, b"compiled")
+    damage(tmp_path / ONE)
+    assert store.read(ONE) is None
+    store.keep(ONE, b"compiled")
+    assert store.read(ONE) == b"compiled"
 
 
 def block_with_a_file(folder: Path) -> None:
@@ -65,7 +68,7 @@ def block_with_a_file(folder: Path) -> None:
 
 
 def block_with_a_folder_of_that_name(folder: Path) -> None:
-    (folder / "key" / "inside").mkdir(parents=True)
+    (folder / ONE / "inside").mkdir(parents=True)
 
 
 @pytest.mark.parametrize("block", [block_with_a_file, block_with_a_folder_of_that_name])
@@ -75,27 +78,52 @@ def test_a_place_that_cannot_be_written_costs_the_memory_only(
     block(tmp_path / "folder")
     store = CompiledStore(tmp_path / "folder")
     with caplog.at_level(logging.INFO):
-        store.keep("key", b"compiled")
-    assert store.read("key") is None
+        store.keep(ONE, b"compiled")
+    assert store.read(ONE) is None
     assert "The compiled model is not kept: " in caplog.text
 
 
 def test_what_was_not_used_for_longest_is_cleared_away(tmp_path: Path) -> None:
     store = CompiledStore(tmp_path, most_bytes=400)  # three of them, each with a digest of 32 bytes
-    for age_s, key in ((30, "oldest"), (20, "old"), (10, "young")):
+    for age_s, key in ((30, ONE), (20, TWO), (10, THREE)):
         store.keep(key, b"x" * 100)
         os.utime(tmp_path / key, (0, 1_000_000 - age_s))
-    assert store.read("oldest") is not None  # and so used last
-    store.keep("new", b"x" * 100)
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["new", "oldest", "young"]
+    assert store.read(ONE) is not None  # and so used last
+    store.keep(FOUR, b"x" * 100)
+    assert sorted(file.name for file in tmp_path.iterdir()) == [ONE, THREE, FOUR]
 
 
-def test_what_is_larger_than_all_that_may_be_kept_is_kept_alone(tmp_path: Path) -> None:
-    store = CompiledStore(tmp_path, most_bytes=10)
-    for key in ("one", "two"):
+def test_what_is_larger_than_all_that_may_be_kept_is_not_kept(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    store = CompiledStore(tmp_path, most_bytes=100)
+    store.keep(ONE, b"x" * 50)
+    store.keep(TWO, b"x" * 100)
+    assert [file.name for file in tmp_path.iterdir()] == [ONE]
+    assert "not kept: 100 bytes are too many" in caplog.text
+
+
+def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_bytes(b"x" * 1000)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to("nowhere")
+    store = CompiledStore(tmp_path, most_bytes=200)
+    for key in (ONE, TWO):
         store.keep(key, b"x" * 100)
-        os.utime(tmp_path / key, (0, 0))
-    assert [file.name for file in tmp_path.iterdir()] == ["two"]
+        os.utime(
+            tmp_path / key, (0, 2**33)
+        )  # a clock that was set back since: what is new is kept nevertheless
+    assert sorted(file.name for file in tmp_path.iterdir()) == [TWO, "folder", "link", "notes.txt"]
+
+
+def test_threads_may_keep_the_same_at_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    store = CompiledStore(tmp_path)
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(100):
+            pool.submit(store.keep, ONE, b"x" * 10_000)
+    assert store.read(ONE) == b"x" * 10_000
+    assert [file.name for file in tmp_path.iterdir()] == [ONE]
+    assert not caplog.text
 
 
 @pytest.fixture(params=[name for name in REQUIREMENTS if name != "torch"])
@@ -145,7 +173,17 @@ def test_a_second_load_runs_what_the_first_has_compiled(runtime_name: str, cache
     predictions(other, runtime_name)
     (file,) = cache.iterdir()
     file.write_bytes(compiled)
-    assert not np.array_equal(predictions(other, runtime_name), predictions(other, "torch"))
+    assert not np.allclose(predictions(other, runtime_name), predictions(other, "torch"), atol=0.01)
+
+
+@pytest.mark.parametrize("part", ["processor", "installed_build"])
+def test_another_processor_or_build_is_compiled_for_by_itself(
+    part: str, runtime_name: str, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    predictions(random_model(1), runtime_name)
+    monkeypatch.setattr(compiler, part, lambda *_: "another")
+    predictions(random_model(1), runtime_name)
+    assert len(list(cache.iterdir())) == 2
 
 
 def test_what_cannot_be_run_is_compiled_anew(

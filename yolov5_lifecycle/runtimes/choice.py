@@ -16,7 +16,7 @@ from yolov5_lifecycle.model import Model
 from yolov5_lifecycle.runtimes.cache_folder import cache_folder
 from yolov5_lifecycle.runtimes.choice_record import read_figures, write_figures
 from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_runtimes
-from yolov5_lifecycle.runtimes.machine import cpu_model, installed_build
+from yolov5_lifecycle.runtimes.machine import installed_build, processor
 from yolov5_lifecycle.runtimes.speed import measure_ms
 from yolov5_lifecycle.runtimes.torch_device import resolve_device, resolve_precision
 
@@ -78,7 +78,7 @@ def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
         repr(model.architecture),
         frame_hw,
         [installed_build(package) for package in packages],
-        cpu_model(),
+        processor(),
         torch.get_num_threads(),
     ]
     return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()[:16]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import threading
 
 import torch
 
@@ -12,7 +13,7 @@ from yolov5_lifecycle.network import Detect, Network, fuse
 from yolov5_lifecycle.runtimes.compiled_store import CompiledStore
 from yolov5_lifecycle.runtimes.detection_head import DetectionHead
 from yolov5_lifecycle.runtimes.engine import Engine, Run
-from yolov5_lifecycle.runtimes.machine import cpu_model, installed_build
+from yolov5_lifecycle.runtimes.machine import installed_build, processor
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 
 _log = logging.getLogger(__name__)
@@ -31,6 +32,7 @@ class Compiler:
         self._network = network.requires_grad_(False)
         self._engine = engine
         self._store = store
+        self._fusing = threading.Lock()  # a thread that was given up may compile beside its successor
         self._identity = _identity(model, engine)
         detect = network.model[-1]
         assert isinstance(detect, Detect)
@@ -44,9 +46,12 @@ class Compiler:
             try:
                 return self._engine.restore(kept)
             except self._engine.errors as error:
-                _log.info("What was kept of a compiled model cannot be run, it is made anew: %s", error)
-        run, content = self._engine.build(onnx_graph(fuse(self._network), size_hw))
-        self._store.keep(key, content)
+                _log.warning("A compiled model that was kept cannot be loaded, it is made anew: %s", error)
+        with self._fusing:
+            fuse(self._network)
+        run, content = self._engine.build(onnx_graph(self._network, size_hw))
+        if content:
+            self._store.keep(key, content)
         return run
 
 
@@ -55,5 +60,6 @@ def _identity(model: Model, engine: Engine) -> str:
     weights = hashlib.sha256()
     for name, tensor in sorted(model.state_dict.items()):
         weights.update(name.encode() + tensor.numpy().tobytes())
-    builds = [installed_build(package) for package in (engine.name, onnx_graph.__module__)]
-    return repr([engine.name, builds, cpu_model(), model.architecture, weights.hexdigest()])
+    makers = (engine.name, engine.build.__module__, onnx_graph.__module__, Network.__module__)
+    builds = [installed_build(maker) for maker in makers]
+    return repr([builds, processor(), model.architecture, weights.hexdigest()])

@@ -18,7 +18,8 @@ Run = Callable[[NDArray[np.uint8]], Sequence[Features]]
 class Engine:
     """An engine, called like its package; what it does may raise `errors`.
 
-    `build` makes a serialized ONNX model runnable and says what to keep of it; `restore` makes that runnable.
+    `build` makes a serialized ONNX model runnable and says what to keep of it, if anything; `restore` makes
+    that runnable.
     """
 
     name: str

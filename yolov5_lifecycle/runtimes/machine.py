@@ -6,6 +6,9 @@ import platform
 from importlib.util import find_spec
 from pathlib import Path
 
+# In /proc/cpuinfo: names and abilities, of x86 and of ARM.
+_TELLING = ("model name", "flags", "Features", "CPU implementer", "CPU part")
+
 
 def installed_build(package: str) -> str | None:
     """What `import package` would run: its file and when that was written; another version differs.
@@ -19,11 +22,11 @@ def installed_build(package: str) -> str | None:
     return f"{spec.origin} {Path(spec.origin).stat().st_mtime_ns}"
 
 
-def cpu_model() -> str:
-    """The processor's name."""
+def processor() -> str:
+    """The processor's name, as far as it has one, and what it can compute."""
     try:
-        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
+        first, *_ = Path("/proc/cpuinfo").read_text(errors="replace").split("\n\n")
     except OSError:  # not Linux
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
+        return f"{platform.machine()} {platform.processor()}"
+    told = [line for line in first.splitlines() if line.startswith(_TELLING)]
+    return "\n".join([platform.machine(), *told])

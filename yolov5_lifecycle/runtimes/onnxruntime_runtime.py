@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import tempfile
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from onnxruntime.capi import onnxruntime_pybind11_state as state
 
 from yolov5_lifecycle.runtimes.engine import Engine, Run
 
+_log = logging.getLogger(__name__)
+
 _ERRORS = (
     RuntimeError,
     state.Fail,
@@ -19,6 +22,7 @@ _ERRORS = (
     state.InvalidGraph,
     state.RuntimeException,
     state.EPFail,
+    state.NotImplemented,
 )
 
 
@@ -30,14 +34,16 @@ def onnxruntime_engine() -> Engine:
 def _build(graph: bytes) -> tuple[Run, bytes]:
     """Kept is the graph with its nodes joined and its weights laid out for this processor.
 
-    ONNX Runtime hands that out as a file only; where none can be written, the graph is kept as it is.
+    ONNX Runtime hands that out as a file only; where none can be written, nothing is kept.
     """
     try:
         with tempfile.TemporaryDirectory(prefix="yolov5_lifecycle-") as folder:
             file = Path(folder) / "optimized.onnx"
             return _session(graph, str(file)), file.read_bytes()
-    except (OSError, *_ERRORS):
-        return _session(graph), graph
+    except (OSError, *_ERRORS) as error:
+        run = _session(graph)  # raises if the graph is to blame
+        _log.warning("The compiled model is not kept, as no temporary file could be written: %s", error)
+        return run, b""
 
 
 def _session(graph: bytes, optimized_file: str = "") -> Run:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
 NO_PLACE = (OSError, RuntimeError)
@@ -13,10 +14,10 @@ def write_whole(path: Path, *parts: bytes) -> None:
     """`parts`, one after the other, in a folder that is made if need be. Raises NO_PLACE."""
     path = path.expanduser()
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(f".{os.getpid()}")
+    descriptor, beside = tempfile.mkstemp(dir=path.parent, prefix=f"{path.name}.")
     try:
-        with beside.open("wb") as file:
+        with os.fdopen(descriptor, "wb") as file:
             file.writelines(parts)
-        beside.replace(path)
+        Path(beside).replace(path)
     finally:
-        beside.unlink(missing_ok=True)
+        Path(beside).unlink(missing_ok=True)
