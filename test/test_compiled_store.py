@@ -110,9 +110,7 @@ def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
     store = CompiledStore(tmp_path, most_bytes=200)
     for key in (ONE, TWO):
         store.keep(key, b"x" * 100)
-        os.utime(
-            tmp_path / key, (0, 2**33)
-        )  # a clock that was set back since: what is new is kept nevertheless
+        os.utime(tmp_path / key, (0, 2**33))  # as before a clock is set back: the new one is kept
     assert sorted(file.name for file in tmp_path.iterdir()) == [TWO, "folder", "link", "notes.txt"]
 
 
