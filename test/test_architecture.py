@@ -40,6 +40,7 @@ RANKS = [
         "one_line",
         "scene",
         "download",
+        "whole_file",
     },
     {
         "memory",

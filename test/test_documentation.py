@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 from served_node import Preparations, ServedNode
 from test_status import GOOD
 
+from yolov5_lifecycle.boxes import WORTH_TELLING
 from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
 from yolov5_lifecycle.offline.detect_bag import command_parser, wanted_settings
 from yolov5_lifecycle.raw_image import ENCODINGS
@@ -283,3 +284,8 @@ def test_the_exit_codes_of_the_detector_alone_are_those_of_the_reference() -> No
     codes = {row[0] for row in table(REFERENCE, "Exit codes") if "`detector`" in row[1]}
     missing_package = 1  # see test_process_end.py
     assert codes == {str(missing_package), str(EXIT_DEVICE_LOST)}
+
+
+@pytest.mark.parametrize("page", ["reference.md", "troubleshooting.md"])
+def test_the_pages_tell_which_scores_are_noise(page: str) -> None:
+    assert f"above {WORTH_TELLING:g}" in " ".join((REPOSITORY / "docs" / page).read_text().split())

@@ -15,24 +15,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from random_model import CLASS_NAMES, random_model, random_network
+from runtime_names import EVERY_RUNTIME
 
 from yolov5_lifecycle.boxes import Selection, select
 from yolov5_lifecycle.detector import Detector
 from yolov5_lifecycle.images import Picture
 from yolov5_lifecycle.model import Model
-from yolov5_lifecycle.runtimes.loading import REQUIREMENTS, installed_runtimes, load_runtime
+from yolov5_lifecycle.runtimes.loading import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 from yolov5_lifecycle.weights import load_weights
 
 FRAME = np.random.default_rng(0).integers(0, 256, (64, 128, 3), np.uint8)
 
 
-@pytest.fixture(params=REQUIREMENTS, scope="module")
+@pytest.fixture(params=EVERY_RUNTIME, scope="module")
 def runtime_name(request: pytest.FixtureRequest) -> str:
-    name: str = request.param
-    if name not in installed_runtimes():
-        pytest.skip(f"{name} is not installed: make install")
-    return name
+    return str(request.param)
 
 
 @pytest.fixture(scope="module")

@@ -238,7 +238,6 @@ def test_on_cuda_earlier_predictions_stay_as_they_are_and_sizes_may_alternate() 
         np.testing.assert_allclose(raw, on_cpu(2, frame), rtol=2e-3, atol=2e-3)
 
 
-@needs_cuda
 @pytest.mark.skipif(torch.cuda.device_count() < 2, reason="torch sees no second CUDA device")
 def test_a_second_gpu_records_what_it_predicts_itself() -> None:
     for device in ("cuda:0", "cuda:1"):
@@ -273,7 +272,6 @@ def test_what_cuda_cannot_record_is_run_step_by_step_with_a_warning() -> None:
     program = """
 import numpy as np, torch
 from random_model import TINY, random_model
-from yolov5_lifecycle.memory import give_back_memory
 from yolov5_lifecycle.network import Network
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 

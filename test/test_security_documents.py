@@ -14,6 +14,7 @@ from yolov5_lifecycle.compressed_image import MAX_COMPRESSED_PX
 from yolov5_lifecycle.model import MAX_CLASSES, MAX_NAME_LENGTH
 from yolov5_lifecycle.pickle_operations import MAX_OPERATIONS
 from yolov5_lifecycle.pickle_program import MAX_CALLS
+from yolov5_lifecycle.runtimes.compiled_store import MOST_BYTES
 from yolov5_lifecycle.safetensors_file import MAX_HEADER_BYTES
 from yolov5_lifecycle.weights import MAX_FILE_BYTES
 
@@ -66,6 +67,7 @@ def test_the_page_names_every_topic_of_the_policy(right: str) -> None:
         f"more than {MAX_CLASSES:,} classes",
         f"more than {MAX_NAME_LENGTH} letters",
         f"at most {MAX_COMPRESSED_PX:,} pixels",
+        f"{MOST_BYTES >> 30} GiB at most",
     ],
 )
 def test_the_page_tells_the_limits_of_the_code(words: str) -> None:

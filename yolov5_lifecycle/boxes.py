@@ -13,7 +13,6 @@ from yolov5_lifecycle.detections import Detections
 MAX_CANDIDATES = 30_000
 """Of more boxes above the threshold only the best enter the suppression, as in YOLOv5."""
 
-
 WORTH_TELLING = 0.05
 """A score below is noise: a threshold that lets it pass would be of no use."""
 

@@ -37,6 +37,12 @@ class Model:
     class_names: tuple[str, ...]
     state_dict: Mapping[str, Tensor]
 
+    def network(self) -> Network:
+        """A network whose tensors are those of the model, not copies."""
+        network = blueprint(self.architecture)  # no time and memory for values that are replaced at once
+        network.load_state_dict(self.state_dict, assign=True)
+        return network
+
 
 def checked_model(
     architecture: Architecture, class_names: tuple[str, ...], tensors: Mapping[str, Tensor]

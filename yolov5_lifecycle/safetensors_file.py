@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import struct
-import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -25,6 +23,7 @@ from yolov5_lifecycle.model import (
     shown,
     whole_number,
 )
+from yolov5_lifecycle.whole_file import write_whole
 from yolov5_lifecycle.yaml_architecture import MAX_ANCHORS, MAX_LEVELS, MAX_STRIDE, architecture_of
 
 FORMAT = "yolov5_lifecycle 1"
@@ -40,7 +39,7 @@ def write_safetensors(model: Model, path: Path) -> None:
         "architecture": json.dumps(_described(model.architecture)),
         "class_names": json.dumps(model.class_names),
     }
-    _write_whole(path, _repeatable(save(tensors, metadata=metadata)))
+    write_whole(path, _repeatable(save(tensors, metadata=metadata)))
 
 
 def _repeatable(data: bytes) -> bytes:
@@ -62,20 +61,6 @@ def _described(architecture: Architecture) -> dict[str, Any]:
             for layer in architecture.layers
         ],
     }
-
-
-def _write_whole(path: Path, data: bytes) -> None:
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
-    unfinished = Path(name)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(descriptor)
-        unfinished.chmod(0o644)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def read_safetensors(data: bytes) -> Model:

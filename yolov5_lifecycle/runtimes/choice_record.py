@@ -7,7 +7,7 @@ import math
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from yolov5_lifecycle.runtimes.whole_file import NO_PLACE, write_whole
+from yolov5_lifecycle.runtimes.cache_folder import NO_PLACE, write_cache
 
 
 def read_figures(path: Path, runtimes: Collection[str]) -> dict[str, float] | None:
@@ -28,7 +28,7 @@ def read_figures(path: Path, runtimes: Collection[str]) -> dict[str, float] | No
 def write_figures(path: Path, figures_ms: Mapping[str, float]) -> str:
     """Whole or not at all; why it could not be written, "" when it was."""
     try:
-        write_whole(path, json.dumps(figures_ms).encode() + b"\n")
+        write_cache(path, json.dumps(figures_ms).encode() + b"\n")
     except NO_PLACE as error:
         return f"measured now, not remembered: {error}"
     return ""

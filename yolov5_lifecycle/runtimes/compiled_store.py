@@ -9,7 +9,9 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
-from yolov5_lifecycle.runtimes.whole_file import NO_PLACE, write_whole
+from yolov5_lifecycle.runtimes.cache_folder import NO_PLACE, write_cache
+
+MOST_BYTES = 1 << 30
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
 _KEY = re.compile(r"[0-9a-f]{64}")
@@ -23,7 +25,7 @@ class CompiledStore:
     When they are more than `most_bytes`, those that were not used for longest are cleared away.
     """
 
-    def __init__(self, folder: Path, most_bytes: int = 1 << 30) -> None:
+    def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:
         self._folder = folder
         self._most_bytes = most_bytes
 
@@ -47,7 +49,7 @@ class CompiledStore:
             _log.warning("The compiled model is not kept: %d bytes are too many", len(content))
             return
         try:
-            write_whole(self._folder / key, hashlib.sha256(content).digest(), content)
+            write_cache(self._folder / key, hashlib.sha256(content).digest(), content)
         except NO_PLACE as error:
             _log.warning("The compiled model is not kept: %s", error)
         else:

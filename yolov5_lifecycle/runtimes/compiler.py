@@ -6,8 +6,6 @@ import hashlib
 import logging
 import threading
 
-import torch
-
 from yolov5_lifecycle.model import Model
 from yolov5_lifecycle.network import Detect, Network, fuse
 from yolov5_lifecycle.runtimes.compiled_store import CompiledStore
@@ -26,15 +24,12 @@ class Compiler:
     """
 
     def __init__(self, model: Model, engine: Engine, store: CompiledStore) -> None:
-        with torch.device("meta"):  # no time and memory for values that are replaced at once
-            network = Network(model.architecture)
-        network.load_state_dict(model.state_dict, assign=True)
-        self._network = network.requires_grad_(False)
+        self._network = model.network().requires_grad_(False)
         self._engine = engine
         self._store = store
         self._fusing = threading.Lock()  # a thread that was given up may compile beside its successor
         self._identity = _identity(model, engine)
-        detect = network.model[-1]
+        detect = self._network.model[-1]
         assert isinstance(detect, Detect)
         self.head = DetectionHead(detect)
 

@@ -34,8 +34,9 @@ class RecordedNetwork:
             with torch.cuda.stream(stream):
                 for _ in range(_WARM_UPS):
                     forward(self._frame)
-                # Meanwhile other threads may take and free memory of the GPU: where a model is loaded, say.
-                with torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local"):
+                # thread_local, as others may take memory of the GPU meanwhile: where a model is loaded, say.
+                recording = torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local")
+                with _last_if_it_fails(), recording:
                     self._predictions = forward(self._frame)
             torch.cuda.current_stream().wait_stream(stream)
 
@@ -48,20 +49,24 @@ class RecordedNetwork:
 
 @contextmanager
 def _alone() -> Iterator[None]:
-    """One recording at a time, as torch demands of a process, and none after one that has failed.
-
-    What that leaves behind in the allocator, the next one would stumble over (pytorch/pytorch#180395).
-    """
+    """One recording at a time, as torch demands of a process, and none after one that has failed."""
     if not _ONE_AT_A_TIME.acquire(timeout=_PATIENCE_S):
         raise RuntimeError(f"Another recording has not ended within {_PATIENCE_S:g} s.")
     try:
         if _HAS_FAILED.is_set():
             raise RuntimeError("An earlier recording of this process has failed.")
         yield
+    finally:
+        _ONE_AT_A_TIME.release()
+
+
+@contextmanager
+def _last_if_it_fails() -> Iterator[None]:
+    """The next recording would stumble over what this leaves in the allocator (pytorch/pytorch#180395)."""
+    try:
+        yield
     except torch.OutOfMemoryError:  # leaves nothing behind
         raise
     except RuntimeError:
         _HAS_FAILED.set()
         raise
-    finally:
-        _ONE_AT_A_TIME.release()

@@ -15,7 +15,7 @@ from yolov5_lifecycle.runtimes.loading import RuntimeAbsentError, load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 
 _ROUNDS = 9
-_NOTHING_FOUND = 1.0  # as threshold: what a network finds in grey is no measure
+_NOTHING_FOUND = 1.0  # as least objectness: what a network finds in grey is no measure
 _ENOUGH_S = 2.0  # big networks are measured in fewer rounds
 
 

@@ -48,11 +48,8 @@ class TorchRuntime:
         """
         torch_device = resolve_device(device)
         dtype = resolve_precision(precision, torch_device)
-        with torch.device("meta"):  # no time and memory for values that are replaced at once
-            network = Network(model.architecture)
-        network.load_state_dict(model.state_dict, assign=True)
         try:
-            return cls(network, device=torch_device, dtype=dtype)
+            return cls(model.network(), device=torch_device, dtype=dtype)
         except (torch.OutOfMemoryError, torch.AcceleratorError) as error:
             problem = _first_line(error)
         if _is_lost(torch_device):
