@@ -39,6 +39,7 @@ from yolov5_lifecycle.ros.child_process import ChildProcess, ProcessError, entry
 from yolov5_lifecycle.ros.messages import image_message, picture
 from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.ros.sighting import Sighting, pairwise_iou, recall, stamp_ns
+from yolov5_lifecycle.runtimes.cache_folder import cache_folder
 from yolov5_lifecycle.safetensors_file import write_safetensors
 from yolov5_lifecycle.scene import CLASS_NAMES
 
@@ -423,3 +424,21 @@ def test_a_parameter_file_that_cannot_be_parsed_fails_configure(tmp_path: Path) 
         assert "line" in detector.process.output
         assert detector.node.state() == "unconfigured"
         assert detector.process.stop(signal.SIGTERM, timeout_s=PATIENCE_S) == 0
+
+
+# What was compiled
+
+
+def test_what_was_compiled_and_damaged_since_is_made_anew(active: DetectorProcess) -> None:
+    pytest.importorskip("onnxruntime")
+    assert active.node.set_parameters(runtime="onnxruntime") == ""
+    expected = Sighting.now(active.detect(scene_image(7)))
+    assert active.transition("deactivate")
+    damaged = b"damaged"
+    for file in cache_folder("compiled").iterdir():
+        file.write_bytes(damaged)
+    assert active.transition("activate")
+    found = Sighting.now(active.detect(scene_image(7)))
+    assert found.class_names == expected.class_names
+    np.testing.assert_allclose(found.scores, expected.scores, atol=1e-5)
+    assert any(file.read_bytes() != damaged for file in cache_folder("compiled").iterdir())
