@@ -7,6 +7,7 @@ SHELL := bash
 PYTHON ?= python3
 SET ?= tested
 PIP_FLAGS ?=
+TORCH ?=
 PYTEST_FLAGS ?=
 BENCH_FLAGS ?=
 SOAK_FLAGS ?=
@@ -21,6 +22,12 @@ CONSTRAINTS := requirements/constraints-apt.txt
 else
 $(error SET=$(SET): expected 'tested' (the newest numpy and OpenCV) or 'apt' (those of Ubuntu 24.04))
 endif
+
+ifneq ($(filter-out cpu,$(TORCH)),)
+$(error TORCH=$(TORCH): expected 'cpu' (the CPU build of torch), or nothing for the usual build of pip)
+endif
+# PyTorch's own index of CPU builds, as its installation page gives it; only torch itself is taken from there.
+TORCH_INDEX := https://download.pytorch.org/whl/cpu
 
 # Only the virtual environment counts: paths of a sourced ROS or of another environment would mix two builds of rclpy.
 FOREIGN := PYTHONPATH PYTHONHOME LD_LIBRARY_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION \
@@ -40,7 +47,8 @@ DEPENDENCIES := $(VENV)/.dependencies-$(PYTHON_VERSION)
 INTERFACES := $(VENV)/.interfaces
 PACKAGE := $(VENV)/.package
 FUZZER := $(VENV)/.fuzzer
-INTERFACES_BUILD := build/vision_msgs-$(SET)
+INTERFACES_BUILD := build/interfaces-$(SET)
+INTERFACE_PACKAGES := vision_msgs bond
 ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
@@ -53,10 +61,10 @@ help:
 	@echo 'make soak     hours of hostile neighbours, faults and signals; table, and build/soak/report.json'
 	@echo 'make fuzz     searches, led by coverage, for images, weights and settings that are taken wrongly'
 	@echo 'make lint     ruff and mypy --strict'
-	@echo 'make install  what the others do first: .venv with the pinned packages, vision_msgs and this package'
+	@echo 'make install  what the others do first: .venv with the pinned packages, messages and this package'
 	@echo 'make docs     writes what is derived from the settings: YAML file, schema, reference page'
 	@echo 'make clean    removes everything that make has made, .venv included'
-	@echo 'Variables: PYTHON=python3.12  SET=apt  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"  SOAK_FLAGS="--minutes 5"'
+	@echo 'Variables: PYTHON=python3.12  SET=apt  TORCH=cpu  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"  SOAK_FLAGS="--minutes 5"'
 
 install: $(PACKAGE)
 
@@ -102,17 +110,20 @@ $(DEPENDENCIES): requirements/environment.txt requirements/pins.txt $(CONSTRAINT
 	@echo "Installing the pinned packages into $(VENV): about 2 GB, some minutes the first time."
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
+	$(if $(TORCH),$(VENV)/bin/python -m pip install $(PIP_FLAGS) --no-deps --index-url $(TORCH_INDEX) torch -c $(CONSTRAINTS))
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/environment.txt -c $(CONSTRAINTS)
 	touch $@
 
 $(INTERFACES): $(DEPENDENCIES) $(shell find interfaces -type f)
-	@echo "Building vision_msgs into $(VENV): less than a minute."
+	@echo "Building $(INTERFACE_PACKAGES) into $(VENV): about a minute."
 	rm -rf $(INTERFACES_BUILD)
-	$(VENV)/bin/cmake -S interfaces/vision_msgs -B $(INTERFACES_BUILD) -G Ninja --log-level=WARNING \
-	  -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DPython3_EXECUTABLE=$(abspath $(VENV))/bin/python \
-	  -DCMAKE_PREFIX_PATH=$(abspath $(VENV)) -DCMAKE_INSTALL_PREFIX=$(abspath $(VENV))
-	$(VENV)/bin/cmake --build $(INTERFACES_BUILD)
-	$(VENV)/bin/cmake --install $(INTERFACES_BUILD) > $(INTERFACES_BUILD)/install.log
+	for package in $(INTERFACE_PACKAGES); do \
+	  $(VENV)/bin/cmake -S interfaces/$$package -B $(INTERFACES_BUILD)/$$package -G Ninja --log-level=WARNING \
+	    -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DPython3_EXECUTABLE=$(abspath $(VENV))/bin/python \
+	    -DCMAKE_PREFIX_PATH=$(abspath $(VENV)) -DCMAKE_INSTALL_PREFIX=$(abspath $(VENV)); \
+	  $(VENV)/bin/cmake --build $(INTERFACES_BUILD)/$$package; \
+	  $(VENV)/bin/cmake --install $(INTERFACES_BUILD)/$$package > $(INTERFACES_BUILD)/$$package/install.log; \
+	done
 	touch $@
 
 $(FUZZER): $(DEPENDENCIES) requirements/fuzz.txt

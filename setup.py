@@ -47,12 +47,12 @@ setup(
     zip_safe=True,
     entry_points={
         "console_scripts": [
-            f"camera = {name}.ros.camera_command:main",
-            f"convert = {name}.convert:main",
-            f"demo = {name}.ros.demo:main",
-            f"detect_bag = {name}.offline.detect_bag:main",
-            f"detector = {name}.ros.detector_command:main",
-            f"fetch_weights = {name}.fetch_weights:main",
+            f"camera = {name}.ros.camera.command:main",
+            f"convert = {name}.commands.entry_points:convert",
+            f"demo = {name}.commands.entry_points:demo",
+            f"detect_bag = {name}.commands.entry_points:detect_bag",
+            f"detector = {name}.ros.detector.command:main",
+            f"fetch_weights = {name}.commands.entry_points:fetch_weights",
         ]
     },
 )

@@ -22,8 +22,8 @@ from benchmark.rivals import RIVALS
 from benchmark.rounds import measure
 from benchmark.task import Task
 from benchmark.work import RUNTIME_PREFIX
-from yolov5_lifecycle.runtimes.loading import installed_runtimes
-from yolov5_lifecycle.weights import load_weights
+from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.runtimes.registry import installed_runtimes
 
 REPORT = Path(__file__).parents[1] / "build" / "bench" / "report.json"
 SIZES_WH = ("640x480", "1280x720", "1920x1080")
@@ -33,12 +33,12 @@ _BEST_RIVALS = ("ONNX Runtime", "ONNX Runtime, no spinning", "OpenVINO")
 _STAGES = ("letterbox", "selection", "crowded selection", "detector")
 _SLOW_HZ = 10.0
 _USUAL_HZ = 30.0
-_FLOOD = 1.25  # times what the forward alone could take
+_FLOOD = 1.25  # times the maximum rate of the forward pass alone
 _IDLE_S = 5.0
 
 
 class Bench:
-    """One run: what is measured is kept in `rows` and, compared, in `goals`."""
+    """One run: measurements are collected in `rows`, comparisons in `goals`."""
 
     def __init__(self, weights: Path, size: str, loads: Sequence[int], *, quick: bool, folder: Path) -> None:
         self.rows: list[Row] = []
@@ -115,7 +115,7 @@ class Bench:
                 self.goals.append(Goal(f"node latency at {rate_hz:g} Hz / detector", busy, ratio, True, 1.35))
 
     def _followed_hz(self, busy: int) -> float:
-        """The usual pace of a camera if the detector can follow it, else the slow one."""
+        """The usual camera rate if the detector can keep up with it, else the slow one."""
         return _USUAL_HZ if self._medians_ms["detector", busy] < 1e3 / _USUAL_HZ else _SLOW_HZ
 
     def _saturation(self, node: MeasuredDetector, busy: int) -> None:
@@ -146,7 +146,7 @@ class Bench:
 
 
 def forward_goals(medians_ms: Mapping[str, float], busy: int) -> list[Goal]:
-    """What the medians of forwards and stages, by name, should keep beside so many busy processes."""
+    """Goals for the medians of forward passes and stages, by name, beside `busy` processes."""
     auto_ms = medians_ms[_AUTO]
     rival_ms = min(medians_ms[name] for name in _BEST_RIVALS if name in medians_ms)
     return [
@@ -157,9 +157,9 @@ def forward_goals(medians_ms: Mapping[str, float], busy: int) -> list[Goal]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print and write; 0."""
+    """Measure, print and write the report; returns 0."""
     options = parser().parse_args(arguments)
-    gc.disable()  # a full collection would stop the one who receives detections for 0.2 s
+    gc.disable()  # a full collection would stop the detection subscriber for 0.2 s
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         bench = Bench(
             options.weights or untrained_weights("n", Path(folder)),
@@ -178,7 +178,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Of the words of the command line."""
+    """The argument parser."""
     parser = argparse.ArgumentParser(prog="bench", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n")
     parser.add_argument("--size", default="1280x720", choices=SIZES_WH, help="default: %(default)s")

@@ -1,6 +1,6 @@
-"""A process that does one task when asked, and tells how long it took.
+"""A process that runs one task on request and reports its duration.
 
-Each has a process of its own, as the ways of waiting for threads are fixed once per process.
+Each contender has its own process, because thread waiting policies are fixed once per process.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from pathlib import Path
 
 from benchmark.process_memory import peak_resident_mb
 from benchmark.task import Task
+from yolov5_lifecycle.process.environment import WAITING, prepare_environment
 
 _WARM_UPS = 3
-_SET_BY_THE_PACKAGE = ("OMP_WAIT_POLICY", "OPENBLAS_NUM_THREADS")  # which is not meant for rivals
 
 
 @dataclass(frozen=True)
 class Contender:
-    """The process that does `task`."""
+    """A process that runs `task`."""
 
     task: Task
     process: subprocess.Popen[str]
 
     def measure(self, rounds: int) -> list[float]:
-        """Milliseconds of each round; raises RuntimeError when the process has failed."""
+        """Milliseconds of each round; raises RuntimeError if the process failed."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.write(f"{rounds}\n")
@@ -43,16 +43,16 @@ class Contender:
 
     @property
     def peak_resident_mb(self) -> float:
-        """The most memory that the process had in RAM."""
+        """Peak resident memory of the process."""
         return peak_resident_mb(self.process.pid)
 
 
 @contextmanager
 def contender(task: Task, environment: Mapping[str, str]) -> Iterator[Contender]:
-    """A process for `task`, warm."""
+    """A warmed-up process for `task`."""
     command = [sys.executable, "-m", "benchmark.contender", json.dumps(asdict(task))]
     if task.side == "rivals":
-        environment = {name: value for name, value in environment.items() if name not in _SET_BY_THE_PACKAGE}
+        environment = {name: value for name, value in environment.items() if name not in WAITING}
     process = subprocess.Popen(
         command,
         env=environment,
@@ -71,10 +71,11 @@ def contender(task: Task, environment: Mapping[str, str]) -> Iterator[Contender]
 
 
 def _call_of(task: Task) -> Callable[[], object]:
-    # Only one of the two is imported: they want torch with and without what the package sets.
+    # Import only one of the two: they need torch with and without the package's environment variables.
     if task.side == "rivals":
         from benchmark.rivals import call_of
     else:
+        prepare_environment()
         from benchmark.work import call_of
     return call_of(task)
 

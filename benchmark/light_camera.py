@@ -1,7 +1,7 @@
-"""A camera's process that takes as little of the machine as a driver in C++.
+"""A camera process with as little overhead as a C++ driver.
 
-`light_camera.py PICTURE RATE_HZ TOPIC`: the message is serialized once; for each image only its stamp is
-written into the bytes.
+`light_camera.py PICTURE RATE_HZ TOPIC`: the message is serialized once; only the stamp is written into the
+bytes of each image.
 """
 
 from __future__ import annotations
@@ -10,10 +10,12 @@ import struct
 import sys
 import time
 
-from yolov5_lifecycle.heap import prepare_heap
+from yolov5_lifecycle.process.environment import prepare_environment
+from yolov5_lifecycle.process.memory import prepare_heap
 
 if __name__ == "__main__":
-    prepare_heap()  # before the imports below begin threads
+    prepare_environment()
+    prepare_heap()  # before the imports below start threads
 
 import cv2
 import numpy as np
@@ -27,11 +29,11 @@ from yolov5_lifecycle.ros.messages import image_message
 
 _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4
-"""Behind the header of the serialization: an image begins with its own header, and that with the stamp."""
+"""Offset of the stamp: an Image follows the serialization header, and starts with its stamp."""
 
 
 def main(picture: str, rate_hz: float, topic: str) -> None:
-    """Does not return."""
+    """Publish forever."""
     rclpy.init()
     publisher = rclpy.create_node("light_camera").create_publisher(Image, topic, QoSProfile(depth=1))
     pixels = np.asarray(cv2.imread(picture), np.uint8)

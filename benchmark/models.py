@@ -1,4 +1,4 @@
-"""The weights that a run is about."""
+"""Weights files for benchmarks."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from pathlib import Path
 
 from torch import nn
 
-from yolov5_lifecycle.architecture import SIZES
-from yolov5_lifecycle.model import Model
-from yolov5_lifecycle.network import Detect, Network
-from yolov5_lifecycle.safetensors_file import write_safetensors
+from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.models.architecture import SIZES
+from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.models.network import Detect, Network
 
 _OBJECTNESS_LOGIT = -6.0
 
 
 def untrained_weights(size: str, folder: Path) -> Path:
-    """A file in `folder` with a network of the official size `size`, as fast as a trained one."""
+    """A file in `folder` with an untrained network of the official size `size`, as fast as a trained one."""
     path = folder / f"untrained-{size}.safetensors"
     architecture = SIZES[size]
     names = tuple(f"class {index}" for index in range(architecture.classes))
@@ -24,7 +24,7 @@ def untrained_weights(size: str, folder: Path) -> Path:
 
 
 def _sceptical(network: Network) -> Network:
-    """Untrained, half of all boxes would be objects, and what is measured is their suppression."""
+    """Lower the scores: otherwise half of all boxes would be objects, and NMS dominate the measurement."""
     detect = network.model[-1]
     assert isinstance(detect, Detect)
     for convolution in detect.m:

@@ -1,4 +1,4 @@
-"""What else a robot's computer does."""
+"""CPU load from other processes, as on a robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole way: a camera process publishes, the detector process answers, a third one receives."""
+"""End-to-end measurement: a camera process publishes, the detector process detects, a third subscribes."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from vision_msgs.msg import Detection2DArray
 from benchmark import light_camera
 from benchmark.process_memory import peak_resident_mb
 from benchmark.work import scene_picture
-from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.domain import isolated, own_domain
-from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
-from yolov5_lifecycle.ros.sighting import Sighting
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
+from yolov5_lifecycle.ros.demo.ground_truth import Sighting
+from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
 
 _PROFILE = Path(__file__).parents[1] / "config" / "shm.xml"
 _NODE = "/yolov5"
@@ -28,7 +28,7 @@ _SETTLING_S = 1.0
 
 @dataclass(frozen=True)
 class Passage:
-    """What was seen while a camera ran: latencies from the stamp of an image, and what the node took."""
+    """Measurements while a camera ran: latencies from the image stamp, and resources of the node."""
 
     latencies_ms: list[float]
     rate_hz: float
@@ -36,7 +36,7 @@ class Passage:
 
 
 class MeasuredDetector:
-    """A detector process that was configured, and who watches it. Made by `detector_node`."""
+    """A configured detector process and its observer. Created by `detector_node`."""
 
     def __init__(self, observer: Observer, process: ChildProcess, environment: Mapping[str, str]) -> None:
         self._observer = observer
@@ -47,7 +47,7 @@ class MeasuredDetector:
         self._change("configure")
 
     def activate_s(self) -> float:
-        """How long `activate` takes."""
+        """Duration of `activate`."""
         begun_s = time.monotonic()
         self._change("activate")
         return time.monotonic() - begun_s
@@ -57,11 +57,11 @@ class MeasuredDetector:
 
     @property
     def peak_resident_mb(self) -> float:
-        """The most memory that the process had in RAM."""
+        """Peak resident memory of the process."""
         return peak_resident_mb(self._process.process_id)
 
     def watch(self, picture: Path, *, rate_hz: float, frames: int) -> Passage:
-        """A camera that sends `picture` over and over, until `frames` detections have come."""
+        """Publish `picture` repeatedly until `frames` detections are received."""
         seen: list[Sighting] = []
         topic = f"{_NODE}/detections"
         subscription = self._observer.create_subscription(
@@ -80,7 +80,7 @@ class MeasuredDetector:
         return Passage(latencies_ms, (len(seen) - 1) / taken_s, 1e3 * cpu_s / len(seen))
 
     def idle_cpu_share(self, picture: Path, *, rate_hz: float, duration_s: float) -> float:
-        """Share of a core that the active node takes while a camera runs and nobody listens."""
+        """CPU share of one core that the active node uses while a camera runs without any subscriber."""
         with self._camera(picture, rate_hz):
             self._observer.wait_for(
                 lambda: self._observer.count_publishers(f"{_NODE}/image_raw") > 0, "the camera"
@@ -111,7 +111,7 @@ class MeasuredDetector:
 
 @contextmanager
 def detector_node(weights: Path, cache: Path) -> Iterator[MeasuredDetector]:
-    """A configured detector with `weights`, which remembers its choice of runtime in `cache`."""
+    """A configured detector with `weights`, which caches its choice of runtime in `cache`."""
     with ExitStack() as stack:
         domain = stack.enter_context(own_domain())
         environment = isolated(os.environ, domain) | {
@@ -127,7 +127,7 @@ def detector_node(weights: Path, cache: Path) -> Iterator[MeasuredDetector]:
 
 
 def picture_file(picture_hw: tuple[int, int], folder: Path) -> Path:
-    """The scene as a file that a camera reads in no time."""
+    """The scene as an image file that a camera reads quickly."""
     path = folder / f"{picture_hw[1]}x{picture_hw[0]}.bmp"
     if not cv2.imwrite(str(path), scene_picture(picture_hw).pixels):
         raise OSError(f"{path} cannot be written")

@@ -1,4 +1,4 @@
-"""What a process holds of the machine's memory, as Linux counts it."""
+"""Process memory as reported by Linux."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from pathlib import Path
 
 
 def resident_mb(process_id: int) -> float:
-    """The memory that the process has in RAM."""
+    """Resident memory of the process."""
     return _status_mb(process_id, "VmRSS")
 
 
 def peak_resident_mb(process_id: int) -> float:
-    """The most that it had, since its start or since `forget_peak`."""
+    """Peak resident memory since the process start or `forget_peak`."""
     return _status_mb(process_id, "VmHWM")
 
 
 def forget_peak() -> None:
-    """From now on, the peak of this very process is what it has from now on."""
+    """Reset the peak of this process to its current resident memory."""
     Path("/proc/self/clear_refs").write_text("5")
 
 

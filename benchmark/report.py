@@ -1,4 +1,4 @@
-"""Rows of figures, as a table and as a file."""
+"""Benchmark results, as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PACKAGES = ("torch", "onnxruntime", "openvino", "opencv-python-headless", "nump
 
 @dataclass(frozen=True)
 class Row:
-    """One thing under one load; `spread` is the distance of the quartiles over the median."""
+    """One measurement under one load; `spread` is the interquartile range divided by the median."""
 
     what: str
     name: str
@@ -31,7 +31,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Goal:
-    """A figure and the bound it should keep: at most, or at least, `bound`."""
+    """A figure and its upper or lower `bound`."""
 
     what: str
     busy: int
@@ -45,7 +45,7 @@ class Goal:
 
 
 def row(what: str, name: str, busy: int, values: Sequence[float], *, unit: str = "ms") -> Row:
-    """The figures of `values`."""
+    """The statistics of `values`."""
     ordered = sorted(values)
     middle = statistics.median(ordered)
     low, high = (ordered[round(share * (len(ordered) - 1))] for share in (0.25, 0.75))
@@ -54,9 +54,9 @@ def row(what: str, name: str, busy: int, values: Sequence[float], *, unit: str =
 
 
 def table(rows: Iterable[Row]) -> str:
-    """Rows as lines, with the ratio to the smallest median of the same thing under the same load.
+    """Rows as lines, with the ratio to the smallest median of the same measurement under the same load.
 
-    A stage has its share of the longest instead, which is the whole of them.
+    A stage has its share of the longest stage instead, which is the total.
     """
     rows = list(rows)
     heads = f"{'':10}{'':34}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"
@@ -89,7 +89,7 @@ def goal_table(goals: Iterable[Goal]) -> str:
 def write_report(
     path: Path, options: Mapping[str, object], rows: Iterable[Row], goals: Iterable[Goal]
 ) -> None:
-    """Everything that was measured, where and with what, as JSON."""
+    """Write all measurements with machine and software versions as JSON."""
     report = {
         "options": {name: str(value) for name, value in options.items()},
         "versions": {package: version(package) for package in _PACKAGES},

@@ -1,7 +1,7 @@
-"""What a user could take instead of this project's runtimes: the bare forward of each.
+"""Alternatives to this project's runtimes: the bare forward pass of each.
 
-torch is imported before the package, which would change how threads wait; the others when they are asked for,
-as they may be absent.
+torch is imported before the package, which would change how threads wait; the others on demand, as they may
+not be installed.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from torch import Tensor
 
 from benchmark.task import Task
 from benchmark.work import scene_picture
-from yolov5_lifecycle.letterbox import Letterbox
-from yolov5_lifecycle.network import Network, fuse
-from yolov5_lifecycle.weights import load_weights
+from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.models.network import Network, fuse
 
 IMAGE_SIZE = 640
 
@@ -29,7 +29,7 @@ Call = Callable[[], object]
 
 
 def call_of(task: Task) -> Call:
-    """The forward of the rival called `task.name`, its input ready."""
+    """The forward pass of the rival `task.name`, with its input prepared."""
     model = load_weights(Path(task.weights)).model
     network = Network(model.architecture)
     network.load_state_dict(model.state_dict)
@@ -68,7 +68,7 @@ def _openvino(network: Network, pixels: Tensor) -> Call:
 
     core = openvino.Core()
     graph = core.read_model(_exported(network, pixels))
-    # Without the second hint it computes in bfloat16 where the CPU can, and the scores are others.
+    # Without the second hint it computes in bfloat16 where the CPU supports it, which changes the scores.
     hints = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": "f32"}
     request = core.compile_model(graph, "CPU", hints).create_infer_request()
     return lambda: request.infer([pixels.numpy()], share_inputs=True)
@@ -85,9 +85,9 @@ def _opencv(network: Network, pixels: Tensor) -> Call:
 
 
 def _exported(network: Network, pixels: Tensor) -> bytes:
-    """The whole network as torch writes it in ONNX."""
+    """The whole network, exported to ONNX by torch."""
     with tempfile.NamedTemporaryFile(suffix=".onnx") as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the exporter that replaces this one needs another package
+        warnings.simplefilter("ignore")  # the newer exporter that replaces this one needs another package
         torch.onnx.export(
             network, (pixels,), file.name, dynamo=False, input_names=["pixels"], opset_version=13
         )
@@ -102,4 +102,4 @@ RIVALS: Mapping[str, Callable[[Network, Tensor], Call]] = {
     "OpenVINO": _openvino,
     "OpenCV DNN": _opencv,
 }
-"""Each as its documentation shows it first, but for what its name says."""
+"""Each set up as its documentation first shows, except for what its name says."""

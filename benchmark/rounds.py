@@ -1,4 +1,4 @@
-"""Contenders measured in turns, so that a noisy moment of the machine meets all alike."""
+"""Contenders measured in turns, so that noise of the machine affects all alike."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def measure(
 ) -> tuple[Mapping[tuple[Task, int], list[float]], Mapping[Task, float]]:
     """Milliseconds of each task beside each number of busy neighbours, and the peak memory in MB.
 
-    A rival that does not run here is left out, with a word.
+    A rival that does not run here is reported and skipped.
     """
     environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
     with ExitStack() as stack:

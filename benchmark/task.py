@@ -1,4 +1,4 @@
-"""What a contender does."""
+"""The task of a contender."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Task:
-    """`name`, as the module `side` knows it, for a file of `weights` and a picture of `picture_hw`."""
+    """`name`, as defined by the module `side`, for a file of `weights` and an image of `picture_hw`."""
 
     side: Literal["rivals", "work"]
     name: str

@@ -1,4 +1,4 @@
-"""What is measured of this project: a call for each name."""
+"""The measured calls of this project, by name."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.task import Task
-from yolov5_lifecycle.boxes import Selection, select
-from yolov5_lifecycle.detector import Detector, load_detector
-from yolov5_lifecycle.images import Picture
-from yolov5_lifecycle.letterbox import Letterbox
-from yolov5_lifecycle.scene import Scene
-from yolov5_lifecycle.weights import load_weights
+from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.detection.detector import Detector, load_detector
+from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.detection.nms import Selection, select
+from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.sources.scene import Scene
 
 RUNTIME_PREFIX = "runtime "
 _SCENE_SEED = 8
@@ -22,7 +22,7 @@ _CROWD = 300
 
 
 def call_of(task: Task) -> Callable[[], object]:
-    """What does the task once: a runtime's forward (`RUNTIME_PREFIX`), or a stage of the detector."""
+    """A call that runs the task once: a runtime's forward (`RUNTIME_PREFIX`), or a detector stage."""
     runtime = task.name.removeprefix(RUNTIME_PREFIX)
     is_forward = runtime != task.name
     model = load_weights(Path(task.weights)).model
@@ -36,7 +36,7 @@ def call_of(task: Task) -> Callable[[], object]:
 
 
 def scene_picture(picture_hw: tuple[int, int]) -> Picture:
-    """Shapes over clutter, always the same."""
+    """A fixed image of shapes over clutter."""
     return Picture(np.ascontiguousarray(Scene(_SCENE_SEED, picture_hw).frame(0)[0][..., ::-1]), "bgr")
 
 
@@ -55,7 +55,7 @@ def _stage(name: str, detector: Detector, picture: Picture) -> Callable[[], obje
 
 
 def _crowded(raw: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Predictions of a network that has seen _CROWD objects, evenly spread over `raw`, which is all of it."""
+    """Predictions with _CROWD objects, evenly spread over `raw`, the complete output."""
     crowded: NDArray[np.float32] = raw[np.linspace(0, len(raw) - 1, _CROWD).astype(int)]
     crowded[:, 4:6] = 0.9
     return crowded

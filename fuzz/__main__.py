@@ -1,4 +1,4 @@
-"""Searches each target in a process of its own: `make fuzz FUZZ_FLAGS=--help`."""
+"""Fuzzes each target in its own process: `make fuzz FUZZ_FLAGS=--help`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fuzz.targets import TARGETS
 
 
 def main() -> int:
-    """Returns 0 when no target was taken wrongly, 1 otherwise."""
+    """Return 0 if no target failed, 1 otherwise."""
     options = parser().parse_args()
     broken = [name for name in options.only if not _holds(name, options.seconds)]
     print(f"taken wrongly: {', '.join(broken) or 'none'}")
@@ -18,7 +18,7 @@ def main() -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The words of the command line."""
+    """The argument parser."""
     parser = argparse.ArgumentParser(prog="make fuzz", description="Search for bytes that are taken wrongly.")
     parser.add_argument(
         "--only",

@@ -1,6 +1,6 @@
-"""Searches one target with atheris: `python -m fuzz.search TARGET [flags of libFuzzer]`.
+"""Fuzzes one target with atheris: `python -m fuzz.search TARGET [flags of libFuzzer]`.
 
-New bytes that reach further go to build/fuzz/TARGET/corpus, those taken wrongly to build/fuzz/TARGET/bad-*.
+Inputs with new coverage are saved to build/fuzz/TARGET/corpus, failing inputs to build/fuzz/TARGET/bad-*.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _FOUND = Path("build") / "fuzz"
 
 
 def main() -> None:
-    """Does not return: libFuzzer ends the process."""
+    """Run libFuzzer, which ends the process."""
     name, *flags = sys.argv[1:]
     target, found = TARGETS[name], _FOUND / name
     corpus = found / "corpus"

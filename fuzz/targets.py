@@ -1,4 +1,4 @@
-"""What must hold for any bytes, for each reader of what comes from outside."""
+"""Fuzz targets: invariants for any bytes, for each reader of external data."""
 
 from __future__ import annotations
 
@@ -9,33 +9,35 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
-import hostile_archives
-import hostile_safetensors
 import torch
-from compressed_files import KINDS, compressed
+from support import hostile_archives, hostile_safetensors
+from support.compressed_files import KINDS, compressed
+from support.hostile_pictures import HOSTILE_JPEGS, HOSTILE_PNGS
 
-from yolov5_lifecycle.checkpoint import read_checkpoint
-from yolov5_lifecycle.compressed_image import MAX_COMPRESSED_PX, decode_compressed
-from yolov5_lifecycle.images import MAX_SIDE_PX, ImageError
-from yolov5_lifecycle.model import Model, WeightsError
-from yolov5_lifecycle.network import Network
-from yolov5_lifecycle.parameter_file import ParameterFileError, assigned_value
-from yolov5_lifecycle.raw_image import ENCODINGS, decode_raw
-from yolov5_lifecycle.safetensors_file import read_safetensors
-from yolov5_lifecycle.settings import SETTINGS, SettingsError, validated
+from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
+from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
+from yolov5_lifecycle.images.compressed import decode_compressed
+from yolov5_lifecycle.images.encodings import ENCODINGS, decode_raw
+from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError
+from yolov5_lifecycle.models.model import Model, WeightsError
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
+from yolov5_lifecycle.settings.parameter_file import ParameterFileError, assigned_value
+from yolov5_lifecycle.settings.settings import SETTINGS, SettingsError, validated
 
 Taken = TypeVar("Taken")
 Refusal = TypeVar("Refusal", bound=Exception)
 
+_MAX_SEED_BYTES = 4096
 _RAW_IMAGE = struct.Struct("<BBHHI")
-"""Number of the encoding, byte order, height, width and step; the pixels follow."""
+"""Index of the encoding, byte order, height, width and step; the pixels follow."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """`check` takes any bytes and raises AssertionError when they were taken wrongly.
+    """A fuzz target: `check` accepts any bytes and raises AssertionError if an invariant is violated.
 
-    `seeds` are bytes that are taken well, to begin with.
+    `seeds` is the initial corpus.
     """
 
     check: Callable[[bytes], None]
@@ -43,10 +45,11 @@ class Target:
 
 
 def check_compressed_image(data: bytes) -> None:
-    """A picture within the limits, or one line that says why not."""
+    """Expect an image within the limits, or a one-line error."""
     picture = _taken(lambda: decode_compressed(data), ImageError)
     if isinstance(picture, ImageError):
         assert str(picture).isprintable()
+        assert "as its header says" not in str(picture), "OpenCV must not decode what was not checked"
         return
     height, width = picture.size_hw
     assert max(height, width) <= MAX_SIDE_PX
@@ -54,7 +57,7 @@ def check_compressed_image(data: bytes) -> None:
 
 
 def check_raw_image(data: bytes) -> None:
-    """A picture of the size that the message claims, or one line that says why not."""
+    """Expect an image of the size in the message, or a one-line error."""
     if len(data) < _RAW_IMAGE.size:
         return
     number, is_bigendian, height, width, step = _RAW_IMAGE.unpack_from(data)
@@ -77,7 +80,7 @@ def check_raw_image(data: bytes) -> None:
 
 
 def check_weights(read: Callable[[bytes], Model], data: bytes) -> None:
-    """A model that is whole, or one line that says why not."""
+    """Expect a complete model, or a one-line error."""
     model = _taken(lambda: read(data), WeightsError)
     if isinstance(model, WeightsError):
         assert str(model).isprintable()
@@ -91,18 +94,18 @@ def check_weights(read: Callable[[bytes], Model], data: bytes) -> None:
 
 
 def check_checkpoint(data: bytes) -> None:
-    """`data` as the pickle of an archive that is whole."""
+    """Check `data` as the pickle of an otherwise valid archive."""
     check_weights(read_checkpoint, hostile_archives.with_pickle(data))
 
 
 def check_safetensors(data: bytes) -> None:
-    """`data` as the header of a file that is whole."""
+    """Check `data` as the header of an otherwise valid file."""
     _, tensors = hostile_safetensors.cut(hostile_safetensors.valid())
     check_weights(read_safetensors, hostile_safetensors.glued(data, tensors))
 
 
 def check_settings(data: bytes) -> None:
-    """Lines of NAME=VALUE: settings that stay the same when checked again, or what is wrong with them."""
+    """Expect that lines of NAME=VALUE give settings that are stable when revalidated, or problems."""
     lines = data.decode(errors="replace").split("\n")
     values = _taken(lambda: dict(map(assigned_value, lines)), ParameterFileError)
     if isinstance(values, ParameterFileError):
@@ -117,15 +120,23 @@ def check_settings(data: bytes) -> None:
 
 
 def _taken(take: Callable[[], Taken], refusal: type[Refusal]) -> Taken | Refusal:
-    """What is made of the bytes, or how they are refused; any other exception escapes."""
+    """The result for the bytes, or the expected error; any other exception propagates."""
     try:
         return take()
     except refusal as error:
         return error
 
 
+def _compressed_images() -> Iterator[bytes]:
+    """Complete files, and small ones in unusual forms."""
+    yield from map(compressed, KINDS)
+    for data, _ in [*HOSTILE_JPEGS.values(), *HOSTILE_PNGS.values()]:
+        if len(data) <= _MAX_SEED_BYTES:
+            yield data
+
+
 def _raw_images() -> Iterator[bytes]:
-    """A grey picture in each encoding."""
+    """A grey image in each encoding."""
     side = 4
     for number, layout in enumerate(ENCODINGS.values()):
         step = side * layout.pixel_bytes
@@ -143,7 +154,7 @@ def _defaults() -> bytes:
 
 
 TARGETS = {
-    "compressed-images": Target(check_compressed_image, lambda: map(compressed, KINDS)),
+    "compressed-images": Target(check_compressed_image, _compressed_images),
     "raw-images": Target(check_raw_image, _raw_images),
     "checkpoints": Target(check_checkpoint, lambda: [hostile_archives.valid_pickle()]),
     "safetensors": Target(check_safetensors, lambda: [_header()]),

@@ -1,20 +1,28 @@
-"""A camera that shows moving shapes, the detector that knows them and, if asked for, RViz to look at both.
+"""Demo: a camera with moving shapes, the detector with a model for them and, optionally, RViz.
 
 ros2 launch yolov5_lifecycle demo.launch.py rviz:=true
 """
 
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, SetEnvironmentVariable
+from __future__ import annotations
+
+from launch.actions import (
+    DeclareLaunchArgument,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    SetEnvironmentVariable,
+)
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, SubstitutionFailure
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
+from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
 
 SHARE = FindPackageShare("yolov5_lifecycle")
 DEFAULT_PARAMETERS = PathJoinSubstitution([SHARE, "config", "demo.yaml"])
+RVIZ_IS_WANTED = IfCondition(LaunchConfiguration("rviz"))
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -36,16 +44,30 @@ def generate_launch_description() -> LaunchDescription:
         package="rviz2",
         executable="rviz2",
         arguments=["-d", PathJoinSubstitution([SHARE, "config", "yolov5.rviz"])],
-        condition=IfCondition(LaunchConfiguration("rviz")),
+        condition=RVIZ_IS_WANTED,
     )
     return LaunchDescription(
         [
             DeclareLaunchArgument("source", default_value="synthetic", description="See `camera --help`."),
-            DeclareLaunchArgument("params_file", default_value=DEFAULT_PARAMETERS, description="Parameters."),
+            DeclareLaunchArgument(
+                "params_file", default_value=DEFAULT_PARAMETERS, description="Path of a parameter file."
+            ),
             DeclareLaunchArgument("rviz", default_value="false", description="Show the images in RViz."),
+            OpaqueFunction(function=check_rviz, condition=RVIZ_IS_WANTED),
             room_for_images,
+            detector,  # first: it checks the arguments, and launch abandons processes that are starting
             camera,
-            detector,
             rviz,
         ]
     )
+
+
+def check_rviz(context: LaunchContext) -> None:
+    """Raise RuntimeError if RViz is not installed, before any process is started."""
+    try:
+        ExecutableInPackage(package="rviz2", executable="rviz2").perform(context)
+    except (KeyError, SubstitutionFailure) as error:  # no such package, no such file in it
+        raise RuntimeError(
+            "rviz:=true: RViz is not installed. Install it with `sudo apt install ros-jazzy-rviz2`, "
+            "or leave out rviz:=true."
+        ) from error

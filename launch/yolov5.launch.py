@@ -1,21 +1,70 @@
-"""The detector, configured and activated unless told otherwise.
+"""The detector, configured and activated by default.
 
 ros2 launch yolov5_lifecycle yolov5.launch.py image:=/camera/image_raw params_file:=$HOME/yolov5.yaml
+
+Arguments are validated before a process is started.
 """
 
-from launch.actions import DeclareLaunchArgument
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from difflib import get_close_matches
+from pathlib import Path
+
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction, TimerAction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 
 DEFAULT_PARAMETERS = PathJoinSubstitution([FindPackageShare("yolov5_lifecycle"), "config", "yolov5.yaml"])
+FOLDER = Path(__file__).resolve().parent
+BOOLEANS = ["true", "false", "True", "False"]
+ARGUMENTS_OF_LAUNCH = {
+    "emulate_tty",
+    "launch-prefix",
+    "launch-prefix-filter",
+    "sigkill_timeout",
+    "sigterm_timeout",
+}
+"""Arguments that launch itself reads, for every process."""
 
 
 def generate_launch_description() -> LaunchDescription:
-    detector = LifecycleNode(
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("namespace", default_value="", description="Namespace of the node."),
+            DeclareLaunchArgument("image", default_value="~/image_raw", description="Topic of the images."),
+            DeclareLaunchArgument(
+                "detections", default_value="~/detections", description="Topic of the detections."
+            ),
+            DeclareLaunchArgument(
+                "params_file", default_value=DEFAULT_PARAMETERS, description="Path of a parameter file."
+            ),
+            DeclareLaunchArgument("autostart", default_value="true", description="Configure and activate."),
+            DeclareLaunchArgument("respawn", default_value="false", description="Start again after the end."),
+            DeclareLaunchArgument("log_level", default_value="info", description="debug to fatal."),
+            OpaqueFunction(function=checked_detector),
+        ]
+    )
+
+
+def checked_detector(context: LaunchContext) -> list[LifecycleNode | TimerAction]:
+    """The detector if the launch arguments are valid; otherwise the launch ends with 1 and the reason."""
+    if not (problems := [*unknown_arguments(context), *wrong_values(context)]):
+        return [detector()]
+    if is_started_directly(context):
+        fail(context, "\n".join(problems))
+    # A launch file that includes this one may have started processes. An exception here would leave them
+    # running without a parent; if it is raised from a separate event, launch ends them first.
+    failure = OpaqueFunction(function=fail, args=["\n".join(problems)])
+    return [TimerAction(period=0.0, actions=[failure])]
+
+
+def detector() -> LifecycleNode:
+    return LifecycleNode(
         package="yolov5_lifecycle",
         executable="detector",
         name="yolov5",
@@ -33,17 +82,77 @@ def generate_launch_description() -> LaunchDescription:
         respawn_delay=2.0,
         output="screen",
     )
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument("namespace", default_value="", description="Namespace of the node."),
-            DeclareLaunchArgument("image", default_value="~/image_raw", description="Topic of the images."),
-            DeclareLaunchArgument(
-                "detections", default_value="~/detections", description="Topic of the detections."
-            ),
-            DeclareLaunchArgument("params_file", default_value=DEFAULT_PARAMETERS, description="Parameters."),
-            DeclareLaunchArgument("autostart", default_value="true", description="Configure and activate."),
-            DeclareLaunchArgument("respawn", default_value="false", description="Start again after the end."),
-            DeclareLaunchArgument("log_level", default_value="info", description="debug to fatal."),
-            detector,
+
+
+def fail(_: LaunchContext, reason: str) -> None:
+    raise RuntimeError(reason)
+
+
+def wrong_values(context: LaunchContext) -> list[str]:
+    """Invalid values that launch and launch_ros only warn about, or reject after starting other processes."""
+    path = Path(context.launch_configurations["params_file"])
+    problems = []
+    if not path.is_file():
+        hint = " Write $HOME instead of ~." if path.parts[:1] == ("~",) else ""
+        found = "a folder" if path.is_dir() else "no file"
+        problems.append(f"params_file: expected a parameter file at '{path}', found {found} there.{hint}")
+    for name in ("autostart", "respawn"):
+        value = context.launch_configurations[name]
+        if value not in BOOLEANS:
+            problems.append(f"{name}: expected true or false, found '{value}'.")
+    return problems
+
+
+def unknown_arguments(context: LaunchContext) -> list[str]:
+    """A message for each argument given to a launch file of this package that it does not declare.
+
+    launch itself ignores those, from the command line and from a launch file that includes this one.
+    """
+    problems = []
+    for include in includes(root_entities(context)):
+        if not is_of_this_package(include):
+            continue
+        (description,) = include.get_sub_entities()
+        declared = sorted(argument.name for argument in description.get_launch_arguments())
+        given = {name for name, _ in include.launch_arguments if isinstance(name, str)}
+        problems += [
+            f"There is no launch argument '{name}'.{suggestion(name, declared)} "
+            f"There are: {', '.join(declared)}."
+            for name in sorted(given.difference(declared, ARGUMENTS_OF_LAUNCH))
         ]
+    return problems
+
+
+def suggestion(name: str, declared: list[str]) -> str:
+    close = get_close_matches(name[:100], declared, n=1)
+    return f" Did you mean '{close[0]}'?" if close else ""
+
+
+def is_started_directly(context: LaunchContext) -> bool:
+    """Whether `ros2 launch` was given a launch file of this package, not one that includes it."""
+    entities = root_entities(context)
+    return bool(entities) and all(
+        isinstance(entity, IncludeLaunchDescription) and is_of_this_package(entity) for entity in entities
     )
+
+
+def root_entities(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    """The root entities of the launch: for `ros2 launch`, the include of the given file."""
+    root = getattr(getattr(context.locals, "event", None), "launch_description", None)
+    if root is None:
+        return []
+    return list(root.entities) if isinstance(root, LaunchDescription) else [root]
+
+
+def includes(entities: Iterable[LaunchDescriptionEntity]) -> Iterator[IncludeLaunchDescription]:
+    """Every include in `entities`, recursively."""
+    for entity in entities:
+        if isinstance(entity, IncludeLaunchDescription):
+            yield entity
+        yield from includes(entity.describe_sub_entities())
+        for _, conditional in entity.describe_conditional_sub_entities():
+            yield from includes(conditional)
+
+
+def is_of_this_package(include: IncludeLaunchDescription) -> bool:
+    return Path(include.launch_description_source.location).resolve().parent == FOLDER

@@ -25,7 +25,7 @@ def python_problem(version: Tuple[int, int], package_set: str) -> str:
 
 
 def missing_tools() -> List[str]:
-    """What the machine lacks to build vision_msgs and to make a virtual environment, in words."""
+    """What the machine lacks to build the messages and to make a virtual environment, in words."""
     header = os.path.join(sysconfig.get_paths()["include"], "Python.h")
     found = {
         "a C++ compiler (c++ or g++)": os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++"),

@@ -1,1 +1,5 @@
-"""Long trials of the detector's process: hostile neighbours, faults, signals, many lives. `make soak`."""
+"""Soak tests of the detector process: hostile input, faults, signals and lifecycle cycles. `make soak`."""
+
+from yolov5_lifecycle.process.environment import prepare_environment
+
+prepare_environment()  # as in the commands; child processes inherit it

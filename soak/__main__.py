@@ -1,21 +1,33 @@
-"""Runs the long trials, prints their table, writes build/soak/report.json: `make soak SOAK_FLAGS=--help`."""
+"""Runs the soak trials, prints a table, writes build/soak/report.json: `make soak SOAK_FLAGS=--help`."""
 
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from soak.answer_times import answers_during_inference
 from soak.balance import BalanceWatch, exact_balance
+from soak.bursts import answered_bursts
 from soak.checkpoints import refused_checkpoints
 from soak.cycles import complete_cycles
 from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts, clean_starts
-from soak.faults import ended_by_lost_devices, survived_faults
+from soak.faults import ended_by_abandoned_threads, ended_by_lost_devices, survived_faults
 from soak.finding import Finding, found, table, write_report
-from soak.images import rejected_files, rejected_images, survived_files, survived_messages
+from soak.floods import answers_beside_floods, endings_beside_floods
+from soak.hostile_cache import removed_leftovers, survived_caches
+from soak.images import (
+    rejected_costly_files,
+    rejected_files,
+    rejected_images,
+    survived_files,
+    survived_messages,
+)
+from soak.largest_images import LARGEST_SIDE_PX, bounded_decoding
 from soak.mixed_life import mixed_life
+from soak.publishers import counted_publishers
 from soak.service_requests import answered_requests
 from soak.subject import Subject, subject
 from soak.transitions import answered_shutdowns, answered_transitions
@@ -26,6 +38,8 @@ _REQUESTS_PER_SEED = 4000
 _IMAGES = 10_000
 _CYCLES, _WARM_UP = 2000, 50
 _QUESTIONS = 5000
+_BURSTS = 20
+_QUESTIONS_BESIDE_FLOOD = 500
 _TIMES = 20
 _FAULTS = 50
 
@@ -33,44 +47,60 @@ Trial = Callable[[], Finding]
 Watched = Callable[[Subject], Finding]
 
 
-def _watched_trials(seed: int, minutes: float) -> dict[str, Watched]:
-    """Trials of one process each, by name."""
+def _watched_trials(seed: int, minutes: float, scale: float) -> dict[str, Watched]:
+    """Trials that watch one process each, by name."""
+    images, seeds = _scaled(_IMAGES, scale), range(seed, seed + _SEEDS)
     return {
         "transitions": answered_transitions,
-        "requests": lambda process: answered_requests(
-            process, range(seed, seed + _SEEDS), _REQUESTS_PER_SEED
-        ),
-        "images": lambda process: rejected_images(process, _IMAGES, seed),
-        "files": lambda process: rejected_files(process, _IMAGES, seed),
-        "damaged-files": lambda process: survived_files(process, _IMAGES, seed),
-        "damaged-messages": lambda process: survived_messages(process, _IMAGES, seed),
-        "answers": lambda process: answers_during_inference(process, _QUESTIONS),
-        "cycles": lambda process: complete_cycles(process, _CYCLES, _WARM_UP),
-        "faults": lambda process: survived_faults(process, _FAULTS),
+        "requests": lambda process: answered_requests(process, seeds, _scaled(_REQUESTS_PER_SEED, scale)),
+        "images": lambda process: rejected_images(process, images, seed),
+        "files": lambda process: rejected_files(process, images, seed),
+        "costly-files": lambda process: rejected_costly_files(process, images, seed),
+        "largest-files": lambda process: bounded_decoding(process, LARGEST_SIDE_PX),
+        "damaged-files": lambda process: survived_files(process, images, seed),
+        "damaged-messages": lambda process: survived_messages(process, images, seed),
+        "answers": lambda process: answers_during_inference(process, _scaled(_QUESTIONS, scale)),
+        "floods": lambda process: answers_beside_floods(process, _scaled(_QUESTIONS_BESIDE_FLOOD, scale)),
+        "bursts": lambda process: answered_bursts(process, _scaled(_BURSTS, scale)),
+        "publishers": lambda process: counted_publishers(process, _scaled(_TIMES, scale)),
+        "cycles": lambda process: complete_cycles(process, _scaled(_CYCLES, scale), _WARM_UP),
+        "faults": lambda process: survived_faults(process, _scaled(_FAULTS, scale)),
         "mixed": lambda process: mixed_life(process, seed, minutes),
     }
 
 
-def _trials_of_many(seed: int) -> dict[str, Trial]:
+def _trials_of_many(seed: int, scale: float) -> dict[str, Trial]:
     """Trials that start processes themselves, by name."""
+    times = _scaled(_TIMES, scale)
     return {
         "checkpoints": refused_checkpoints,
+        "hostile-cache": survived_caches,
+        "leftovers": lambda: removed_leftovers([signal.SIGKILL, signal.SIGTERM] * times),
         "shutdowns": answered_shutdowns,
-        "lost-devices": lambda: ended_by_lost_devices(_FAULTS),
-        "endings": lambda: clean_endings(ENDINGS * _TIMES, seed),
-        "starts": lambda: clean_starts(_TIMES, seed),
-        "restarts": lambda: clean_restarts([*MOMENTS] * _TIMES, seed),
+        "lost-devices": lambda: ended_by_lost_devices(_scaled(_FAULTS, scale)),
+        "abandoned-threads": lambda: ended_by_abandoned_threads(times),
+        "endings": lambda: clean_endings(ENDINGS * times, seed),
+        "flooded-endings": endings_beside_floods,
+        "starts": lambda: clean_starts(times, seed),
+        "restarts": lambda: clean_restarts([*MOMENTS] * times, seed),
     }
 
 
-_NAMES = [*_watched_trials(0, 0), *_trials_of_many(0)]
+def _scaled(count: int, scale: float) -> int:
+    return max(1, round(count * scale))
+
+
+_NAMES = [*_watched_trials(0, 0, 1), *_trials_of_many(0, 1)]
 
 
 def parser() -> argparse.ArgumentParser:
-    """Of the words of the command line."""
+    """The argument parser."""
     parser = argparse.ArgumentParser(prog="make soak", description="Long trials of the detector's process.")
     parser.add_argument(
         "--minutes", type=float, default=30.0, help="of the mixed trial; default: %(default)s"
+    )
+    parser.add_argument(
+        "--scale", type=float, default=1.0, help="times the usual number of attempts; default: %(default)s"
     )
     parser.add_argument("--seed", type=int, default=0, help="of all that is random; default: %(default)s")
     parser.add_argument(
@@ -85,18 +115,18 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Returns 0 when every claim holds, 1 otherwise."""
+    """Return 0 if every claim holds, 1 otherwise."""
     options = parser().parse_args(arguments)
     watches: list[BalanceWatch] = []
-    trials = _trials_of_many(options.seed) | {
+    trials = _trials_of_many(options.seed, options.scale) | {
         name: _in_own_process(trial, watches)
-        for name, trial in _watched_trials(options.seed, options.minutes).items()
+        for name, trial in _watched_trials(options.seed, options.minutes, options.scale).items()
     }
     findings: list[Finding] = []
     for name in filter(options.only.__contains__, _NAMES):
         print(f"{name} ...", file=sys.stderr, flush=True)
         findings.append(found(name, trials[name]))
-        write_report(_REPORT, vars(options), findings)  # hours may lie between two of them
+        write_report(_REPORT, vars(options), findings)  # after each trial, as a trial may take hours
     if watches:
         findings.append(exact_balance(watches))
         write_report(_REPORT, vars(options), findings)

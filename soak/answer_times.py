@@ -1,4 +1,4 @@
-"""How long services take while the inference thread, or the one that loads models, is at work."""
+"""Service response times during inference and model loading."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _SIZES = (416, 320)
 
 
 def answers_during_inference(subject: Subject, count: int, *, is_timed: bool = True) -> Finding:
-    """Ask for the state and for a parameter in turn, `count` times while images are detected, a tenth as
-    often while models are loaded and while inference hangs; unless `is_timed`, time is not judged.
+    """Request the state and a parameter alternately: `count` times during detection, a tenth as often while
+    models are loaded and while inference hangs; time is only judged if `is_timed`.
 
-    All that is detected must have come here, too.
+    All detections must also be received here.
     """
     subject.reset()
     subject.bring_to("active")
@@ -32,10 +32,10 @@ def answers_during_inference(subject: Subject, count: int, *, is_timed: bool = T
     size = math.ceil(count / _ROUNDS)
     p99_ms = {
         "detecting": statistics.median(
-            _p99(times_ms[begin : begin + size]) for begin in range(0, count, size)
+            p99(times_ms[begin : begin + size]) for begin in range(0, count, size)
         ),
-        "loading": _p99(_while_loading(subject, math.ceil(count / 10))),
-        "hung": _p99(_while_hung(subject, math.ceil(count / 10))),
+        "loading": p99(_while_loading(subject, math.ceil(count / 10))),
+        "hung": p99(_while_hung(subject, math.ceil(count / 10))),
     }
     subject.reset()
     return Finding(
@@ -50,11 +50,11 @@ def answers_during_inference(subject: Subject, count: int, *, is_timed: bool = T
 
 
 def _while_detecting(subject: Subject, count: int) -> tuple[list[float], int]:
-    """Milliseconds for each of `count` answers, and how many images were detected meanwhile."""
+    """Milliseconds of each of `count` responses, and the number of images detected meanwhile."""
     heard, told = subject.heard, _detected(subject)
     with camera(subject.domain, rate=_RATE_HZ, width=640, height=480):
         subject.observer.wait_for(lambda: subject.heard > heard, "detections")
-        times_ms = _asked(subject, most=count)
+        times_ms = asked(subject, most=count)
     detected = _detected(subject) - told
     subject.observer.wait_for(lambda: subject.heard - heard == detected, f"{detected} detections")
     return times_ms, detected
@@ -64,26 +64,26 @@ def _while_loading(subject: Subject, count: int) -> list[float]:
     times_ms: list[float] = []
     sizes = itertools.cycle(_SIZES)
     while len(times_ms) < count:
-        times_ms += _asked(subject, until=subject.begin_reload(next(sizes)).done)
+        times_ms += asked(subject, until=subject.begin_reload(next(sizes)).done)
     return times_ms
 
 
 def _while_hung(subject: Subject, count: int) -> list[float]:
     sender = Sender(subject, "raw")
     sender.send_whole()
-    sender.send(faulty_image("hang"))
+    sender.send(faulty_image("long hang"))
     subject.observer.wait_for(lambda: subject.status()["frames pending"] == "1", "inference to hang")
-    times_ms = _asked(subject, most=count)
+    times_ms = asked(subject, most=count)
     assert subject.status()["frames pending"] == "1", "it went on"
     assert subject.transition("deactivate")
     sender.close()
     return times_ms
 
 
-def _asked(
+def asked(
     subject: Subject, *, most: float = math.inf, until: Callable[[], bool] = lambda: False
 ) -> list[float]:
-    """Milliseconds for each answer."""
+    """Milliseconds of each response."""
     questions = (lambda: subject.node.state() == "active", lambda: subject.node.parameter("lazy") is True)
     times_ms: list[float] = []
     while len(times_ms) < most and not until():
@@ -98,5 +98,5 @@ def _detected(subject: Subject) -> int:
     return int(subject.status()["frames detected"])
 
 
-def _p99(times_ms: Sequence[float]) -> float:
+def p99(times_ms: Sequence[float]) -> float:
     return sorted(times_ms)[math.ceil(0.99 * len(times_ms)) - 1]

@@ -1,16 +1,16 @@
-"""The frame balance of a process, held against its rules."""
+"""Check of the frame balance of a process."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from detector_process import MOST_PENDING, is_balanced
+from support.detector_process import MOST_PENDING, is_balanced
 
 from soak.finding import Finding, number_of
 
 
 class BalanceWatch:
-    """Every balance that one process has told, in the order it came."""
+    """All frame balances reported by one process, in order."""
 
     def __init__(self) -> None:
         self.told = 0
@@ -19,10 +19,11 @@ class BalanceWatch:
         self._counts: dict[str, int] = {}
 
     def take(self, values: Mapping[str, str]) -> None:
-        """Judge the values of one diagnostic status."""
+        """Check the values of one diagnostic status."""
         counts = {name: int(value) for name, value in values.items() if name.startswith("frames ")}
         pending, received = counts.pop("frames pending"), counts["frames received"]
-        counts.pop("frames lost", None)
+        for never_taken in ("frames lost", "frames overtaken"):  # only counted since activation
+            counts.pop(never_taken, None)
         fallen = [name for name, count in counts.items() if count < self._counts.get(name, 0)]
         under_way = MOST_PENDING if values["state"] == "active" else 0
         if not is_balanced(values) or pending > under_way or fallen:
@@ -31,7 +32,7 @@ class BalanceWatch:
 
 
 def exact_balance(watches: Sequence[BalanceWatch]) -> Finding:
-    """Whether all balances of all processes kept the rules."""
+    """Whether all balances of all processes follow the rules."""
     problems = [problem for watch in watches for problem in watch.problems]
     told, received = sum(watch.told for watch in watches), sum(watch.received for watch in watches)
     return Finding(

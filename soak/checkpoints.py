@@ -1,17 +1,17 @@
-"""Weights files made to harm their reader."""
+"""Hostile weights files."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from test_hostile_checkpoints import MAX_GROWN_MB, TOLD, read_all
+from support.hostile_files import MAX_GROWN_MB, TOLD, read_all
 
 from soak.finding import Finding
 
 
 def refused_checkpoints() -> Finding:
-    """Read every kind of hostile and wrong file that the tests have."""
+    """Read every hostile and invalid weights file of the tests."""
     with TemporaryDirectory() as folder:
         answers = read_all(Path(folder)).values()
     accepted = [answer.name for answer in answers if not answer.is_refused]

@@ -1,4 +1,4 @@
-"""Many whole lives of one process, and what is left of each."""
+"""Repeated lifecycle cycles of one process, with a check for resource leaks."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _MAX_GROWTH_MB = 5.0
 
 
 def complete_cycles(subject: Subject, count: int, warm_up: int, *, weigh: bool = True) -> Finding:
-    """Configure, activate, detect, deactivate, clean up, under a camera; memory counts if `weigh`.
+    """Configure, activate, detect, deactivate, clean up, with a camera; memory is only judged if `weigh`.
 
-    What the process holds is compared after `warm_up` cycles and at the end, over some cycles each. A thread
-    may be about to end when it is counted: the least at the end must not be more than the most before.
+    Compares the resources of the process after `warm_up` cycles and at the end, over some cycles each. A
+    counted thread may be about to end, so the min at the end must not exceed the max at the start.
     """
     subject.reset()
     held: list[Resources] = []
@@ -42,6 +42,6 @@ def complete_cycles(subject: Subject, count: int, warm_up: int, *, weigh: bool =
 
 
 def _parts(held: Sequence[Resources]) -> tuple[Sequence[Resources], Sequence[Resources]]:
-    """A tenth, two at least, at the beginning and at the end."""
+    """The first and the last tenth of `held`, at least two cycles each."""
     size = max(len(held) // 10, 2)
     return held[:size], held[-size:]

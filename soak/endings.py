@@ -1,4 +1,4 @@
-"""Processes that are asked to end, or killed, at any moment of their life."""
+"""Processes that are terminated or killed at any moment."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from typing import Any
 
 from soak.finding import Finding, number_of, problem
 from soak.subject import Subject, exceptions_in, subject, subject_in
-from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.domain import isolated, own_domain
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
 
 _LIMIT_S = 5.0
 _TRANSITION_S = 0.001, 0.3
-"""A transition takes from so long to so long."""
+"""Min and max duration of a transition."""
 _PAUSE_S = 0.001
 _LONGEST_IMPORT_S = 3.0
 _START_S = 60.0
 
 Ending = tuple[signal.Signals, str]
-"""The signal, and a moment of `MOMENTS`."""
+"""The signal, and a moment from `MOMENTS`."""
 Reach = Callable[[Subject], Any]
-"""Comes to a moment; the future of the answer where that is one during a transition, else None."""
+"""Brings the subject to a moment; returns the future of a transition in progress, else None."""
 
 
 def _in_state(state: str) -> Reach:
@@ -68,7 +68,7 @@ ENDINGS: tuple[Ending, ...] = tuple(
 
 
 def clean_endings(endings: Iterable[Ending], seed: int) -> Finding:
-    """Ask a new process to end, each time at one moment; a transition is met on its way, or after."""
+    """Terminate a new process at each moment, during a transition or shortly after it."""
     random, endings, met = Random(seed), list(endings), Counter[str]()
     wrong = [*filter(None, (problem(partial(_end, *ending, random, met)) for ending in endings))]
     return Finding(
@@ -81,7 +81,7 @@ def clean_endings(endings: Iterable[Ending], seed: int) -> Finding:
 
 
 def clean_starts(count: int, seed: int) -> Finding:
-    """Ask the installed detector to end while it imports its modules, or soon after."""
+    """Terminate the installed detector while it imports its modules, or soon after."""
     random = Random(seed)
     numbers = [signal.SIGINT, signal.SIGTERM] * count
     wrong = [*filter(None, (problem(partial(_end_at_start, number, random)) for number in numbers))]
@@ -95,7 +95,7 @@ def clean_starts(count: int, seed: int) -> Finding:
 
 
 def clean_restarts(moments: Iterable[str], seed: int) -> Finding:
-    """Kill a process at one moment; the next one in its domain must configure, activate and detect."""
+    """Kill a process at each moment; the next one in its domain must configure, activate and detect."""
     random, moments = Random(seed), list(moments)
     wrong = [*filter(None, (problem(partial(_restart, moment, random)) for moment in moments))]
     return Finding(
@@ -125,7 +125,7 @@ def _end_at_start(number: signal.Signals, random: Random) -> None:
         process.wait_for_output(" rclpy\n", _START_S)
         time.sleep(random.uniform(0, _LONGEST_IMPORT_S))
         code = process.stop(number, timeout_s=_LIMIT_S)
-    # Among the modules are some that are named traceback.
+    # Some imported modules are named traceback.
     said = [line for line in process.output.splitlines() if not line.startswith("import time:")]
     escaped = exceptions_in("\n".join(said))
     assert (code, escaped) == (0, []), f"{number.name} at the start: {code}, {escaped}"
@@ -144,7 +144,7 @@ def _restart(moment: str, random: Random) -> None:
 
 
 def _reach(subject: Subject, moment: str, random: Random) -> bool:
-    """Come there, and go on for as long as a transition may take, or less; whether one is on its way then."""
+    """Bring the subject to `moment` and wait randomly; returns whether a transition is in progress then."""
     answer = MOMENTS[moment](subject)
     shortest, longest = map(math.log, _TRANSITION_S)
     time.sleep(math.exp(random.uniform(shortest, longest)))

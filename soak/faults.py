@@ -11,8 +11,9 @@ from soak.faulty_detector import GREYS
 from soak.finding import Finding, number_of, problem
 from soak.sender import Sender
 from soak.subject import Subject, subject
-from yolov5_lifecycle.ros.detection import REST_TIMEOUT_S
-from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
+from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
 _FAILING = ("raise", "out of memory", "NaN", "wrong shape")
 _SIDE_PX = 320
@@ -21,8 +22,8 @@ _RETURN_S = REST_TIMEOUT_S + 1
 
 
 def survived_faults(subject: Subject, count: int, *, is_timed: bool = True) -> Finding:
-    """Every fault but the loss of the device, again and again in one process; unless `is_timed`, the time of
-    deactivate is not judged."""
+    """Repeat every fault except device loss in one process; the duration of deactivate is only judged if
+    `is_timed`."""
     subject.reset()
     subject.bring_to("active")
     sender, held_s = Sender(subject, "raw"), 0.0
@@ -47,7 +48,7 @@ def survived_faults(subject: Subject, count: int, *, is_timed: bool = True) -> F
 
 
 def ended_by_lost_devices(count: int) -> Finding:
-    """Processes whose device is lost, one after the other."""
+    """Lose the device in `count` processes, one after the other."""
     wrong = [*filter(None, (problem(_lose_device) for _ in range(count)))]
     return Finding(
         claim="a lost device ends the process with its own code",
@@ -58,17 +59,44 @@ def ended_by_lost_devices(count: int) -> Finding:
     )
 
 
+def ended_by_abandoned_threads(count: int) -> Finding:
+    """Hang inference repeatedly in each of `count` processes."""
+    wrong = [*filter(None, (problem(_abandon_threads) for _ in range(count)))]
+    return Finding(
+        claim="too many hung inference threads end the process with its own code",
+        done=f"{count} processes, {MAX_ABANDONED_THREADS + 1} hangs each",
+        result=number_of("other ends", wrong),
+        limit=f"0; exit code {EXIT_ABANDONED_THREADS} within {_END_S:g} s",
+        is_met=not wrong,
+    )
+
+
 def faulty_image(kind: str) -> Image:
-    """A picture that makes inference of the subject fail."""
+    """An image that makes inference of the subject fail."""
     data = array("B", bytes([GREYS[kind]]) * (3 * _SIDE_PX**2))
     return Image(height=_SIDE_PX, width=_SIDE_PX, encoding="rgb8", step=3 * _SIDE_PX, data=data)
+
+
+def _abandon_threads() -> None:
+    with subject() as process:
+        for abandoned in range(MAX_ABANDONED_THREADS + 1):
+            process.bring_to("active")
+            assert process.status()["abandoned threads"] == str(abandoned)
+            sender = Sender(process, "raw")
+            sender.send_whole()
+            sender.send(faulty_image("long hang"))
+            process.observer.wait_for(lambda: process.status()["frames pending"] == "1", "inference to hang")
+            assert process.transition("deactivate")
+            sender.close()
+        code = process.process.wait(_END_S)
+        assert code == EXIT_ABANDONED_THREADS, f"exit code {code}"
 
 
 def _lose_device() -> None:
     with subject() as process:
         process.bring_to("active")
         sender = Sender(process, "raw")
-        # Then the node has subscribed anew, and will do so no more and miss what is sent meanwhile.
+        # By then the node has resubscribed for the last time; it misses images sent while it does so.
         process.observer.wait_for(
             lambda: process.status()["image reliability"] == "reliable", "a reliable subscription"
         )
@@ -79,7 +107,7 @@ def _lose_device() -> None:
 
 
 def _fail(subject: Subject, sender: Sender, kind: str) -> None:
-    """Send pictures that fail until the node gives up."""
+    """Send images that make inference fail until the node deactivates."""
 
     def has_given_up() -> bool:
         sender.send(faulty_image(kind))
@@ -90,14 +118,14 @@ def _fail(subject: Subject, sender: Sender, kind: str) -> None:
 
 
 def _hang(subject: Subject, sender: Sender) -> float:
-    """Deactivate beside a hang that has been told of; how long that took, in seconds."""
+    """Deactivate during a hang that the node has reported; returns how long that took, in seconds."""
     failed = int(subject.status()["frames failed"])
     sender.send(faulty_image("hang"))
     subject.observer.wait_for(lambda: "or it hangs" in subject.status()["message"], "word of the hang")
     begun_s = time.monotonic()
     assert subject.transition("deactivate")
     held_s = time.monotonic() - begun_s
-    assert "its thread was given up" in subject.status()["last problem"]
+    assert "its thread was abandoned" in subject.status()["last problem"]
     assert int(subject.status()["frames failed"]) == failed + 1
     return held_s
 

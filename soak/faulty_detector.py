@@ -1,6 +1,6 @@
-"""The real detector with the real model; a picture that is one grey all over makes inference fail.
+"""The real detector with the real model; a uniformly grey image makes inference fail.
 
-Runs as a process of its own. Which grey has which fault: `GREYS`.
+Runs as a separate process. The grey value selects the fault: `GREYS`.
 """
 
 from __future__ import annotations
@@ -8,24 +8,28 @@ from __future__ import annotations
 import sys
 import time
 
-from yolov5_lifecycle.heap import prepare_heap
+from yolov5_lifecycle.process.environment import prepare_environment
+from yolov5_lifecycle.process.memory import prepare_heap
 
 if __name__ == "__main__":
-    prepare_heap()  # as the installed command does, before the imports below begin threads
+    prepare_environment()
+    prepare_heap()  # as in the installed command, before the imports below start threads
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images import Order
-from yolov5_lifecycle.preparation import PreparedModel, prepare_model
-from yolov5_lifecycle.ros.detector import main
+from yolov5_lifecycle.detection.prepared_model import PreparedModel, prepare_model
+from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.ros.detector.process import main
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, Runtime
-from yolov5_lifecycle.settings import Settings
+from yolov5_lifecycle.settings.settings import Settings
 
 Raw = NDArray[np.float32]
 SLOW_S = 0.5
-HANG_S = 30.0
+HANG_S = 10.0
+"""Deactivate waits 3 s for each hang, so at most three abandoned threads are alive, the allowed maximum."""
+LONG_HANG_S = 120.0
 
 
 def fail(raw: Raw) -> Raw:
@@ -58,6 +62,11 @@ def hang(raw: Raw) -> Raw:
     return raw
 
 
+def hang_for_long(raw: Raw) -> Raw:
+    time.sleep(LONG_HANG_S)
+    return raw
+
+
 FAULTS = {
     "raise": fail,
     "out of memory": run_out_of_memory,
@@ -66,13 +75,14 @@ FAULTS = {
     "slow": be_slow,
     "hang": hang,
     "device lost": lose_device,
+    "long hang": hang_for_long,
 }
 GREYS = {fault: grey for grey, fault in enumerate(FAULTS, start=1)}
 _FAULT_OF_GREY = {GREYS[name]: fault for name, fault in FAULTS.items()}
 
 
 class FaultyRuntime:
-    """`runtime`, with the fault that the picture asks for."""
+    """`runtime` with the fault selected by the image."""
 
     def __init__(self, runtime: Runtime) -> None:
         self._runtime = runtime
@@ -83,7 +93,7 @@ class FaultyRuntime:
     def __call__(self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0) -> Raw:
         raw = self._runtime(frame, order, least_objectness)
         height, width, _ = frame.shape
-        middle = frame[height // 3 : -height // 3, width // 3 : -width // 3]  # without the letterbox's grey
+        middle = frame[height // 3 : -height // 3, width // 3 : -width // 3]  # without letterbox padding
         fault = _FAULT_OF_GREY.get(int(middle[0, 0, 0]))
         return fault(raw) if fault is not None and (middle == middle[0, 0, 0]).all() else raw
 

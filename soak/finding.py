@@ -1,4 +1,4 @@
-"""What a trial found, as a row of a table and as a file."""
+"""Result of a trial, as a row of a table and as JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _HEADS = ("claim", "what was done", "result", "limit", "ok")
 
 @dataclass(frozen=True)
 class Finding:
-    """One claim, what was done to shake it, what came of that, and the limit that decides."""
+    """One claim, how it was tested, the result, and the limit that decides."""
 
     claim: str
     done: str
@@ -27,17 +27,17 @@ class Finding:
 
 
 def found(name: str, trial: Callable[[], Finding]) -> Finding:
-    """What the trial `name` finds; one that cannot go on has failed, and says why."""
+    """Run the trial `name`; one that raises an exception counts as failed, with the reason."""
     try:
         return trial()
-    except Exception as error:  # noqa: BLE001 - told in the table; the other trials are still worth their time
+    except Exception as error:  # noqa: BLE001 - reported in the table; the other trials still run
         traceback.print_exc()
         first_line = str(error).partition("\n")[0]
         return Finding(name, "broken off", f"{type(error).__name__}: {first_line}", "none", False)
 
 
 def problem(trial: Callable[[], None]) -> str:
-    """Why one trial of many has failed, "" when it has not; the others go on."""
+    """Why one trial of many failed, "" if it passed; the others continue."""
     try:
         trial()
     except (AssertionError, RuntimeError, TimeoutError) as error:
@@ -47,12 +47,12 @@ def problem(trial: Callable[[], None]) -> str:
 
 
 def number_of(what: str, cases: Sequence[str]) -> str:
-    """How many cases there were of `what`, and the first."""
+    """The number of cases of `what`, with the first."""
     return f"{len(cases)} {what}" + (f" (first: {cases[0].partition(chr(10))[0][:200]})" if cases else "")
 
 
 def table(findings: Sequence[Finding]) -> str:
-    """All findings, one a line, in columns."""
+    """All findings in columns, one per line."""
     rows = [_HEADS, *map(_cells, findings)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [
@@ -63,7 +63,7 @@ def table(findings: Sequence[Finding]) -> str:
 
 
 def write_report(path: Path, options: Mapping[str, object], findings: Sequence[Finding]) -> None:
-    """All findings so far as JSON, with what was asked for, when and where."""
+    """Write all findings so far as JSON, with the options, time and machine."""
     report = {
         "written": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "options": dict(options),

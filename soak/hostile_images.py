@@ -1,4 +1,4 @@
-"""Images that are none: what a camera, a network or somebody with bad intentions may send."""
+"""Invalid images, as a camera, a network or an attacker may send."""
 
 from __future__ import annotations
 
@@ -12,23 +12,25 @@ import cv2
 import numpy as np
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
+from support.hostile_pictures import HOSTILE_JPEGS, HOSTILE_PNGS
 
 from soak.service_requests import Fuzz
-from yolov5_lifecycle.images import MAX_SIDE_PX
-from yolov5_lifecycle.raw_image import ENCODINGS
+from yolov5_lifecycle.images.encodings import ENCODINGS
+from yolov5_lifecycle.images.image import MAX_SIDE_PX
 
+_COSTLY = [*HOSTILE_JPEGS.values(), *HOSTILE_PNGS.values()]
 _UNKNOWN = ("", "RGB8", "rgb8 ", "bayer_rggb16", "yuv444", "32FC1", "32FC3", "x" * 100_000)
 _NUMBERS = (0, 1, 2, 7, 48, 64, 640, MAX_SIDE_PX, MAX_SIDE_PX + 1, 2**31 - 1, 2**31, 2**32 - 1)
 _SIZES = (0, 1, 7, 191, 48 * 64, 48 * 64 * 3, 48 * 64 * 4, 1_000_000)
 MakeImage = Callable[[Fuzz], Image | CompressedImage | bytes]
-"""A message, or the bytes of one."""
+"""Creates a message, or the bytes of one."""
 _ODD_SIZES_HW = ((1, 1), (1, MAX_SIDE_PX), (MAX_SIDE_PX, 1), (2, 3), (3, 4001), (1999, 5))
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 _FOREIGN = (b"GIF89a", b"BM", b"II*\0", b"RIFF\0\0\0\0WEBPVP8 ", b"\0\0\0\x0cjP  ", b"%PDF-1.7", b"\x80\x04.")
 
 
 def hostile_image(fuzz: Fuzz) -> Image:
-    """A raw image with random fields that cannot be read."""
+    """A raw image with random fields that make it unreadable."""
     while True:
         choose = fuzz.random.choice
         message = Image(
@@ -45,7 +47,7 @@ def hostile_image(fuzz: Fuzz) -> Image:
 
 
 def odd_image(fuzz: Fuzz) -> Image:
-    """A raw image that can be read, of a shape and with a header that no camera sends."""
+    """A readable raw image with a shape and header that no camera sends."""
     height, width = fuzz.random.choice(_ODD_SIZES_HW)
     message = Image(height=height, width=width, step=3 * width, encoding="bgr8")
     fuzz.fill(message.header)
@@ -54,18 +56,24 @@ def odd_image(fuzz: Fuzz) -> Image:
 
 
 def hostile_file(fuzz: Fuzz) -> CompressedImage:
-    """A compressed image that cannot be read: cut off before its pixels, foreign, or far too large."""
+    """An unreadable compressed image: truncated before its pixels, of another format, or far too large."""
     make = fuzz.random.choice([_cut_png, _beheaded_jpeg, _png_bomb, _jpeg_bomb, _noise, _foreign])
     return _message(fuzz, make(fuzz.random))
 
 
+def costly_file(fuzz: Fuzz) -> CompressedImage:
+    """A compressed image that hides its size, or is expensive to decode; none is in a standard form."""
+    data, _ = fuzz.random.choice(_COSTLY)
+    return _message(fuzz, data)
+
+
 def damaged_file(fuzz: Fuzz) -> CompressedImage:
-    """A compressed image with wrong or missing bytes; some of its pixels may still be read."""
+    """A compressed image with wrong or missing bytes; some of its pixels may still be readable."""
     return _message(fuzz, _damaged(fuzz.random, _file(fuzz.random.choice([".jpg", ".png"]))))
 
 
 def damaged_message(fuzz: Fuzz) -> bytes:
-    """A small raw image as it goes over the wire, with wrong or missing bytes."""
+    """A small serialized raw image with wrong or missing bytes."""
     side, (encoding, layout) = 8, fuzz.random.choice([*ENCODINGS.items()])
     step = side * layout.pixel_bytes
     message = Image(height=side, width=side, step=step, encoding=encoding)
@@ -74,7 +82,7 @@ def damaged_message(fuzz: Fuzz) -> bytes:
 
 
 def _is_readable(image: Image) -> bool:
-    """The rule of sensor_msgs/Image, the last row with or without its padding."""
+    """Whether `image` follows sensor_msgs/Image, the last row with or without its padding."""
     size_hw = image.height, image.width
     if image.encoding not in ENCODINGS or not 0 < min(size_hw) <= max(size_hw) <= MAX_SIDE_PX:
         return False
@@ -110,13 +118,13 @@ def _cut_png(random: Random) -> bytes:
 
 
 def _beheaded_jpeg(random: Random) -> bytes:
-    """Cut off before the frame header, which has the size."""
+    """A JPEG truncated before the frame header, which has the size."""
     data = _file(".jpg")
     return data[: random.randrange(data.index(b"\xff\xc0") + 9)]
 
 
 def _png_bomb(random: Random) -> bytes:
-    """A whole PNG of a few bytes that claims a huge picture."""
+    """A complete PNG of a few bytes that claims a huge image."""
     return _png(
         *random.choice([(2**31 - 1, 2**31 - 1), (MAX_SIDE_PX, MAX_SIDE_PX), (1, MAX_SIDE_PX + 1), (0, 1)])
     )

@@ -1,4 +1,4 @@
-"""Hostile images in the way of a running detector."""
+"""Hostile images sent to a running detector."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ from collections import Counter
 from dataclasses import dataclass
 
 from soak.finding import Finding, number_of
-from soak.hostile_images import MakeImage, damaged_file, damaged_message, hostile_file, hostile_image
+from soak.hostile_images import (
+    MakeImage,
+    costly_file,
+    damaged_file,
+    damaged_message,
+    hostile_file,
+    hostile_image,
+)
 from soak.sender import Sender
 from soak.service_requests import Fuzz
 from soak.subject import Subject
@@ -15,32 +22,39 @@ _BATCH = 250
 
 
 def rejected_images(subject: Subject, count: int, seed: int) -> Finding:
-    """Raw images whose fields are wrong."""
+    """Send raw images with invalid fields; all must be rejected."""
     return _all_rejected("every hostile image is rejected", "raw", hostile_image, subject, count, seed)
 
 
 def rejected_files(subject: Subject, count: int, seed: int) -> Finding:
-    """Compressed images that are cut off, foreign or bombs."""
+    """Send compressed images that are truncated, of another format, or decompression bombs."""
     return _all_rejected(
         "every hostile compressed image is rejected", "compressed", hostile_file, subject, count, seed
     )
 
 
+def rejected_costly_files(subject: Subject, count: int, seed: int) -> Finding:
+    """Send compressed images that hide their size, or take much memory or time to decode."""
+    return _all_rejected(
+        "every image that hides what it costs is rejected", "compressed", costly_file, subject, count, seed
+    )
+
+
 def survived_files(subject: Subject, count: int, seed: int) -> Finding:
-    """Compressed images with wrong or missing bytes, which a decoder may partly understand."""
+    """Send compressed images with wrong or missing bytes, which a decoder may partly read."""
     return _survived(
         "every damaged compressed image is survived", "compressed", damaged_file, subject, count, seed
     )
 
 
 def survived_messages(subject: Subject, count: int, seed: int) -> Finding:
-    """Raw images whose message itself is damaged; one that cannot be taken apart is lost on the way."""
+    """Send raw images whose serialized message is damaged; undeserializable ones are lost."""
     return _survived("every damaged image message is survived", "raw", damaged_message, subject, count, seed)
 
 
 @dataclass(frozen=True)
 class _Fates:
-    """What was sent between two looks at the subject, and what became of it."""
+    """Images sent to the subject and their outcomes."""
 
     hostile: int
     whole: int
@@ -60,12 +74,12 @@ def _all_rejected(
     claim: str, transport: str, make: MakeImage, subject: Subject, count: int, seed: int
 ) -> Finding:
     fates = _fates(transport, make, subject, count, seed)
-    are_rejected = fates.counts.keys() <= {"rejected", "detected", "stale", "lost"}
+    are_rejected = fates.counts.keys() <= {"rejected", "detected", "stale", "lost", "overtaken"}
     return Finding(
         claim=claim,
         done=f"{fates.hostile} {transport} images and {fates.whole} whole ones, seed {seed}",
         result=str(fates),
-        limit="whole ones detected, others rejected, stale or lost; 0; 0",
+        limit="whole ones detected, others rejected, stale, overtaken or lost; 0; 0",
         is_met=are_rejected
         and fates.counts["detected"] <= fates.whole
         and not fates.unaccounted
@@ -87,12 +101,12 @@ def _survived(
 
 
 def _fates(transport: str, make: MakeImage, subject: Subject, count: int, seed: int) -> _Fates:
-    """Send hostile images until `count` were judged, and whole ones in between."""
+    """Send hostile images until `count` have an outcome, with valid ones in between."""
     subject.reset()
     assert subject.node.set_parameters(image_transport=transport) == ""
     subject.bring_to("active")
     sender, fuzz = Sender(subject, transport), Fuzz(seed)
-    sender.send_whole()  # from here on lost ones are noticed
+    sender.send_whole()  # from here on lost images are counted
     before, hostile, sender.whole = _counts(subject), 0, 0
     counts: Counter[str] = Counter()
     while counts["rejected"] + counts["detected"] - sender.whole < count:
@@ -107,7 +121,7 @@ def _fates(transport: str, make: MakeImage, subject: Subject, count: int, seed: 
 
 
 def _counts(subject: Subject) -> Counter[str]:
-    """Frames by fate so far."""
+    """Frames by outcome so far."""
     prefix = "frames "
     ends = {key.removeprefix(prefix): value for key, value in subject.status().items() if prefix in key}
     return Counter({end: int(count) for end, count in ends.items() if end != "received"})

@@ -1,4 +1,4 @@
-"""Everything at once, at random, for as long as one likes."""
+"""Random mix of all actions, for any duration."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
-from detector_process import NODE, scene_image
 from sensor_msgs.msg import Image
+from support.detector_process import NODE, scene_image
 
 from soak.faults import faulty_image
 from soak.finding import Finding, number_of
@@ -42,7 +42,7 @@ _CHECK_EVERY = 50
 
 
 class MixedLife:
-    """One subject and all that happens to it. A context manager: at its end the camera is gone."""
+    """One subject and all actions on it. A context manager that stops the camera on exit."""
 
     def __init__(self, subject: Subject, seed: int) -> None:
         self._subject = subject
@@ -81,23 +81,23 @@ class MixedLife:
         return self._client.unanswered
 
     def act(self) -> None:
-        """One thing more."""
+        """Perform one random action."""
         weights = [weight for weight, _ in self._actions.values()]
         (kind,) = self._fuzz.random.choices(list(self._actions), weights)
         self._actions[kind][1]()
         self.done[kind] += 1
 
     def check(self) -> None:
-        """With the parameters of the start the node must detect, whatever has happened."""
+        """Restore the initial parameters; the node must detect, whatever has happened."""
         self._camera.close()
-        self._subject.transition("deactivate")  # it may do so by itself at any time, so first of all
+        self._subject.transition("deactivate")  # first, as the node may deactivate itself at any time
         self._subject.reset()
         self._subject.bring_to("active")
         self._sender.wait_until_heard()
         self._sender.send_whole()
 
     def _storm(self) -> None:
-        """Transitions and reloads, all at once."""
+        """Simultaneous transitions and reloads."""
         futures = [self._subject.begin_transition(self._choose(_LABELS)) for _ in range(3)]
         futures += [self._subject.begin_reload(self._choose(_SETTINGS["image_size"])) for _ in range(2)]
         self._subject.observer.wait_for(
@@ -105,7 +105,7 @@ class MixedLife:
         )
 
     def _change_viewer(self) -> None:
-        """Somebody begins or ceases to look at the drawn images."""
+        """Subscribe to or unsubscribe from the annotated images."""
         observer = self._subject.observer
         if self._viewer is None:
             self._viewer = observer.create_subscription(Image, f"{NODE}/image", lambda _: None, 1)
@@ -118,7 +118,7 @@ class MixedLife:
         self._subject.node.set_parameters(**{name: self._choose(_SETTINGS[name])})
 
     def _change_camera(self) -> None:
-        """Another camera or none."""
+        """Start another camera, or none."""
         self._camera.close()
         if self._fuzz.random.random() < 0.8:
             height, width = self._choose(_SIZES_HW)
@@ -128,7 +128,7 @@ class MixedLife:
 
 
 def mixed_life(subject: Subject, seed: int, minutes: float) -> Finding:
-    """Let everything happen for a while, then end the process with SIGTERM."""
+    """Perform random actions for `minutes`, then terminate the process with SIGTERM."""
     end_s = time.monotonic() + 60 * minutes
     held: list[Resources] = []
     with MixedLife(subject, seed) as life:

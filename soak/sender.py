@@ -1,4 +1,4 @@
-"""A camera that sends what it is told to."""
+"""A publisher of given images."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import time
 from typing import Any
 
 import cv2
-from detector_process import NODE, scene_image
 from sensor_msgs.msg import CompressedImage, Image
+from support.detector_process import NODE, scene_image
 
 from soak.subject import Subject
 from yolov5_lifecycle.ros.messages import picture
 
 _PACE_S = 0.002
-"""An image that comes at once takes the place of the one before, which nobody would look at."""
+"""Pause between images; one sent at once would replace the one before it unprocessed."""
 _ANSWER_S = 5.0
 _TRANSPORTS = {
     "raw": (Image, f"{NODE}/image_raw"),
@@ -22,7 +22,7 @@ _TRANSPORTS = {
 
 
 class Sender:
-    """Sends images to an active subject; `whole` counts those that can be read."""
+    """Sends images to an active subject; `whole` counts the readable ones."""
 
     def __init__(self, subject: Subject, transport: str) -> None:
         self._subject = subject
@@ -42,7 +42,7 @@ class Sender:
         time.sleep(_PACE_S)
 
     def send_whole(self) -> None:
-        """Send one that can be read, until it is detected."""
+        """Send a readable image until it is detected."""
         image = scene_image()
         message = image if self._transport == "raw" else _compressed(image)
         self._subject.detections.clear()

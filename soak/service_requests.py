@@ -1,4 +1,4 @@
-"""Requests that no well-meaning client sends, to every service of the node."""
+"""Hostile requests to every service of the node."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import re
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from detector_process import NODE
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterValue
+from support.detector_process import NODE
 
 from soak.finding import Finding, number_of
 from soak.subject import Subject
-from yolov5_lifecycle.ros.observer import NoAnswerError
-from yolov5_lifecycle.settings import SETTINGS
+from yolov5_lifecycle.ros.demo.observer import NoAnswerError
+from yolov5_lifecycle.settings.settings import SETTINGS
 
 _SERVICES = 12
 """5 of every lifecycle node, 7 of every node."""
@@ -40,13 +40,13 @@ _SHUTDOWNS = {
 
 
 class Fuzz:
-    """Messages with random contents of every kind; shutdown alone is never asked for."""
+    """Messages of any type with random content; shutdown is never requested."""
 
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
 
     def fill(self, message: Any) -> Any:
-        """`message` with every field replaced."""
+        """`message` with every field replaced by random values."""
         for name, field_type in message.get_fields_and_field_types().items():
             setattr(message, name, self._value(field_type))
         if isinstance(message, ParameterValue) and self.random.random() < 0.9:
@@ -90,12 +90,12 @@ class Fuzz:
 
 
 def message_type(name: str, kind: str) -> Any:
-    """The class of `rcl_interfaces/Parameter` or `rcl_interfaces/srv/SetParameters`."""
+    """The class of `rcl_interfaces/Parameter` or `rcl_interfaces/srv/SetParameters`, for example."""
     return getattr(importlib.import_module(f"{name.split('/')[0]}.{kind}"), name.rpartition("/")[2])
 
 
 class HostileClient:
-    """Asks every service that the node offers."""
+    """Client for every service that the node offers."""
 
     def __init__(self, subject: Subject) -> None:
         self._observer = subject.observer
@@ -114,14 +114,14 @@ class HostileClient:
         return len(self._clients)
 
     def ask(self, fuzz: Fuzz, most: int = _BURST) -> None:
-        """Send some requests at once, `most` at most, and take their answers."""
+        """Send a burst of at most `most` requests and take the responses."""
         clients = fuzz.random.choices(self._clients, k=min(most, fuzz.random.randint(1, _BURST)))
         asked = [(client, client.call_async(fuzz.fill(client.srv_type.Request()))) for client in clients]
         self.sent += len(asked)
         self.unanswered += [client.srv_name for client, future in asked if not self._is_answered(future)]
 
     def _offers(self) -> list[tuple[str, list[str]]]:
-        """Name and types of every service of the node that is known so far."""
+        """Name and types of every service of the node discovered so far."""
         offers = self._observer.get_service_names_and_types()
         return [offer for offer in offers if offer[0].startswith(f"{NODE}/")]
 
@@ -138,7 +138,7 @@ class HostileClient:
 
 
 def answered_requests(subject: Subject, seeds: Iterable[int], per_seed: int) -> Finding:
-    """Ask `per_seed` things for every seed; now and then the node begins anew with its first parameters."""
+    """Send `per_seed` requests for every seed; the node is reset to its initial parameters in between."""
     seeds = list(seeds)
     client = HostileClient(subject)
     for seed in seeds:

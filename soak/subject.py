@@ -1,4 +1,4 @@
-"""The process on trial, and its camera."""
+"""The detector process under test, and its camera."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from detector_process import NODE, PARAMETERS, DetectorProcess, as_arguments, environment
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from support.detector_process import NODE, PARAMETERS, DetectorProcess, as_arguments, environment
 from vision_msgs.msg import Detection2DArray
 
 from soak import faulty_detector
 from soak.balance import BalanceWatch
-from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.domain import own_domain
-from yolov5_lifecycle.ros.observer import Observer
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.domain import own_domain
+from yolov5_lifecycle.ros.demo.observer import Observer
 
 _UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
 _START_S = 120.0
 _KEPT = 1000
-"""Messages that wait for this process, which is elsewhere now and then."""
+"""Queue length for messages to this process, which does not always spin."""
 _COMMAND = [sys.executable, faulty_detector.__file__, "--ros-args"]
 
 
 @dataclass(frozen=True)
 class Resources:
-    """What a process holds of the machine."""
+    """Operating system resources of a process."""
 
     resident_mb: float
     threads: int
@@ -51,8 +51,8 @@ class Resources:
 
 
 class Subject(DetectorProcess):
-    """A detector's process that is watched: its balances, exceptions that reach its log, and how many
-    detections came from it."""
+    """A monitored detector process: its frame balances, unexpected exceptions in its log and number of
+    detections."""
 
     def __init__(self, process: ChildProcess, observer: Observer, domain: int) -> None:
         self.balance = BalanceWatch()
@@ -64,21 +64,21 @@ class Subject(DetectorProcess):
 
     @property
     def escaped(self) -> list[str]:
-        """Lines of the log that tell of an exception nobody expected."""
+        """Log lines with unexpected exceptions."""
         self._read_log()
         return list(self._escaped)
 
     def begin_transition(self, label: str) -> Any:
-        """Ask for a transition; the future of the answer."""
+        """Request a transition; returns the future of the response."""
         return self._raw_transitions.call_async(ChangeState.Request(transition=Transition(label=label)))
 
     def begin_reload(self, image_size: int) -> Any:
-        """Ask for another size of the network's picture; the future of the answer."""
+        """Request another network image size; returns the future of the response."""
         size = Parameter("image_size", value=image_size).to_parameter_msg()
         return self._raw_parameters.call_async(SetParameters.Request(parameters=[size]))
 
     def reset(self) -> None:
-        """Unconfigured, with every parameter and the clock as they were at the start."""
+        """Return to unconfigured, with the initial parameters and clock."""
         super().reset()
         assert self.node.set_parameters(use_sim_time=False) == ""
 
@@ -98,21 +98,22 @@ class Subject(DetectorProcess):
 
 
 def exceptions_in(log: str) -> list[str]:
-    """The lines of a detector's log that tell of an exception nobody expected."""
+    """The lines of a detector log with unexpected exceptions."""
     return [line for line in log.splitlines() if _UNEXPECTED.search(line)]
 
 
 @contextmanager
 def subject() -> Iterator[Subject]:
-    """A process with the embedded model, in a domain of its own."""
+    """A process with the embedded model, in its own ROS domain."""
     with own_domain() as domain, subject_in(domain) as subject:
         yield subject
 
 
 @contextmanager
-def subject_in(domain: int) -> Iterator[Subject]:
+def subject_in(domain: int, **variables: str) -> Iterator[Subject]:
+    """A process in `domain` with `variables` added to its environment."""
     command = [*_COMMAND, *as_arguments(PARAMETERS)]
-    with ChildProcess("detector", command, environment(domain)) as process:
+    with ChildProcess("detector", command, environment(domain) | variables) as process:
         process.wait_for_output("go on with", _START_S)
         with closing(Observer("client", domain=domain, check=process.check_running)) as observer:
             yield Subject(process, observer, domain)
@@ -120,7 +121,7 @@ def subject_in(domain: int) -> Iterator[Subject]:
 
 @contextmanager
 def camera(domain: int, **parameters: object) -> Iterator[ChildProcess]:
-    """A camera's process that the detector can see."""
+    """A camera process that the detector can discover."""
     words = [entry_point("camera"), "--ros-args", "-r", f"image_raw:={NODE}/image_raw"]
     with ChildProcess("camera", [*words, *as_arguments(parameters)], environment(domain)) as process:
         yield process

@@ -1,4 +1,4 @@
-"""Every transition that can be asked for, in every primary state."""
+"""Every possible transition request, in every primary state."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from lifecycle_msgs.msg import Transition
 
 from soak.finding import Finding, number_of
 from soak.subject import Subject, subject
+from yolov5_lifecycle.ros.detector.finalized_period import FINALIZED_S
 
 Request = tuple[str, int]
-"""Label and number; the number counts when the label is empty."""
+"""Label and number; the number is used if the label is empty."""
 
 _LEGAL = {
     "unconfigured": {
@@ -32,11 +33,11 @@ _LABELS = (
     *("transition_success", "transition_failure", "transition_error", "on_configure", "close"),
     *("nonsense", "Configure", " configure", "configure\n", "конфигурация", "%s%n", "x" * 1_000_000),
 )
-_END_S = 5.0
+_END_S = FINALIZED_S + 5.0
 
 
 def answered_transitions(subject: Subject) -> Finding:
-    """Ask for every number and many labels in every state; those that end the process are left out."""
+    """Request every number and many labels in every state, except those that end the process."""
     wrong, asked = [], 0
     for state, (label, number), expected in _pairs():
         if expected != "finalized":
@@ -56,33 +57,35 @@ def answered_transitions(subject: Subject) -> Finding:
 
 
 def answered_shutdowns(most: int | None = None) -> Finding:
-    """Ask for shutdown by label and by number in every state, each time a new process that must end.
+    """Request shutdown by label and by number in every state, each in a new process, which must report that
+    it is finalized and then end.
 
-    `most`: how many of these pairs at most.
+    `most` limits the number of these pairs.
     """
     wrong = []
     pairs = [(state, request) for state, request, expected in _pairs() if expected == "finalized"][:most]
     for state, (label, number) in pairs:
         with subject() as process:
             process.bring_to(state)
-            granted, code = process.transition(label, number), process.process.wait(_END_S)
-            if (granted, code, process.escaped) != (True, 0, []):
-                wrong.append(f"{state} {label!r} {number}: {granted}, exit code {code}")
+            granted, then = process.transition(label, number), process.node.state()
+            code = process.process.wait(_END_S)
+            if (granted, then, code, process.escaped) != (True, "finalized", 0, []):
+                wrong.append(f"{state} {label!r} {number}: {granted}, {then}, exit code {code}")
     return Finding(
-        claim="shutdown in every state ends the process",
+        claim="shutdown in every state is answered, then ends the process",
         done=f"{len(pairs)} processes",
-        result=number_of("wrong answers or exit codes", wrong),
+        result=number_of("wrong answers, states or exit codes", wrong),
         limit=f"0; exit code 0 within {_END_S:g} s",
         is_met=not wrong,
     )
 
 
 def _pairs() -> Iterator[tuple[str, Request, str | None]]:
-    """State, request, and the state that it should lead to, None when it must be refused."""
+    """State, request and the resulting state, None if the request must be rejected."""
     for state, legal in _LEGAL.items():
         by_label = {label: after for (label, _), after in legal.items()}
         by_number = {number: after for (_, number), after in legal.items()}
         yield from ((state, ("", number), by_number.get(number)) for number in range(256))
         yield from ((state, (label, 0), by_label.get(label)) for label in _LABELS)
-        # The label decides, whatever the number says.
+        # The label takes precedence over the number.
         yield from ((state, ("nonsense", number), None) for number in by_number)

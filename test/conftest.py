@@ -6,11 +6,15 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-from colcon_workspace import REPOSITORY, build_workspace
-from hypothesis import settings
+from yolov5_lifecycle.process.environment import prepare_environment
 
-from yolov5_lifecycle.ros.domain import isolated, own_domain
+prepare_environment()  # as the commands do; child processes inherit it
+
+import pytest
+from hypothesis import settings
+from support.colcon_workspace import REPOSITORY, build_workspace
+
+from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
 
 # A busy machine is no failure of an example.
 settings.register_profile("suite", deadline=None)

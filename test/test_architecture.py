@@ -1,19 +1,22 @@
-"""Imports point one way, and only ros/ knows ROS."""
+"""Folders import downwards only, no folder imports itself in a circle, and only ros/ knows ROS."""
 
 from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+from graphlib import CycleError, TopologicalSorter
+from itertools import chain
 from pathlib import Path
 
 import pytest
-from colcon_workspace import REPOSITORY
+from support.colcon_workspace import REPOSITORY
 
 PACKAGE = REPOSITORY / "yolov5_lifecycle"
-ROS_MODULES = {
+ROS_MODULES = (
     "rclpy",
     "ament_index_python",
+    "bond",
     "builtin_interfaces",
     "diagnostic_msgs",
     "lifecycle_msgs",
@@ -21,57 +24,35 @@ ROS_MODULES = {
     "sensor_msgs",
     "std_msgs",
     "vision_msgs",
-}
-# A module may import modules of a lower rank; those of one rank only what is named in PEERS.
-RANKS = [
-    {
-        "architecture",
-        "detections",
-        "images",
-        "letterbox",
-        "suggestion",
-        "empty_frames",
-        "frame_balance",
-        "rate",
-        "package_path",
-        "progress",
-        "heap",
-        "setting",
-        "one_line",
-        "scene",
-        "download",
-        "whole_file",
-    },
-    {
-        "memory",
-        "network",
-        "boxes",
-        "class_filter",
-        "settings",
-        "image_encoding",
-        "raw_image",
-        "picture_source",
-        "found_objects",
-    },
-    {"model", "compressed_image", "playback"},
-    {"parameter_file", "selection", "message_pictures"},
-    {"annotate", "checkpoint_archive", "confinement", "pickle_operations", "yaml_architecture", "runtimes"},
-    {"pickled_names"},
-    {"pickle_program"},
-    {"pickled_module"},
-    {"module_settings"},
-    {"checkpoint", "safetensors_file"},
-    {"weights", "detector"},
-    {"worker", "convert", "preparation"},
-    {"fetch_weights", "offline"},
-    {"ros"},
-]
-# What a user starts: the nodes and the commands that work like them; and what makes a detector of settings.
-EDGE = {"ros", "fetch_weights", "offline", "parameter_file", "preparation", "selection"}
-PEERS = {("ros", "ros"), ("runtimes", "runtimes"), ("offline", "offline")}
+)
+# A folder may import folders of lower rows; the first row holds the modules that lie beside the folders.
+RANKS = (
+    ("printable", "package_path", "unfinished"),
+    ("atomic_file", "process"),
+    ("images", "models"),
+    ("settings", "checkpoints", "runtimes", "streaming", "sources"),
+    ("detection",),
+    ("commands",),
+    ("offline",),
+    ("ros",),
+)
+RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders}
+# What a user starts, and what makes a detector or a selection from settings.
+EDGE = ("settings.", "commands.", "offline.", "ros.", "detection.prepared_model", "detection.selection")
+WITHOUT_TORCH = ("images", "settings", "streaming", "sources", "process")
 
 
-def _imports(path: Path) -> set[str]:
+def module_name(path: Path) -> str:
+    """The name below the package: `images.encodings`."""
+    return ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+
+
+MODULES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py")) if path.name != "__init__.py"}
+every_module = pytest.mark.parametrize("module", MODULES)
+
+
+def imported_names(path: Path) -> set[str]:
+    """Everything that the file imports, also inside functions, with the names taken from modules."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -81,40 +62,76 @@ def _imports(path: Path) -> set[str]:
     return names
 
 
-def _modules() -> dict[Path, str]:
-    """Every source file and the name, below the package, that stands for it in RANKS."""
-    return {
-        path: path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-        for path in sorted(PACKAGE.rglob("*.py"))
-        if path != PACKAGE / "__init__.py"
-    }
+def imported_modules(module: str) -> set[str]:
+    """The modules of this package that `module` imports."""
+    own = {name.removeprefix("yolov5_lifecycle.") for name in imported_names(MODULES[module])}
+    return {candidate for candidate in MODULES if own & {candidate, *_members(candidate, own)}}
+
+
+def _members(module: str, names: set[str]) -> set[str]:
+    return {name for name in names if name.rpartition(".")[0] == module}
+
+
+def folder_of(module: str) -> str:
+    return module.partition(".")[0]
+
+
+@every_module
+def test_a_folder_imports_lower_folders_only(module: str) -> None:
+    rank = RANK[folder_of(module)]
+    others = {other for other in map(folder_of, imported_modules(module)) if other != folder_of(module)}
+    assert {other for other in others if RANK[other] >= rank} == set()
+
+
+def test_every_folder_has_a_rank() -> None:
+    assert set(map(folder_of, MODULES)) == set(RANK)
+
+
+def test_no_module_imports_itself_in_a_circle() -> None:
+    sorter = TopologicalSorter({module: imported_modules(module) for module in MODULES})
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+@every_module
+def test_settings_are_imported_at_the_edge_only(module: str) -> None:
+    assert module.startswith(EDGE) or "settings.settings" not in imported_modules(module)
 
 
 @pytest.mark.parametrize(
-    ("path", "name"), [pytest.param(*item, id=str(item[0].name)) for item in _modules().items()]
+    ("folders", "blocked"),
+    [
+        pytest.param(tuple(folder for folder in RANK if folder != "ros"), ROS_MODULES, id="ROS"),
+        pytest.param(WITHOUT_TORCH, ("torch", *ROS_MODULES), id="torch"),
+    ],
 )
-def test_imports_point_from_higher_to_lower_rank(path: Path, name: str) -> None:
-    rank = {module: index for index, modules in enumerate(RANKS) for module in modules}
-    assert name in rank, f"say in RANKS where {name} belongs"
-    imported = {part.split(".")[1] for part in _imports(path) if part.startswith("yolov5_lifecycle.")}
-    wrong = {other for other in imported if rank[other] >= rank[name] and (name, other) not in PEERS}
-    assert not wrong, f"{path.name} must not import {wrong}"
-
-
-@pytest.mark.parametrize(
-    ("path", "name"), [pytest.param(*item, id=str(item[0].name)) for item in _modules().items()]
-)
-def test_settings_are_imported_at_the_edge_alone(path: Path, name: str) -> None:
-    assert name in EDGE or not any(part.startswith("yolov5_lifecycle.settings") for part in _imports(path))
-
-
-def test_everything_outside_ros_imports_without_ros() -> None:
-    names = [
-        ".".join(("yolov5_lifecycle", *path.relative_to(PACKAGE).with_suffix("").parts))
-        for path, name in _modules().items()
-        if name != "ros"
-    ]
-    block = f"import sys; sys.modules.update(dict.fromkeys({sorted(ROS_MODULES)!r}))"
-    program = f"{block}; import importlib; [importlib.import_module(name) for name in {names!r}]"
+def test_what_does_not_need_a_library_imports_without_it(
+    folders: tuple[str, ...], blocked: tuple[str, ...]
+) -> None:
+    names = [f"yolov5_lifecycle.{module}" for module in MODULES if folder_of(module) in folders]
+    program = (
+        f"import sys; sys.modules.update(dict.fromkeys({blocked!r})); "
+        f"import importlib; [importlib.import_module(name) for name in {names!r}]"
+    )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
+
+
+def test_importing_the_package_loads_no_library_and_changes_no_environment_variable() -> None:
+    program = (
+        "import os, sys; before = dict(os.environ); import yolov5_lifecycle; "
+        "print(before == dict(os.environ), sorted({'torch', 'numpy', 'cv2', 'pydantic'} & set(sys.modules)))"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout == "True []\n"
+
+
+def test_no_module_has_more_than_300_lines() -> None:
+    lengths = {module: len(path.read_text().splitlines()) for module, path in MODULES.items()}
+    assert {module: length for module, length in lengths.items() if length > 300} == {}
+
+
+def test_the_ranks_name_each_folder_once() -> None:
+    assert len(list(chain(*RANKS))) == len(RANK)

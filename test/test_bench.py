@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from colcon_workspace import REPOSITORY
 from numpy.typing import NDArray
+from support.colcon_workspace import REPOSITORY
 
 from benchmark.bench import forward_goals
 from benchmark.contender import contender
@@ -23,7 +23,7 @@ from benchmark.report import Goal, goal_table, row, table, write_report
 from benchmark.rivals import RIVALS, call_of
 from benchmark.rounds import measure
 from benchmark.task import Task
-from yolov5_lifecycle.scene import CLASS_NAMES
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
 PICTURE_HW = (96, 128)

@@ -14,13 +14,13 @@ from typing import Any
 
 import pytest
 import yaml
-from colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
-from test_packaging import pins
+from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
+from support.pinned_versions import pins
 
-from yolov5_lifecycle.ros.camera_settings import CameraSettings
-from yolov5_lifecycle.settings import SETTINGS, Settings
+from yolov5_lifecycle.ros.camera.settings import CameraSettings
+from yolov5_lifecycle.settings.settings import SETTINGS, Settings
 
 ENTRYPOINT = REPOSITORY / "docker" / "entrypoint"
 SHARE = f"/workspace/install/{PACKAGE}/share/{PACKAGE}/"

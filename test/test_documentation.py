@@ -12,65 +12,38 @@ from typing import Any
 
 import pytest
 import yaml
-from colcon_workspace import REPOSITORY
 from rclpy.parameter import Parameter
-from served_node import Preparations, ServedNode
-from test_status import GOOD
-
-from yolov5_lifecycle.boxes import WORTH_TELLING
-from yolov5_lifecycle.class_filter import ClassFilterError, class_ids
-from yolov5_lifecycle.offline.detect_bag import command_parser, wanted_settings
-from yolov5_lifecycle.raw_image import ENCODINGS
-from yolov5_lifecycle.ros.camera_settings import CameraSettings
-from yolov5_lifecycle.ros.detector import EXIT_DEVICE_LOST
-from yolov5_lifecycle.ros.parameters import coerced
-from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED
-from yolov5_lifecycle.scene import CLASS_NAMES
-from yolov5_lifecycle.settings import SETTINGS, meant_setting, validated
-
-README = REPOSITORY / "README.md"
-REFERENCE = REPOSITORY / "docs" / "reference.md"
-TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
-IMAGES = REPOSITORY / "docs" / "images.md"
-LAUNCH = REPOSITORY / "docs" / "launch.md"
-TUTORIAL = REPOSITORY / "docs" / "tutorial.md"
-MIGRATION = REPOSITORY / "docs" / "migration.md"
-PAGES = [
+from support.colcon_workspace import REPOSITORY
+from support.good_status import GOOD
+from support.pages import (
+    IMAGES,
+    LAUNCH,
+    MIGRATION,
+    PAGES,
     README,
-    *(REPOSITORY / name for name in ("CONTRIBUTING.md", "SECURITY.md")),
-    *sorted((REPOSITORY / "docs").glob("*.md")),
-]
+    REFERENCE,
+    TROUBLESHOOTING,
+    blocks,
+    declared_arguments,
+    every_page,
+    spans,
+    table,
+    typed,
+)
+from support.served_node import Preparations, ServedNode
+
+from yolov5_lifecycle.detection.class_filter import ClassFilterError, class_ids
+from yolov5_lifecycle.detection.nms import WORTH_TELLING
+from yolov5_lifecycle.images.encodings import ENCODINGS
+from yolov5_lifecycle.offline.detect_bag import command_parser, wanted_settings
+from yolov5_lifecycle.ros.camera.settings import CameraSettings
+from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.parameter_values import coerced
+from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED
+from yolov5_lifecycle.settings.settings import SETTINGS, meant_setting, validated
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
+
 SOURCE_FOLDERS = [REPOSITORY, REPOSITORY / "yolov5_lifecycle"]
-
-every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-
-
-def blocks(page: Path, language: str) -> list[str]:
-    """The fenced blocks of `language`."""
-    return re.findall(rf"^ *```{language}\n(.*?)^ *```", page.read_text(), re.MULTILINE | re.DOTALL)
-
-
-def spans(page: Path) -> list[str]:
-    """What stands between single backticks, outside of fenced blocks."""
-    prose = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-    return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose)]
-
-
-def typed(page: Path) -> list[str]:
-    """The lines of the console blocks, without the output of a command that is marked with $."""
-    lines = []
-    for block in blocks(page, "console"):
-        marked = [line.removeprefix("$ ") for line in block.splitlines() if line.startswith("$ ")]
-        lines += marked or block.splitlines()
-    return lines
-
-
-def table(page: Path, heading: str) -> list[list[str]]:
-    """The cells of the first table below `heading`, its head left out."""
-    section = page.read_text().partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
-    rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("|")]
-    assert rows, f"no table below {heading}"
-    return rows[2:]
 
 
 def settings_of(text: str) -> dict[str, Any]:
@@ -214,18 +187,6 @@ def test_the_readme_shows_how_an_unknown_class_is_refused() -> None:
     assert f"Setting parameter failed: classes: {refused.value}" in README.read_text()
 
 
-def declared_arguments(launch_file: str) -> dict[str, str]:
-    """Name and default, as far as that is written out, of every launch argument."""
-    calls = [
-        node
-        for node in ast.walk(ast.parse((REPOSITORY / "launch" / launch_file).read_text()))
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "DeclareLaunchArgument"
-    ]
-    return {
-        ast.literal_eval(call.args[0]): getattr(call.keywords[0].value, "value", "a file") for call in calls
-    }
-
-
 def test_the_launch_arguments_are_those_of_the_page() -> None:
     declared = declared_arguments("yolov5.launch.py")
     rows = {row[0].strip("`"): row[1].strip("`") for row in table(LAUNCH, "The detector")}
@@ -260,9 +221,13 @@ def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() 
 
 def test_every_reason_for_silence_is_explained() -> None:
     explained = " ".join(TROUBLESHOOTING.read_text().split())
-    source = ast.parse((REPOSITORY / "yolov5_lifecycle" / "ros" / "status.py").read_text())
+    source = ast.parse((REPOSITORY / "yolov5_lifecycle" / "ros" / "detector" / "status.py").read_text())
     functions = [node for node in ast.walk(source) if isinstance(node, ast.FunctionDef)]
-    told = [function for function in functions if function.name in ("hint", "remark")]
+    told = [
+        function
+        for function in functions
+        if function.name in ("hint", "remark", "_missing", "_hint", "_losses")
+    ]
     body = ast.Module([statement for function in told for statement in function.body[1:]], [])
     pieces = [
         node.value.strip()
@@ -274,7 +239,7 @@ def test_every_reason_for_silence_is_explained() -> None:
 
 
 def test_the_values_of_the_diagnostics_are_those_of_the_reference() -> None:
-    preparation = (REPOSITORY / "yolov5_lifecycle" / "preparation.py").read_text()
+    preparation = (REPOSITORY / "yolov5_lifecycle" / "detection" / "prepared_model.py").read_text()
     of_model = re.findall(r'^ {12}"([a-z0-9 ]+)": ', preparation, re.MULTILINE)
     shown = [name for row in table(REFERENCE, "Diagnostics") for name in re.findall(r"`([^`]+)`", row[0])]
     assert sorted(shown) == sorted([*GOOD.values(), *of_model])
@@ -283,7 +248,7 @@ def test_the_values_of_the_diagnostics_are_those_of_the_reference() -> None:
 def test_the_exit_codes_of_the_detector_alone_are_those_of_the_reference() -> None:
     codes = {row[0] for row in table(REFERENCE, "Exit codes") if "`detector`" in row[1]}
     missing_package = 1  # see test_process_end.py
-    assert codes == {str(missing_package), str(EXIT_DEVICE_LOST)}
+    assert codes == {str(missing_package), str(EXIT_DEVICE_LOST), str(EXIT_ABANDONED_THREADS)}
 
 
 @pytest.mark.parametrize("page", ["reference.md", "troubleshooting.md"])

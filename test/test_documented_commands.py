@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
-from checkpoint_builder import official_model, saved, stripped
-from colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
-from detector_process import NODE, environment
-from file_server import FileServer, sending_ranges
+import yaml
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
 from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from recorded_scene import jpeg, pictures, raw, record, video
 from rosbags.rosbag2 import StoragePlugin
 from sensor_msgs.msg import Image
-from test_documentation import (
+from support.checkpoint_builder import official_model, saved, stripped
+from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
+from support.detector_process import NODE, environment
+from support.file_server import FileServer, sending_ranges
+from support.pages import (
     PAGES,
     README,
     TUTORIAL,
@@ -31,15 +33,17 @@ from test_documentation import (
     table,
     typed,
 )
+from support.recorded_scene import jpeg, pictures, raw, record, video
 
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
 from benchmark import bench
-from yolov5_lifecycle import convert
-from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.observer import Observer
-from yolov5_lifecycle.ros.parameters import coerced
-from yolov5_lifecycle.settings import SETTINGS, validated
+from yolov5_lifecycle.commands import convert
+from yolov5_lifecycle.commands.entry_points import MODULES
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.parameter_values import coerced
+from yolov5_lifecycle.settings.settings import SETTINGS, validated
 
 NOT_RUN = {
     "sudo ": "changes the machine",
@@ -56,6 +60,8 @@ NOT_RUN = {
     "ros2 run nav2_lifecycle_manager ": "needs Nav2; test_config.py checks the file",
     "ros2 security ": "needs sros2; test_security_documents.py checks the policy",
     "camera --ros-args -p source:=0 ": "needs a webcam",
+    "camera --ros-args -p source:=rtsp:": "needs a network camera; test_network_stream.py has one of HTTP",
+    'camera --ros-args -p "source:=v4l2src ': "needs a webcam and GStreamer",
     "detector --ros-args -p device:=cuda ": "needs a GPU",
 }
 """How a command begins, and why it is not tried."""
@@ -128,10 +134,21 @@ def check_launch(package: str, file: str, *arguments: str) -> None:
     assert {argument.partition(":=")[0] for argument in arguments} <= declared_arguments(file).keys()
 
 
+def check_service(verb: str, service: str, service_type: str, request: str) -> None:
+    assert (verb, service) == ("call", f"{NODE}/set_parameters_atomically")
+    assert service_type == "rcl_interfaces/srv/SetParametersAtomically"
+    messages = [
+        ParameterMessage(name=parameter["name"], value=ParameterValue(**parameter["value"]))
+        for parameter in yaml.safe_load(request)["parameters"]
+    ]
+    validated({message.name: coerced(Parameter.from_parameter_msg(message)).value for message in messages})
+
+
 CHECKS: dict[str, Callable[..., None]] = {
     "make": check_make,
     "ros2 param": check_param,
     "ros2 lifecycle": check_lifecycle,
+    "ros2 service": check_service,
     "ros2 topic": check_topic,
     "ros2 launch": check_launch,
 }
@@ -228,8 +245,7 @@ AT_ONCE = 4
 @pytest.mark.parametrize("command", [command for command in OURS if command not in NODES])
 def test_a_command_that_ends_does_so_as_the_pages_say(command: str) -> None:
     name, *words = shlex.split(command)
-    (script,) = entry_points(group="console_scripts", name=name)
-    assert script.load()(words) == (1 if command in REFUSED else 0)
+    assert importlib.import_module(MODULES[name]).main(words) == (1 if command in REFUSED else 0)
 
 
 @pytest.mark.timeout(300)

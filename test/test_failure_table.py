@@ -6,25 +6,30 @@ import ast
 from pathlib import Path
 
 import pytest
-from colcon_workspace import REPOSITORY
-from test_documentation import table
+from support.colcon_workspace import REPOSITORY
+from support.pages import table
 
 TESTS = Path(__file__).parent
 PINNED = {
     "bad value, unknown parameter or contradiction at configure; weights outside `weights_dirs`; "
-    "a parameter file that cannot be parsed; a QoS override that no topic can obey": [
+    "a QoS override that does not fit its topic; two topics remapped to one name": [
+        "test_image_topic.py::test_configure_refuses_topics_that_are_remapped_to_one",
         "test_end_to_end.py::test_every_mistake_in_a_parameter_file_is_named_and_can_be_mended",
-        "test_end_to_end.py::test_a_parameter_file_that_cannot_be_parsed_fails_configure",
         "test_node.py::test_a_bad_override_fails_configure_until_it_is_mended",
         "test_node.py::test_an_unknown_override_may_be_deleted",
         "test_qos_overrides.py::test_configure_refuses_a_wrong_override_until_the_next_start",
-        "test_confinement.py::test_configure_refuses_weights_from_outside",
-        "test_confinement.py::test_folders_that_are_none_hold_configure_until_the_process_is_started_anew",
+        "test_allowed_folders.py::test_configure_refuses_weights_from_outside",
+        "test_allowed_folders.py::test_folders_that_are_none_hold_configure_until_the_process_is_started_anew",
+    ],
+    "a parameter file that does not exist, cannot be parsed or is too large": [
+        "test_end_to_end.py::test_parameter_files_that_cannot_be_read_are_reported_at_the_start",
+        "test_parameter_file.py::test_a_file_that_is_too_much_is_refused",
+        "test_start_arguments.py::test_bad_files_are_left_out_and_the_others_kept",
     ],
     "weights missing, corrupt, hostile or of another kind; device absent; unknown class, at activate": [
         "test_end_to_end.py::test_missing_weights_are_named_with_the_remedy_and_may_be_given_then",
         "test_weights_in_service.py::test_a_bad_file_is_refused_by_activate_and_by_a_swap",
-        "test_confinement.py::test_a_running_node_refuses_weights_from_outside",
+        "test_allowed_folders.py::test_a_running_node_refuses_weights_from_outside",
         "test_end_to_end.py::test_a_parameter_file_is_taken_as_it_is_meant",
         "test_node.py::test_activate_that_cannot_load_says_why_and_stays_inactive",
         "test_node.py::test_activate_refuses_a_class_that_the_model_does_not_have",
@@ -32,20 +37,31 @@ PINNED = {
     "the same in a reload": [
         "test_weights_in_service.py::test_a_bad_file_is_refused_by_activate_and_by_a_swap",
         "test_weights_in_service.py::test_a_swap_to_a_model_without_a_filtered_class_is_explained",
-        "test_confinement.py::test_a_running_node_refuses_weights_from_outside",
+        "test_allowed_folders.py::test_a_running_node_refuses_weights_from_outside",
         "test_node.py::test_a_refused_reload_leaves_model_and_value_alone",
     ],
     "unexpected exception in a transition": [
         "test_node.py::test_an_unexpected_exception_in_activate_leads_back_to_unconfigured",
         "test_node.py::test_an_unexpected_exception_while_releasing_releases_the_rest",
     ],
-    "illegal transition, malformed request": [
+    "illegal transition, malformed or oversized request": [
+        "test_parameter_requests.py::test_a_request_with_too_many_parameters_is_refused_as_a_whole",
+        "test_parameter_requests.py::test_a_request_about_too_many_names_is_answered_with_nothing",
         "test_node.py::test_an_illegal_transition_is_refused_and_nothing_changes",
         "test_node.py::test_every_transition_number_is_answered",
         "test_node.py::test_a_transition_may_be_asked_for_by_its_number",
         "test_node.py::test_refused_transitions_do_not_flood_the_log",
         "test_node.py::test_a_malformed_value_is_refused_in_every_state",
         "test_end_to_end.py::test_a_value_of_a_type_that_does_not_exist_is_refused",
+    ],
+    "a reload while another one waits": [
+        "test_parameter_requests.py::test_of_many_concurrent_reloads_the_first_and_the_last_are_carried_out",
+    ],
+    "a change that fails when it takes effect": [
+        "test_parameter_requests.py::test_a_change_that_cannot_take_effect_leaves_nothing_behind",
+    ],
+    "the middleware refuses the image subscription": [
+        "test_image_topic.py::test_a_subscription_that_the_middleware_refuses_is_an_error_until_it_succeeds",
     ],
     "unreadable image": [
         "test_node.py::test_a_rejected_image_is_counted_and_the_next_one_detected",
@@ -60,16 +76,33 @@ PINNED = {
     "the GPU is lost to the process": [
         "test_process_end.py::test_a_lost_device_is_told_and_ends_the_process_with_its_own_code",
     ],
+    "too little free in `/dev/shm` when the process starts": [
+        "test_shared_memory.py::test_a_process_with_too_little_says_so_and_works",
+        "test_shared_memory.py::test_a_process_that_the_tracer_ends_has_said_why",
+    ],
     "inference hangs": [
         "test_node.py::test_a_hung_inference_does_not_hold_deactivate",
         "test_worker.py::test_a_hung_frame_is_given_up_and_its_late_result_dropped",
     ],
-    "SIGINT, SIGTERM or `shutdown` in any state": [
+    "more than three inference threads hang": [
+        "test_process_end.py::"
+        "test_too_many_abandoned_threads_are_reported_and_end_the_process_with_their_own_code",
+        "test_worker.py::test_a_hung_frame_is_given_up_and_its_late_result_dropped",
+    ],
+    "the standard output or error stream is closed, full, or without a reader": [
+        "test_process_end.py::test_a_node_does_its_work_with_closed_streams",
+        "test_process_end.py::test_a_node_goes_on_when_nobody_reads_its_log",
+    ],
+    "too few threads can be started": [
+        "test_process_end.py::test_too_few_threads_are_said_in_one_line",
+    ],
+    "SIGINT, SIGTERM, SIGHUP or `shutdown` in any state": [
         "test_end_to_end.py::test_a_signal_ends_the_process_cleanly",
         "test_process_end.py::test_a_signal_ends_the_process_cleanly_while_it_imports",
-        "test_end_to_end.py::test_the_transition_shutdown_ends_the_process_cleanly",
+        "test_end_to_end.py::test_the_transition_shutdown_is_answered_and_ends_the_process_cleanly",
         "test_process_end.py::test_a_signal_releases_every_model_and_ends_the_process_whatever_hangs",
         "test_node.py::test_shutdown_from_active_frees_the_model",
+        "test_finalized_period.py::test_it_lasts_for_its_duration_from_the_first_look",
     ],
 }
 
@@ -81,7 +114,6 @@ def test_every_row_is_pinned() -> None:
 @pytest.mark.parametrize("test", sorted({test for tests in PINNED.values() for test in tests}))
 def test_a_test_that_is_named_exists(test: str) -> None:
     file, _, name = test.partition("::")
-    functions = [
-        node.name for node in ast.parse((TESTS / file).read_text()).body if isinstance(node, ast.FunctionDef)
-    ]
+    (path,) = TESTS.rglob(file)
+    functions = [node.name for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef)]
     assert name in functions

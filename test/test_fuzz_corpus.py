@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from colcon_workspace import REPOSITORY
+from support.colcon_workspace import REPOSITORY
 
 from fuzz.targets import TARGETS
 

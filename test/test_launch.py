@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import json
 import os
 import re
 import signal
@@ -14,13 +15,13 @@ from pathlib import Path
 
 import pytest
 import yaml
-from colcon_workspace import PACKAGE, REPOSITORY
-from detector_process import PARAMETERS, environment
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from support.colcon_workspace import PACKAGE, REPOSITORY
+from support.detector_process import PARAMETERS, environment
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.ros.child_process import ChildProcess
-from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess
+from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
 
 FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
 DETECTOR, DEMO = (REPOSITORY / "launch" / f"{name}.launch.py" for name in ("yolov5", "demo"))
@@ -40,6 +41,24 @@ service.include_launch_description(
     )
 )
 sys.exit(service.run())
+"""
+ROBOT = """
+import json
+import os
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, GroupAction, IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+def generate_launch_description():
+    source = PythonLaunchDescriptionSource(os.environ["INCLUDED"])
+    arguments = json.loads(os.environ["ARGUMENTS"]).items()
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("fps", default_value="30"),
+            ExecuteProcess(cmd=["sleep", "3600"]),
+            GroupAction([IncludeLaunchDescription(source, launch_arguments=arguments)]),
+        ]
+    )
 """
 
 every_file = pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
@@ -74,7 +93,7 @@ def test_a_launch_file_imports_launch_alone(file: Path) -> None:
         for node in ast.walk(ast.parse(file.read_text()))
         if isinstance(node, ast.ImportFrom)
     }
-    assert modules == FROM_ROS
+    assert modules - set(sys.stdlib_module_names) == FROM_ROS
     compile(file.read_text(), file, "exec")
 
 
@@ -95,13 +114,21 @@ def test_a_file_of_the_package_that_is_named_exists(file: Path) -> None:
     assert [path for path in named if not (REPOSITORY / path).is_file()] == []
 
 
+def launch_command(file: Path, *arguments: str) -> list[str]:
+    return [sys.executable, "-W", "ignore", "-c", LAUNCH, str(file), *arguments]
+
+
+def launch_environment(workspace: Path, domain: int) -> dict[str, str]:
+    prefix = workspace / "install" / PACKAGE
+    return environment(domain) | {"AMENT_PREFIX_PATH": f"{prefix}{os.pathsep}{sys.prefix}"}
+
+
 @contextmanager
 def launched(file: Path, workspace: Path, domain: int, *arguments: str) -> Iterator[ChildProcess]:
     """The launch file, started with the built package."""
-    prefix = workspace / "install" / PACKAGE
-    variables = environment(domain) | {"AMENT_PREFIX_PATH": f"{prefix}{os.pathsep}{sys.prefix}"}
-    command = [sys.executable, "-W", "ignore", "-c", LAUNCH, str(file), *arguments]
-    with ChildProcess("launch", command, variables) as process:
+    with ChildProcess(
+        "launch", launch_command(file, *arguments), launch_environment(workspace, domain)
+    ) as process:
         try:
             yield process
         finally:  # killed, it would leave its nodes behind
@@ -123,6 +150,61 @@ def test_the_demo_detects_with_room_for_images(workspace: Path, ros_domain: int)
         assert len(nodes) == 2
         for node in nodes:
             assert b"config/shm.xml" in Path(f"/proc/{node}/environ").read_bytes()
+
+
+def installed(workspace: Path, file: Path) -> Path:
+    """`file` in the built package."""
+    return workspace / "install" / PACKAGE / "share" / PACKAGE / "launch" / file.name
+
+
+@with_launch
+@pytest.mark.parametrize(
+    ("file", "argument", "told"),
+    [
+        pytest.param(DEMO, "rviz:=true", "RViz is not installed. Install it with `sudo apt", id="no RViz"),
+        pytest.param(DEMO, "params_file:=/no/such.yaml", "file at '/no/such.yaml', found no file", id="typo"),
+        pytest.param(DETECTOR, "params_file:=/", "file at '/', found a folder", id="folder"),
+        pytest.param(DETECTOR, "params_file:=~/x.yaml", "Write $HOME instead of ~", id="tilde"),
+        pytest.param(DEMO, "autostart:=maybe", "autostart: expected true or false, found 'maybe'", id="word"),
+        pytest.param(
+            DETECTOR,
+            "imge:=/camera/image_raw",
+            "no launch argument 'imge'. Did you mean 'image'? There are: autostart, detections, image, log_l",
+            id="unknown name",
+        ),
+        pytest.param(DEMO, "sorce:=0", "Did you mean 'source'?", id="unknown name of the demo"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_anything_is_started(
+    workspace: Path, ros_domain: int, file: Path, argument: str, told: str
+) -> None:
+    command = launch_command(installed(workspace, file), argument)
+    with ChildProcess("launch", command, launch_environment(workspace, ros_domain)) as process:
+        assert process.wait(60) == 1
+    assert told in process.output
+    assert "process started" not in process.output
+
+
+@with_launch
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        pytest.param({"imge": "/x"}, "Did you mean 'image'?", id="unknown name"),
+        pytest.param({"params_file": "/no/such.yaml"}, "found no file there", id="no file"),
+    ],
+)
+def test_a_launch_file_that_includes_the_detector_wrongly_ends_with_its_own_processes(
+    workspace: Path, ros_domain: int, tmp_path: Path, arguments: dict[str, str], told: str
+) -> None:
+    robot = tmp_path / "robot.launch.py"
+    robot.write_text(ROBOT)
+    variables = {"INCLUDED": str(installed(workspace, DETECTOR)), "ARGUMENTS": json.dumps(arguments)}
+    command = launch_command(robot, "fps:=15", "name_of_nothing:=1")
+    with ChildProcess("launch", command, launch_environment(workspace, ros_domain) | variables) as process:
+        assert process.wait(60) == 1
+    assert told in process.output
+    assert "detector" not in re.findall(r"\[(\w+)-\d+\]: process started", process.output)
+    assert re.search(r"process has died \[pid \d+, exit code -2, cmd 'sleep 3600'\]", process.output)
 
 
 @with_launch

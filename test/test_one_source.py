@@ -7,20 +7,26 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from colcon_workspace import REPOSITORY
+from support.colcon_workspace import REPOSITORY
 
-from yolov5_lifecycle.boxes import Selection
-from yolov5_lifecycle.scene import CLASS_NAMES
-from yolov5_lifecycle.selection import selection
-from yolov5_lifecycle.setting import Setting
-from yolov5_lifecycle.settings import SETTINGS, Settings
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.settings.field import Setting
+from yolov5_lifecycle.settings.settings import SETTINGS, Settings
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 SOURCES = sorted(
     [*(REPOSITORY / "yolov5_lifecycle").rglob("*.py"), REPOSITORY / "tools" / "settings_documents.py"]
 )
 # What carries settings from the user to their use knows none of them by name.
-CARRIERS = {"parameters.py", "reconfiguration.py", "services.py", "status.py", "settings_documents.py"}
-SETTINGS_FILE = "settings.py"
+CARRIERS = {
+    "yolov5_lifecycle/ros/parameters.py",
+    "yolov5_lifecycle/ros/detector/reconfiguration.py",
+    "yolov5_lifecycle/ros/services.py",
+    "yolov5_lifecycle/ros/detector/status.py",
+    "tools/settings_documents.py",
+}
+SETTINGS_FILE = "yolov5_lifecycle/settings/settings.py"
 
 
 def _words(path: Path) -> Iterator[str]:
@@ -36,7 +42,8 @@ def _words(path: Path) -> Iterator[str]:
             yield node.value
 
 
-PLACES = {path.name: set(_words(path)) for path in SOURCES}
+PLACES = {str(path.relative_to(REPOSITORY)): set(_words(path)) for path in SOURCES}
+assert PLACES.keys() >= CARRIERS
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
@@ -51,7 +58,7 @@ def test_a_setting_occurs_where_it_is_declared_and_where_it_is_used(setting: Set
 def test_a_setting_is_declared_once(setting: Setting) -> None:
     declared = [
         line
-        for line in (REPOSITORY / "yolov5_lifecycle" / SETTINGS_FILE).read_text().splitlines()
+        for line in (REPOSITORY / SETTINGS_FILE).read_text().splitlines()
         if line.strip().startswith(f"{setting.name}: Annotated[")
     ]
     assert len(declared) == 1

@@ -13,9 +13,10 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
+from support.pinned_versions import pins
 
 SHARED_FOLDERS = ("config", "launch", "weights")
 TYPED_COMMANDS = {"ros2launch"}
@@ -134,20 +135,6 @@ def declared_packages() -> set[str]:
     ]
     from_pip = [Requirement(line).name for line in distribution(PACKAGE).requires or []]
     return {module_of.get(key, key) for key in keys} | {name.replace("-", "_") for name in from_pip}
-
-
-def pins(constraints: str) -> dict[str, str]:
-    """Package -> version for this Python; files named by -c included."""
-    lines = (REPOSITORY / "requirements" / constraints).read_text().splitlines()
-    versions: dict[str, str] = {}
-    for line in lines:
-        if line.startswith("-c "):
-            versions |= pins(line.removeprefix("-c "))
-        elif line and not line.startswith("#"):
-            requirement = Requirement(line)
-            if requirement.marker is None or requirement.marker.evaluate():
-                versions[canonicalize_name(requirement.name)] = str(requirement.specifier).removeprefix("==")
-    return versions
 
 
 def from_package_index(installed: Distribution) -> bool:

@@ -5,18 +5,23 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 
 import pytest
-from colcon_workspace import REPOSITORY
 from rclpy.node import Node
-from served_node import Preparations, ServedNode
+from support.colcon_workspace import REPOSITORY
+from support.served_node import Preparations, ServedNode
 
-from yolov5_lifecycle.checkpoint_archive import MAX_PICKLE_BYTES, MAX_RECORDS
-from yolov5_lifecycle.compressed_image import MAX_COMPRESSED_PX
-from yolov5_lifecycle.model import MAX_CLASSES, MAX_NAME_LENGTH
-from yolov5_lifecycle.pickle_operations import MAX_OPERATIONS
-from yolov5_lifecycle.pickle_program import MAX_CALLS
+from yolov5_lifecycle.checkpoints.archive import MAX_PICKLE_BYTES, MAX_RECORDS
+from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES
+from yolov5_lifecycle.checkpoints.pickle_opcodes import MAX_OPERATIONS
+from yolov5_lifecycle.checkpoints.pickle_safety import MAX_CALLS
+from yolov5_lifecycle.checkpoints.safetensors_file import MAX_HEADER_BYTES
+from yolov5_lifecycle.models.model import MAX_CLASSES, MAX_NAME_LENGTH
+from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
+from yolov5_lifecycle.ros.parameter_values import MAX_ENTRIES
+from yolov5_lifecycle.ros.parameters import MAX_REASON_LENGTH, MAX_SUGGESTIONS
+from yolov5_lifecycle.ros.request_bound import MAX_ITEMS
 from yolov5_lifecycle.runtimes.compiled_store import MOST_BYTES
-from yolov5_lifecycle.safetensors_file import MAX_HEADER_BYTES
-from yolov5_lifecycle.weights import MAX_FILE_BYTES
+from yolov5_lifecycle.settings.parameter_yaml import MAX_DEPTH, MAX_SCALARS
+from yolov5_lifecycle.settings.parameter_yaml import MAX_FILE_BYTES as MAX_PARAMETER_FILE_BYTES
 
 PAGE = " ".join((REPOSITORY / "docs" / "security.md").read_text().split())
 POLICY = ElementTree.parse(REPOSITORY / "config" / "security_policy.xml")
@@ -68,6 +73,9 @@ def test_the_page_names_every_topic_of_the_policy(right: str) -> None:
         f"more than {MAX_NAME_LENGTH} letters",
         f"at most {MAX_COMPRESSED_PX:,} pixels",
         f"{MOST_BYTES >> 30} GiB at most",
+        f"{MAX_PARAMETER_FILE_BYTES >> 20} MiB, {MAX_SCALARS:,} names and values or {MAX_DEPTH} levels",
+        f"may have {MAX_ITEMS} parameters, names or prefixes, and a list in it {MAX_ENTRIES:,} entries",
+        f"the first {MAX_SUGGESTIONS} unknown names, and a reason has about {MAX_REASON_LENGTH:,} characters",
     ],
 )
 def test_the_page_tells_the_limits_of_the_code(words: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from tools.settings_documents import DOCUMENTS, yaml_file
-from yolov5_lifecycle.settings import SETTINGS, Settings, validated
+from yolov5_lifecycle.settings.settings import SETTINGS, Settings, validated
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,9 @@ from tools.shapes.evaluate import iou, tally
 from tools.shapes.loss import ciou, detection_loss, match
 from tools.shapes.pictures import Batches, spoil
 from tools.shapes.train import ARCHITECTURE
-from yolov5_lifecycle.detections import Detections
-from yolov5_lifecycle.network import Network
-from yolov5_lifecycle.scene import Truth
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.sources.scene import Truth
 
 NO_TARGETS = torch.empty(0, 6)
 

@@ -9,12 +9,23 @@ import pytest
 
 from soak.answer_times import answers_during_inference
 from soak.balance import BalanceWatch, exact_balance
+from soak.bursts import answered_bursts
 from soak.cycles import complete_cycles
 from soak.endings import clean_endings, clean_restarts
 from soak.faults import survived_faults
 from soak.finding import Finding, found, table
-from soak.images import rejected_files, rejected_images, survived_files, survived_messages
+from soak.floods import answers_beside_floods, endings_beside_floods
+from soak.hostile_cache import removed_leftovers, survived_caches
+from soak.images import (
+    rejected_costly_files,
+    rejected_files,
+    rejected_images,
+    survived_files,
+    survived_messages,
+)
+from soak.largest_images import bounded_decoding
 from soak.mixed_life import mixed_life
+from soak.publishers import counted_publishers
 from soak.service_requests import answered_requests
 from soak.subject import Subject, exceptions_in, subject
 from soak.transitions import answered_shutdowns, answered_transitions
@@ -38,9 +49,17 @@ def shared_subject() -> Iterator[Subject]:
         pytest.param(lambda process: answered_requests(process, [SEED], 200), id="requests"),
         pytest.param(lambda process: rejected_images(process, IMAGES, SEED), id="images"),
         pytest.param(lambda process: rejected_files(process, IMAGES, SEED), id="files"),
+        pytest.param(lambda process: rejected_costly_files(process, IMAGES, SEED), id="costly-files"),
+        pytest.param(lambda process: bounded_decoding(process, 512, is_timed=False), id="largest-files"),
         pytest.param(lambda process: survived_files(process, IMAGES, SEED), id="damaged-files"),
         pytest.param(lambda process: survived_messages(process, IMAGES, SEED), id="damaged-messages"),
         pytest.param(lambda process: answers_during_inference(process, 20, is_timed=False), id="answers"),
+        pytest.param(
+            lambda process: answers_beside_floods(process, 10, floods=["look-alikes"], is_timed=False),
+            id="floods",
+        ),
+        pytest.param(lambda process: answered_bursts(process, 1), id="bursts"),
+        pytest.param(lambda process: counted_publishers(process, 1, burst=30), id="publishers"),
         pytest.param(lambda process: complete_cycles(process, 4, 4, weigh=False), id="cycles"),
         pytest.param(lambda process: survived_faults(process, 1, is_timed=False), id="faults"),
     ],
@@ -57,7 +76,10 @@ def test_a_claim_holds_in_a_running_process(
     [
         pytest.param(lambda: answered_shutdowns(most=1), id="shutdowns"),
         pytest.param(lambda: clean_endings([(signal.SIGTERM, "activating")], SEED), id="signals"),
+        pytest.param(lambda: endings_beside_floods(["shortest parameters"]), id="flooded-signals"),
         pytest.param(lambda: clean_restarts(["active"], SEED), id="kill"),
+        pytest.param(lambda: survived_caches(["FIFO", "link to an endless device"]), id="hostile-cache"),
+        pytest.param(lambda: removed_leftovers([signal.SIGKILL]), id="leftovers"),
     ],
 )
 def test_a_claim_holds_over_processes(trial: Callable[[], Finding]) -> None:

@@ -1,0 +1,3 @@
+from yolov5_lifecycle.process.environment import prepare_environment
+
+prepare_environment()  # as in the commands; child processes inherit it

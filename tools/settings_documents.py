@@ -1,4 +1,4 @@
-"""Writes what is derived from the settings: the YAML file, its JSON schema and the reference page.
+"""Generates documents from the settings: the YAML file, its JSON schema and the reference page.
 
 python -m tools.settings_documents
 """
@@ -10,18 +10,18 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from yolov5_lifecycle.setting import Change, Setting
-from yolov5_lifecycle.settings import SETTINGS
+from yolov5_lifecycle.settings.field import Change, Setting
+from yolov5_lifecycle.settings.settings import SETTINGS
 
 REPOSITORY = Path(__file__).parents[1]
 _JSON_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", tuple: "array"}
 
 
 def yaml_file() -> str:
-    """config/yolov5.yaml: every setting with its default and what it is."""
+    """config/yolov5.yaml: every setting with its default and description."""
     lines = [
         "# yaml-language-server: $schema=yolov5.schema.json",
-        "# Every setting with its default. Generated from yolov5_lifecycle/settings.py by `make docs`.",
+        "# Every setting with its default. Generated from settings/settings.py by `make docs`.",
         "/**:",
         "  ros__parameters:",
     ]
@@ -33,7 +33,7 @@ def yaml_file() -> str:
 
 
 def schema() -> str:
-    """config/yolov5.schema.json: completion and checks for editors."""
+    """config/yolov5.schema.json: completion and validation in editors."""
     parameters = {
         "type": "object",
         "properties": {setting.name: _property(setting) for setting in SETTINGS},
@@ -64,7 +64,7 @@ def reference_page() -> str:
         [
             "# Parameters",
             "",
-            "Generated from `yolov5_lifecycle/settings.py` by `make docs`; of a running node,",
+            "Generated from `yolov5_lifecycle/settings/settings.py` by `make docs`; of a running node,",
             "`ros2 param describe /yolov5 NAME` says the same. `config/yolov5.yaml` holds every default.",
             "",
             "| name | type | default | allowed | change | meaning |",
@@ -75,7 +75,7 @@ def reference_page() -> str:
             "",
             *changes,
             "",
-            "Accepted as meant: a whole number where a number is asked (`confidence_threshold: 1`), a bare",
+            "Accepted as meant: an integer where a number is asked (`confidence_threshold: 1`), a bare",
             "index as device (`device: 0` is `cuda:0`), a list of indices as classes (`classes: [0, 2]`), an",
             "empty list.",
             "",
@@ -109,7 +109,7 @@ def _property(setting: Setting) -> dict[str, Any]:
     if setting.choices:
         rules["enum"] = setting.choices
     elif setting.type is str:
-        rules["type"] = ["string", "integer"]  # a bare device index is taken as it is meant
+        rules["type"] = ["string", "integer"]  # an unquoted device index is accepted
     limits = {"minimum": setting.minimum, "maximum": setting.maximum, "multipleOf": setting.step}
     return rules | {name: value for name, value in limits.items() if value is not None}
 

@@ -1,4 +1,4 @@
-"""Paths that name a file by the ROS package it is installed with."""
+"""Paths relative to the share folder of an installed ROS package."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ _SCHEME = "package://"
 
 
 def resolve_package(path: str) -> str:
-    """`package://PACKAGE/PATH` as a path in the package's share folder; anything else as it is.
+    """Resolve `package://PACKAGE/PATH` to a path in the package's share folder; returns others unchanged.
 
-    The package is looked for in the environment that was sourced, first come first served, as ROS does.
-    Raises ValueError when it is not there.
+    Searches the sourced environment in order, like ROS. Raises ValueError if the package is not found.
     """
     if not path.startswith(_SCHEME):
         return path
@@ -20,7 +19,7 @@ def resolve_package(path: str) -> str:
     for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         share = Path(prefix, "share")
         marker = share / "ament_index" / "resource_index" / "packages" / package
-        if os.path.isfile(marker):  # noqa: PTH113 - Path.is_file raises for a name that is too long
+        if os.path.isfile(marker):  # noqa: PTH113 - Path.is_file raises if the name is too long
             return str(share / package / rest)
     raise ValueError(
         f"{path}: no package '{package}' is installed in this environment. "

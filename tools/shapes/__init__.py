@@ -1,1 +1,1 @@
-"""How the embedded model came to be: its training pictures, its training and its evaluation."""
+"""Training of the embedded model: training images, training and evaluation."""

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.boxes import Selection
-from yolov5_lifecycle.detections import Detections
-from yolov5_lifecycle.detector import Detector, load_detector
-from yolov5_lifecycle.images import Picture
-from yolov5_lifecycle.scene import CLASS_NAMES, Scene, Truth, random_scene
-from yolov5_lifecycle.weights import load_weights
+from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.detector import Detector, load_detector
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, Truth, random_scene
 
 UNSEEN_SEED = 999_331
-"""Training seeds its generators with pairs of numbers, so no single number repeats one of its pictures."""
+"""Training seeds its generators with pairs of integers, so no single integer repeats a training image."""
 PICTURES = 300
 _SMALLEST_IOU = 0.5
 
@@ -27,10 +27,10 @@ LabelledPicture = tuple[NDArray[np.uint8], Truth]
 
 @dataclass(frozen=True)
 class Tally:
-    """Detections and shapes of many pictures, matched one to one within each class at IoU >= 0.5.
+    """Detections and ground truth of many images, matched one to one within each class at IoU >= 0.5.
 
-    `scores` are those of the right detections (n,) and `class_ids` their classes; `wrong` counts the other
-    detections, `missed` the shapes without a detection.
+    `scores` (n,) and `class_ids` describe the true positives; `wrong` counts false positives, `missed` false
+    negatives.
     """
 
     scores: NDArray[np.float32]
@@ -40,17 +40,17 @@ class Tally:
 
     @property
     def precision(self) -> float:
-        """Share of the detections that are right; 1 without detections."""
+        """Share of the detections that are correct; 1 without detections."""
         return _share(len(self.scores), self.wrong)
 
     @property
     def recall(self) -> float:
-        """Share of the shapes that were found; 1 without shapes."""
+        """Share of the ground truth shapes that were detected; 1 without shapes."""
         return _share(len(self.scores), self.missed)
 
 
 def tally(answers: Iterable[tuple[Detections, Truth]]) -> Tally:
-    """Compare what was detected in pictures with what they show."""
+    """Compare detections with the ground truth of their images."""
     scores: list[float] = []
     class_ids: list[int] = []
     wrong = missed = 0
@@ -64,7 +64,7 @@ def tally(answers: Iterable[tuple[Detections, Truth]]) -> Tally:
 
 
 def right_detections(detections: Detections, truth: Truth) -> list[int]:
-    """Rows of `detections`, best first, that each find a shape which no better one has found."""
+    """Rows of `detections`, best first, that match a shape not matched by a better one."""
     right = []
     unfound = iou(detections.boxes_xyxy, truth.boxes_xyxy)
     unfound[detections.class_ids[:, None] != truth.class_ids] = 0
@@ -87,7 +87,7 @@ def iou(boxes_xyxy: NDArray[np.float32], others_xyxy: NDArray[np.float32]) -> ND
 
 
 def evaluate(detector: Detector, pictures: Iterable[LabelledPicture]) -> Tally:
-    """Run `detector` with the default thresholds over RGB pictures whose truth is known."""
+    """Run `detector` with the default thresholds on RGB images with known ground truth."""
     return tally((detector.detect(Picture(pixels, "rgb"), Selection()), truth) for pixels, truth in pictures)
 
 
@@ -98,7 +98,7 @@ def stills(seed: int, count: int, size_hw: tuple[int, int]) -> Iterator[Labelled
 
 
 def moving(seed: int, count: int, size_hw: tuple[int, int]) -> Iterator[LabelledPicture]:
-    """Frames of `count` moving scenes, one each."""
+    """One frame each of `count` moving scenes."""
     return (Scene(seed + number, size_hw).frame(37 * number) for number in range(count))
 
 

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from yolov5_lifecycle.architecture import Architecture
+from yolov5_lifecycle.models.architecture import Architecture
 
-# Of a box's side to its anchor's. YOLOv5 has 4, but with anchors as dense as ours all three levels would
-# then have to answer for a shape.
+# Maximum ratio of a box side to its anchor's. YOLOv5 uses 4, but with anchors as dense as ours all three
+# levels would then be assigned to a shape.
 _LARGEST_RATIO = 2.5
 _LEVEL_BALANCE = (4.0, 1.0, 0.4)  # objectness of the fine levels is harder to learn
 _BOX_GAIN, _OBJECTNESS_GAIN, _CLASS_GAIN = 0.05, 0.4, 0.1
@@ -24,7 +24,7 @@ _BOX_GAIN, _OBJECTNESS_GAIN, _CLASS_GAIN = 0.05, 0.4, 0.1
 
 @dataclass(frozen=True)
 class Matches:
-    """Cells of one level that answer for a target: indices (m,) into the logits, and what they should say."""
+    """Cells of one level assigned to a target: indices (m,) into the logits, and their target values."""
 
     pictures: Tensor
     anchors: Tensor
@@ -38,7 +38,7 @@ class Matches:
 def detection_loss(logits: list[Tensor], targets: Tensor, architecture: Architecture) -> Tensor:
     """Loss (scalar) of the logits of all levels, (B, anchors, ny, nx, 5 + C), against `targets`.
 
-    `targets`: (n, 6): number of picture, class, cx, cy, w, h in network pixels.
+    `targets`: (n, 6): image index, class, cx, cy, w, h in network pixels.
     """
     total = logits[0].new_zeros(())
     levels = zip(logits, architecture.strides, architecture.anchors_px, _LEVEL_BALANCE, strict=True)
@@ -60,10 +60,10 @@ def detection_loss(logits: list[Tensor], targets: Tensor, architecture: Architec
 
 
 def match(targets: Tensor, anchors_wh: Tensor, *, stride: int, grid_hw: tuple[int, int]) -> Matches:
-    """Which cells and anchors of one level answer for which target, (n, 6) as for `detection_loss`.
+    """Assign cells and anchors of one level to targets, (n, 6) as for `detection_loss`.
 
-    Every anchor, `anchors_wh` (a, 2) in grid cells, with sides within _LARGEST_RATIO of the target's; the
-    cell with the centre and its two nearest neighbours, as xy = 2 sigma - 0.5 reaches half a cell beyond.
+    Selects every anchor, `anchors_wh` (a, 2) in grid cells, with sides within _LARGEST_RATIO of the target's;
+    the cell with the centre and its two nearest neighbours, as xy = 2 sigma - 0.5 reaches half a cell beyond.
     """
     boxes = targets[:, 2:] / stride
     ratio = boxes[:, None, 2:] / anchors_wh[None]  # (n, a, 2)
@@ -88,7 +88,7 @@ def match(targets: Tensor, anchors_wh: Tensor, *, stride: int, grid_hw: tuple[in
 
 
 def ciou(boxes: Tensor, others: Tensor) -> Tensor:
-    """Complete IoU (m,) of boxes (m, 4) cx, cy, w, h: IoU less centre distance and difference of aspect."""
+    """Complete IoU (m,) of boxes (m, 4) cx, cy, w, h: IoU minus centre distance and aspect penalties."""
     xy, wh = boxes.split(2, dim=1)
     other_xy, other_wh = others.split(2, dim=1)
     lower, other_lower = xy - wh / 2, other_xy - other_wh / 2

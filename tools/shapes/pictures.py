@@ -1,4 +1,4 @@
-"""Training pictures: synthetic scenes, spoilt the way cameras and transports spoil pictures."""
+"""Training images: synthetic scenes, degraded like images from real cameras and transports."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from yolov5_lifecycle.letterbox import PADDING_VALUE
-from yolov5_lifecycle.scene import Truth, random_scene
+from yolov5_lifecycle.detection.letterbox import PADDING_VALUE
+from yolov5_lifecycle.sources.scene import Truth, random_scene
 
-# (height, width) of the pictures of a batch, how many, and how often such a batch comes: equal work each.
+# (height, width) of the images of a batch, batch size and probability; all batches cost about the same.
 _BATCHES = (((256, 320), 16, 0.75), ((192, 256), 27, 0.05), ((480, 640), 4, 0.2))
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Pictures of one size and the shapes in them."""
+    """Images of one size and their ground truth."""
 
     pixels: Tensor
     """uint8 (B, 3, H, W), RGB."""
     targets: Tensor
-    """float32 (n, 6): number of picture, class, cx, cy, w, h in pixels."""
+    """float32 (n, 6): image index, class, cx, cy, w, h in pixels."""
 
 
 class Batches(Dataset[Batch]):
@@ -48,7 +48,7 @@ class Batches(Dataset[Batch]):
 
 
 def spoilt_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[NDArray[np.uint8], Truth]:
-    """A random scene as a camera might deliver it and the letterbox might pass it on."""
+    """A random scene as delivered by a camera and processed by the letterbox."""
     if rng.random() < 0.2:
         pixels, truth = _shrunk_scene(rng, size_hw)
     else:
@@ -57,7 +57,7 @@ def spoilt_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[ND
 
 
 def spoil(rng: np.random.Generator, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Less colour, other light, blur, noise, JPEG artefacts at random; `pixels` (H, W, 3) stay the same."""
+    """Random desaturation, lighting, blur, noise and JPEG artefacts; does not modify `pixels` (H, W, 3)."""
     if rng.random() < 0.3:
         grey = cv2.cvtColor(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
         colour = rng.uniform(0.2, 1.0)
@@ -79,7 +79,7 @@ def spoil(rng: np.random.Generator, pixels: NDArray[np.uint8]) -> NDArray[np.uin
 
 
 def _shrunk_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[NDArray[np.uint8], Truth]:
-    """A scene drawn larger, scaled down without smoothing as by the letterbox, with bands above, below."""
+    """A scene drawn larger, downscaled without smoothing like the letterbox, with bands above and below."""
     height, width = size_hw
     band = int(rng.integers(0, height // 12))
     scale = rng.uniform(1.2, 2.0)

@@ -16,11 +16,11 @@ from torch.utils.data import DataLoader
 
 from tools.shapes.loss import detection_loss
 from tools.shapes.pictures import Batch, Batches
-from yolov5_lifecycle.architecture import Architecture
-from yolov5_lifecycle.model import Model, checked_model
-from yolov5_lifecycle.network import Detect, Network
-from yolov5_lifecycle.safetensors_file import write_safetensors
-from yolov5_lifecycle.scene import CLASS_NAMES
+from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.models.architecture import Architecture
+from yolov5_lifecycle.models.model import Model, checked_model
+from yolov5_lifecycle.models.network import Detect, Network
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 SEED = 20_250_101
 STEPS = 4_500
@@ -37,16 +37,16 @@ ARCHITECTURE = Architecture(
     strides=(8, 16, 32),
 )
 OBJECTNESS_SHIFT = 1.4
-"""Logits by which every objectness is lowered after the training, so that at the default threshold precision
-and recall are alike: chosen among 0.6, 1.0 and 1.4 on 150 pictures of seed 7."""
+"""Logits subtracted from every objectness after the training, so that precision and recall are similar at the
+default threshold: chosen among 0.6, 1.0 and 1.4 on 150 images of seed 7."""
 _PEAK_LEARNING_RATE = 3e-3
 _log = logging.getLogger("train")
 
 
 def train(*, seed: int, steps: int) -> Network:
-    """A network trained on `steps` batches, in evaluation mode; repeatable on one machine."""
+    """Train a network on `steps` batches; returned in evaluation mode, reproducible on one machine."""
     torch.manual_seed(seed)
-    # The operations are too small to share: beside other processes two threads wait longer than they work.
+    # The operations are too small to parallelize: beside other processes two threads mostly wait.
     torch.set_num_threads(1)
     network = _fresh_network()
     average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(0.998), use_buffers=True)
@@ -88,7 +88,7 @@ def _head_biases(network: Network) -> list[Tensor]:
 
 
 def _fresh_network() -> Network:
-    """Random weights; the scores start at what a picture with a few shapes has on average."""
+    """A network with random weights; scores start at the average of an image with a few shapes."""
     network = Network(ARCHITECTURE)
     for bias, stride in zip(_head_biases(network), ARCHITECTURE.strides, strict=True):
         bias[:, 4] = math.log(8 / (640 / stride) ** 2)
@@ -98,7 +98,7 @@ def _fresh_network() -> Network:
 
 
 def _optimizer(network: Network) -> torch.optim.Optimizer:
-    """AdamW that decays the convolutions alone."""
+    """AdamW with weight decay on the convolutions only."""
     kernels = [parameter for parameter in network.parameters() if parameter.ndim > 1]
     others = [parameter for parameter in network.parameters() if parameter.ndim == 1]
     groups = [{"params": kernels, "weight_decay": 0.02}, {"params": others, "weight_decay": 0.0}]
@@ -106,7 +106,7 @@ def _optimizer(network: Network) -> torch.optim.Optimizer:
 
 
 def _batches(seed: int, steps: int) -> DataLoader[Batch]:
-    """Batches drawn in another process, in order."""
+    """Batches generated in another process, in order."""
     return DataLoader(
         Batches(seed, steps),
         batch_size=None,
@@ -133,7 +133,7 @@ def main() -> None:
 
 
 def model_of(network: Network) -> Model:
-    """`network` and the class names, its numbers rounded to what fp16 can store."""
+    """The model of `network` and the class names, with weights rounded to fp16."""
     tensors = {
         key: tensor.half().float() if tensor.is_floating_point() else tensor
         for key, tensor in network.state_dict().items()

@@ -1,1 +1,1 @@
-"""Detection in what was recorded, without ROS."""
+"""Detection in recordings, videos and image files, without ROS."""

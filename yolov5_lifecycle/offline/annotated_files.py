@@ -1,7 +1,9 @@
-"""Annotated pictures as files: one, a folder of them, or a video."""
+"""Annotated images written to an image file, a folder or a video."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +11,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.image_encoding import encoded
-from yolov5_lifecycle.images import Picture
-from yolov5_lifecycle.offline.whole_output import OutputError
+from yolov5_lifecycle.atomic_file import OutputError
+from yolov5_lifecycle.detection.detections import Detections, found_objects
+from yolov5_lifecycle.images.encodings import encoded
+from yolov5_lifecycle.images.image import Picture
 
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 
 
 def write_picture(path: Path, drawn: Picture) -> None:
-    """Write one picture in the format that the name says; raises OutputError."""
+    """Write one image in the format given by the file extension; raises OutputError."""
     try:
         is_written = cv2.imwrite(str(path), encoded(drawn, "bgr8"))
     except cv2.error as error:
@@ -27,9 +30,9 @@ def write_picture(path: Path, drawn: Picture) -> None:
 
 
 class VideoOutput:
-    """Owns a video that is written frame by frame at `rate_hz`; all frames have the size of the first.
+    """A video file written frame by frame at `rate_hz`; each frame is resized to the size of the first.
 
-    Raises OutputError at birth for a format that is not known.
+    Raises OutputError on construction for an unknown format.
     """
 
     def __init__(self, path: Path, rate_hz: float) -> None:
@@ -38,12 +41,16 @@ class VideoOutput:
         self._path = path
         self._rate_hz = rate_hz
         self._writer: Any = None
+        self._size_hw = (0, 0)
 
     def add(self, drawn: Picture) -> None:
-        """Raises OutputError when this OpenCV cannot write the format."""
+        """Append a frame; raises OutputError if this OpenCV cannot write the format."""
         frame: NDArray[np.uint8] = encoded(drawn, "bgr8")
         if self._writer is None:
             self._writer = self._opened(drawn.size_hw)
+            self._size_hw = drawn.size_hw
+        if frame.shape[:2] != self._size_hw:  # OpenCV silently drops frames of another size
+            frame = np.asarray(cv2.resize(frame, self._size_hw[::-1], interpolation=cv2.INTER_AREA), np.uint8)
         self._writer.write(np.ascontiguousarray(frame))
 
     def close(self) -> None:
@@ -57,3 +64,15 @@ class VideoOutput:
             others = " or ".join(suffix for suffix in _CODECS if suffix != self._path.suffix.lower())
             raise OutputError(f"{self._path.name}: this OpenCV cannot write such a video; try {others}.")
         return writer
+
+
+def detection_line(
+    identity: Mapping[str, str | int], picture: Picture, detections: Detections, class_names: Sequence[str]
+) -> str:
+    """A line of JSON with the `identity` of an image, its size and its detections, boxes in image pixels."""
+    height, width = picture.size_hw
+    found = [
+        {"class_name": one.class_name, "score": one.score, "box_xyxy": one.box_xyxy}
+        for one in found_objects(detections, class_names)
+    ]
+    return json.dumps({**identity, "width": width, "height": height, "detections": found}) + "\n"

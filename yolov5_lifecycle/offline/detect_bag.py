@@ -1,4 +1,4 @@
-"""Command `detect_bag SOURCE`: the detector over a recording, a video or pictures, without ROS."""
+"""Command `detect_bag SOURCE`: run the detector on a recording, a video or images, without ROS."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from yolov5_lifecycle.frame_balance import Outcome
+from yolov5_lifecycle.commands.command_parser import CommandParser
+from yolov5_lifecycle.commands.progress import show_progress
+from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_files import detect_files
 from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineDetector
-from yolov5_lifecycle.parameter_file import assigned_value, file_values
-from yolov5_lifecycle.preparation import Prepare, prepare_model
-from yolov5_lifecycle.progress import show_progress
-from yolov5_lifecycle.rate import RateLimit
+from yolov5_lifecycle.process.standard_streams import complain
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.settings import Problem, Settings, SettingsError, validated
+from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
+from yolov5_lifecycle.settings.settings import Problem, Settings, SettingsError, validated
+from yolov5_lifecycle.streaming.frame_balance import Outcome
+from yolov5_lifecycle.streaming.rate import RateLimit
 
-_OF_THE_NODE = ("autostart", "image_reliability", "image_transport", "lazy", "max_rate")
-"""Settings without a meaning here; a parameter file may have them, nobody sets them on purpose."""
+_OF_THE_NODE = ("autostart", "bond_timeout", "image_reliability", "image_transport", "lazy", "max_rate")
+"""Settings without effect offline; a parameter file may contain them, command-line arguments may not."""
 _RECORDING_SUFFIXES = (".mcap", ".db3")
 _MAX_TOLD = 10
 _PROGRESS_HZ = 10.0
@@ -31,26 +33,27 @@ _EPILOG = """\
 examples:
   detect_bag drive --output drive_detections --set weights=best.pt
   detect_bag drive.mcap --topic /front/image_raw --output front --images --params-file yolov5.yaml
+  detect_bag drive --output drive_detections -p weights:=best.pt -p confidence_threshold:=0.4
   detect_bag holidays --annotated drawn --output holidays.jsonl
 """
 
 
 def is_recording(path: Path) -> bool:
-    """Whether `path` is a file of rosbag2 or a folder with such files, which may be compressed."""
+    """Whether `path` is a rosbag2 file, possibly compressed, or a folder that contains such files."""
     if not path.is_dir():
         return path.suffix in _RECORDING_SUFFIXES
     return any(suffix in _RECORDING_SUFFIXES for file in path.iterdir() for suffix in file.suffixes)
 
 
 def wanted_settings(parameter_file: Path | None, assignments: Sequence[str], node: str) -> Settings:
-    """What the node called `node` would obey: the parameter file and over it `name=value` assignments.
+    """Settings of the node named `node`: the parameter file, overridden by `name=value` assignments.
 
     Raises ParameterFileError, SettingsError and OSError.
     """
     values = file_values(parameter_file, node) if parameter_file else {}
     assigned = dict(assigned_value(assignment) for assignment in assignments)
     useless = [
-        Problem(name, "it is about images that arrive; here every image is taken from its file.")
+        Problem(name, "it is about a node and images that arrive; here every image is taken from its file.")
         for name in _OF_THE_NODE
         if name in assigned
     ]
@@ -60,7 +63,7 @@ def wanted_settings(parameter_file: Path | None, assignments: Sequence[str], nod
 
 
 def report(account: Account) -> str:
-    """What a user wants to know of a run, one fact a line."""
+    """Summary of a run for the user, one fact per line."""
     balance, objects = account.balance, account.objects
     names = ", ".join(f"{name} {count}" for name, count in objects.most_common())
     missing = f" of {account.expected} announced" if balance.received < account.expected else ""
@@ -76,10 +79,14 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     parser = command_parser()
     arguments = parser.parse_args(argv)
     try:
+        if not arguments.source.exists():
+            return _complain(f"{arguments.source}: there is no such file or folder")
         if problem := _usage_problem(arguments):
             parser.error(problem)
         with _unwound_by_sigterm(), closing(_Terminal(shows_progress=bool(arguments.output))) as terminal:
             account = _run(arguments, functools.partial(OfflineDetector, watch=terminal, prepare=prepare))
+    except BrokenPipeError:
+        raise  # not reported: the reader closed the output pipe, as with `| head`
     except SettingsError as error:
         problems = "".join(f"\n  {problem}" for problem in error.problems)
         return _complain(f"{len(error.problems)} problem(s) in the settings:{problems}")
@@ -94,8 +101,6 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
 
 def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetector]) -> Account:
     source, output = arguments.source, arguments.output
-    if not source.exists():
-        raise FileNotFoundError(f"{source}: there is no such file or folder")
     settings = wanted_settings(arguments.params_file, arguments.assignments, arguments.node)
     if not is_recording(source):
         return detect_files(source, output, annotated=arguments.annotated, load=lambda: load(settings))
@@ -117,7 +122,7 @@ def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetect
 
 
 class _Terminal:
-    """Tells on stderr how it goes: the first problems, and the progress where no lines go to stdout."""
+    """Reports on stderr: the first problems, and progress if no lines go to stdout."""
 
     def __init__(self, *, shows_progress: bool) -> None:
         self._shows_progress = shows_progress
@@ -137,23 +142,23 @@ class _Terminal:
         if self._shows_progress and self._rate_limit.admits(time.monotonic(), _PROGRESS_HZ):
             of_all = f" of {account.expected}" if account.expected else ""
             text = f"{account.balance.received}{of_all} pictures, {account.rate_hz:.1f} per second"
-            show_progress(f"{text:<60}")  # over all of a longer one
+            show_progress(f"{text:<60}")  # padded to overwrite a longer text
             self._is_line_open = True
 
     def close(self) -> None:
-        """End the line of the progress."""
+        """End the progress line."""
         if self._is_line_open:
             show_progress("", done=True)
         self._is_line_open = False
 
 
 def _complain(problem: str) -> int:
-    sys.stderr.write(f"detect_bag: {problem}\n")
+    complain("detect_bag", problem)
     return 1
 
 
 def _usage_problem(arguments: argparse.Namespace) -> str:
-    """What does not go together on the command line, "" when all does."""
+    """The conflict between command-line arguments, or ""."""
     if is_recording(arguments.source):
         if arguments.output is None:
             return "give --output, the recording to be written"
@@ -163,9 +168,9 @@ def _usage_problem(arguments: argparse.Namespace) -> str:
 
 
 def command_parser() -> argparse.ArgumentParser:
-    """What the command understands."""
-    parser = argparse.ArgumentParser(
-        prog="detect_bag",
+    """The argument parser of the command."""
+    parser = CommandParser(
+        "detect_bag",
         description="Detect objects in every image of a recording, a video or a folder of pictures.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -187,14 +192,16 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--params-file", type=Path, metavar="FILE.yaml", help="parameters as the detector is given them"
     )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        dest="assignments",
-        metavar="NAME=VALUE",
-        help="a parameter of the detector, over those of the file; may be repeated",
-    )
+    for option, form in (("--set", "NAME=VALUE"), ("-p", "NAME:=VALUE")):
+        parser.add_argument(
+            option,
+            action="append",
+            default=[],
+            type=_assignment,
+            dest="assignments",
+            metavar=form,
+            help="a parameter of the detector, over those of the file; may be repeated",
+        )
     parser.add_argument(
         "--node",
         type=_node_name,
@@ -202,6 +209,12 @@ def command_parser() -> argparse.ArgumentParser:
         help="name of the detector in the file and in topics (default: %(default)s)",
     )
     return parser
+
+
+def _assignment(text: str) -> str:
+    """Convert `NAME:=VALUE`, as after --ros-args, to `NAME=VALUE`."""
+    name, equals, value = text.partition("=")
+    return f"{name.removesuffix(':')}{equals}{value}"
 
 
 def _node_name(text: str) -> str:
@@ -212,7 +225,7 @@ def _node_name(text: str) -> str:
 
 @contextmanager
 def _unwound_by_sigterm() -> Iterator[None]:
-    """Ended from outside, what is unfinished must be removed as well."""
+    """Unwind on SIGTERM, so that unfinished output is removed."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         yield

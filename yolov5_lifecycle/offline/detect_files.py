@@ -1,4 +1,4 @@
-"""From pictures or a video to JSON lines and annotated pictures or an annotated video."""
+"""Detection in images or a video, with JSON lines and annotated images or an annotated video as output."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TextIO
 
-from yolov5_lifecycle.annotate import annotate
-from yolov5_lifecycle.detections import Detections
-from yolov5_lifecycle.images import Picture
-from yolov5_lifecycle.offline.annotated_files import VideoOutput, write_picture
+from yolov5_lifecycle.atomic_file import whole_output
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.draw import annotate
+from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.offline.annotated_files import VideoOutput, detection_line, write_picture
 from yolov5_lifecycle.offline.detecting import Account, LoadDetector, OfflineDetector
-from yolov5_lifecycle.offline.detection_lines import detection_line
 from yolov5_lifecycle.offline.picture_files import (
     PictureFile,
     VideoFile,
@@ -21,13 +21,12 @@ from yolov5_lifecycle.offline.picture_files import (
     is_picture,
     picture_files,
 )
-from yolov5_lifecycle.offline.whole_output import whole_output
 
 
 def detect_files(source: Path, output: Path | None, *, annotated: Path | None, load: LoadDetector) -> Account:
-    """Write a line for every picture of `source` to the new file `output`, or to stdout.
+    """Write a JSON line for every image of `source` to the new file `output`, or to stdout.
 
-    `annotated` is a new folder where `source` is one, else a new picture or video. Raises SourceError,
+    `annotated` is a new folder if `source` is one, else a new image or video. Raises SourceError,
     OutputError, DetectingError and what `load` raises.
     """
     with ExitStack() as stack:

@@ -1,4 +1,4 @@
-"""All pictures of a source, one after the other, and the account of them."""
+"""Sequential detection in all images of a source, with statistics."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Protocol, TypeVar
 
-from yolov5_lifecycle.detections import Detections
-from yolov5_lifecycle.detector import USUAL_SOURCE_HW
-from yolov5_lifecycle.frame_balance import FrameBalance, FrameCounter, Outcome
-from yolov5_lifecycle.images import ImageError, Picture
-from yolov5_lifecycle.offline.stored_picture import StoredPicture
-from yolov5_lifecycle.preparation import Prepare, prepare_model
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
+from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
+from yolov5_lifecycle.detection.selection import model_problems, selection
+from yolov5_lifecycle.images.image import ImageError, Picture
+from yolov5_lifecycle.offline.recording import StoredPicture
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
-from yolov5_lifecycle.selection import model_problems, selection
-from yolov5_lifecycle.settings import Settings, SettingsError
+from yolov5_lifecycle.settings.settings import Settings, SettingsError
+from yolov5_lifecycle.streaming.frame_balance import FrameBalance, FrameCounter, Outcome
 
 Stored = TypeVar("Stored", bound=StoredPicture)
 
 
 class DetectingError(RuntimeError):
-    """It makes no sense to go on, or nothing came of it."""
+    """Detection was aborted or produced no result."""
 
 
 class Account:
-    """What became of the pictures of a source that claims to have `expected`, 0 when it does not say."""
+    """Statistics of a run over a source that claims to have `expected` images, 0 if unknown."""
 
     def __init__(self, expected: int) -> None:
         self.expected = expected
@@ -39,7 +39,7 @@ class Account:
 
     @property
     def rate_hz(self) -> float:
-        """Pictures a second so far."""
+        """Images per second so far."""
         return self.balance.received / max(time.monotonic() - self._begun_s, 1e-9)
 
     def receive(self) -> None:
@@ -50,19 +50,19 @@ class Account:
 
 
 class Watch(Protocol):
-    """Who is told how it goes."""
+    """Observer of a run."""
 
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
-        """The picture called `label` gave no detections."""
+        """Called if the image named `label` could not be processed."""
 
     def progress(self, account: Account) -> None:
-        """One more picture is done."""
+        """Called after every image."""
 
 
 class OfflineDetector:
-    """Owns the model that `settings` name, made by `prepare`, and obeys their rules picture by picture.
+    """Detector that owns the model that `prepare` loads and applies `settings` to every image.
 
-    Raises ValueError or OSError like `prepare_model`, and SettingsError for a class that the model has not.
+    Raises ValueError or OSError like `prepare_model`, and SettingsError for a class unknown to the model.
     """
 
     def __init__(self, settings: Settings, watch: Watch, *, prepare: Prepare = prepare_model) -> None:
@@ -82,10 +82,10 @@ class OfflineDetector:
         expected: int,
         write: Callable[[Stored, Picture, Detections], None],
     ) -> Account:
-        """Detect in every picture and `write` what was found; others are told, counted and left out.
+        """Detect in every image and `write` the result; images that fail are reported and counted.
 
-        Raises DetectingError when inference failed too often in a row, when the device is lost, and when no
-        picture at all could be used.
+        Raises DetectingError after too many consecutive inference failures, if the device is lost, or if no
+        image could be used.
         """
         account = Account(expected)
         for stored in pictures:
@@ -129,4 +129,4 @@ class OfflineDetector:
 
 
 LoadDetector = Callable[[], OfflineDetector]
-"""Loads the model, once everything else is known to be right."""
+"""Loads the model; called once all other inputs are validated."""

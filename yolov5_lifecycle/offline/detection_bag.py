@@ -1,4 +1,4 @@
-"""Detections as a rosbag2 recording: what the node would have published."""
+"""Writer for detections as a rosbag2 recording, as the node would publish them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import Writer
 
-from yolov5_lifecycle.annotate import annotate
-from yolov5_lifecycle.detections import Detections
-from yolov5_lifecycle.found_objects import FoundObject, found_objects
-from yolov5_lifecycle.images import Picture
+from yolov5_lifecycle.detection.detections import Detections, FoundObject, found_objects
+from yolov5_lifecycle.detection.draw import annotate
+from yolov5_lifecycle.images.image import Picture
 from yolov5_lifecycle.offline.recorded_types import TYPES
 from yolov5_lifecycle.offline.recording import RecordedImage
 
@@ -23,9 +22,9 @@ _IMAGE = "sensor_msgs/msg/Image"
 
 
 class DetectionBag:
-    """Adds detections, labels and, with `images`, annotated images to what `writer` writes.
+    """Adds detections, labels and, with `images`, annotated images to the recording of `writer`.
 
-    Topics and their quality of service are those of the node called `node`.
+    Topics and QoS are those of the node named `node`.
     """
 
     def __init__(
@@ -40,7 +39,7 @@ class DetectionBag:
         self._images = self._topic(f"{node}/image", _IMAGE, depth=1) if images else None
 
     def write(self, image: RecordedImage, picture: Picture, detections: Detections) -> None:
-        """What the node makes of `image`, with the header of that and at the time of its recording."""
+        """Write the node's messages for `image`, with its header and at the time of its recording."""
         timestamp_ns, header = image.timestamp_ns, image.message.header
         if not self._is_labelled:
             labels = _label_info(self._class_names, self._threshold, header.stamp)
@@ -65,7 +64,7 @@ class DetectionBag:
 
 
 def detection_array(found: Sequence[FoundObject], header: Any) -> Any:
-    """A vision_msgs/Detection2DArray of rosbags with the header of the image that the objects are in."""
+    """A vision_msgs/Detection2DArray as a rosbags object, with the header of the image."""
     return _new(_DETECTIONS, header=header, detections=[_detection(one, header) for one in found])
 
 
@@ -85,7 +84,7 @@ def _detection(found: FoundObject, header: Any) -> Any:
 
 
 def _no_pose() -> Any:
-    """ROS's own defaults."""
+    """A pose with ROS's default values."""
     pose = _new(
         "geometry_msgs/msg/Pose",
         position=_new("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),

@@ -1,4 +1,4 @@
-"""Pictures in files: one, a folder of them, or a video."""
+"""Image sources: a file, a folder of files, or a video."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from pathlib import Path
 
 import cv2
 
-from yolov5_lifecycle.images import ImageError, Picture
-from yolov5_lifecycle.picture_source import (
+from yolov5_lifecycle.images.image import ImageError, Picture
+from yolov5_lifecycle.sources.source import (
     PICTURE_RATE_HZ,
     PICTURE_SUFFIXES,
-    SourceError,
     open_source,
     picture_paths,
 )
+from yolov5_lifecycle.sources.source_error import SourceError
 
 
 @dataclass(frozen=True)
 class PictureFile:
-    """A file with one picture."""
+    """An image file."""
 
     path: Path
 
@@ -30,12 +30,12 @@ class PictureFile:
 
     @property
     def identity(self) -> dict[str, str | int]:
-        """What names it in a line of JSON."""
+        """The keys that identify it in a line of JSON."""
         return {"file": str(self.path)}
 
     def load(self) -> Picture:
         try:
-            # As an absolute path it is never taken for the number of a camera.
+            # An absolute path is never mistaken for a camera index.
             return next(open_source(str(self.path.absolute()), loop=False).frames).picture
         except SourceError as error:
             raise ImageError(str(error)) from None
@@ -43,7 +43,7 @@ class PictureFile:
 
 @dataclass(frozen=True)
 class VideoFrame:
-    """A frame of a video, counted from 0."""
+    """A video frame, counted from 0."""
 
     number: int
     picture: Picture
@@ -54,7 +54,7 @@ class VideoFrame:
 
     @property
     def identity(self) -> dict[str, str | int]:
-        """What names it in a line of JSON."""
+        """The keys that identify it in a line of JSON."""
         return {"frame": self.number}
 
     def load(self) -> Picture:
@@ -62,18 +62,18 @@ class VideoFrame:
 
 
 def is_picture(path: Path) -> bool:
-    """Whether `path` has the name of a picture; any other file may be a video."""
+    """Whether `path` has an image file extension; any other file may be a video."""
     return path.suffix.lower() in PICTURE_SUFFIXES
 
 
 def picture_files(path: Path) -> list[PictureFile]:
-    """The picture `path`, or those that lie in it; raises SourceError for a folder without any."""
+    """The image `path`, or the images in the folder `path`; raises SourceError for a folder without any."""
     return [PictureFile(file) for file in picture_paths(path)]
 
 
 @dataclass(frozen=True)
 class VideoFile:
-    """A video: its frames, its rate, and how many frames it claims to have, 0 when it does not say."""
+    """A video: its frames, its rate, and the number of frames it claims to have, 0 if unknown."""
 
     frames: Iterator[VideoFrame]
     rate_hz: float
@@ -81,7 +81,9 @@ class VideoFile:
 
     @classmethod
     def open(cls, path: Path) -> VideoFile:
-        """Raises SourceError when the file is no video."""
+        """Open the video at `path`; raises SourceError if it is not a video."""
+        if not path.is_file():
+            raise SourceError(f"{path} is not a regular file: detect_bag reads videos from files only.")
         source = open_source(str(path.absolute()), loop=False)
         capture = cv2.VideoCapture(str(path))
         claimed_frames = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)

@@ -1,4 +1,4 @@
-"""The ROS messages of a recording, without ROS: those of Jazzy and vision_msgs."""
+"""ROS message types for reading recordings without ROS: those of Jazzy and vision_msgs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ VISION_MSGS = {
     "VisionClass": "uint16 class_id\nstring class_name",
     "LabelInfo": "std_msgs/Header header\nvision_msgs/VisionClass[] class_map\nfloat32 threshold",
 }
-"""Definitions by name, as in interfaces/vision_msgs, which is not installed with this package."""
+"""Definitions by name, copied from interfaces/vision_msgs, which is not installed with this package."""
 
 
 def _typestore() -> Typestore:
-    """Types that are known here; what a recording says of its own types is code to rosbags and not run."""
+    """Built-in types only: rosbags turns type definitions of a recording into code, which is not executed."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, definition in VISION_MSGS.items():
         store.register(get_types_from_msg(definition, f"vision_msgs/msg/{name}"))

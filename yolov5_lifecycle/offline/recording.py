@@ -1,4 +1,4 @@
-"""The images in a rosbag2 recording."""
+"""Images in rosbag2 recordings."""
 
 from __future__ import annotations
 
@@ -7,28 +7,34 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.serde import SerdeError
 
-from yolov5_lifecycle.images import ImageError, Picture
-from yolov5_lifecycle.message_pictures import compressed_picture, raw_picture
+from yolov5_lifecycle.images.from_message import compressed_picture, raw_picture
+from yolov5_lifecycle.images.image import ImageError, Picture
 from yolov5_lifecycle.offline.recorded_types import TYPES
+from yolov5_lifecycle.offline.recording_limits import (
+    bounded_reading,
+    check_chunks,
+    check_files,
+    unpacked_message,
+)
+from yolov5_lifecycle.printable import in_one_line
 
 _RAW = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 
 
 class RecordingError(ValueError):
-    """A recording that cannot be read or has not what was asked for; says what it has."""
+    """A recording that cannot be read or lacks what was requested; the message lists what it has."""
 
 
 @dataclass(frozen=True)
 class RecordedImage:
-    """An image message as it was recorded, and when that was."""
+    """A recorded image message and its time stamp in the recording."""
 
     timestamp_ns: int
     type_name: str
@@ -40,12 +46,12 @@ class RecordedImage:
 
     @cached_property
     def message(self) -> Any:
-        """The message, an object of rosbags; raises ImageError."""
+        """The deserialized message, a rosbags object; raises ImageError."""
         try:
             return TYPES.deserialize_cdr(self.data, self.type_name)
-        except SerdeError as error:
+        except Exception as error:  # noqa: BLE001 - rosbags wraps only some errors of damaged bytes
             raise ImageError(
-                f"Expected a message of {self.type_name}, found other bytes ({error})."
+                f"Expected a message of {self.type_name}, found other bytes ({in_one_line(str(error))})."
             ) from None
 
     def load(self) -> Picture:
@@ -55,7 +61,7 @@ class RecordedImage:
 
 @dataclass(frozen=True)
 class ImageTopic:
-    """A topic with images and how many messages it has."""
+    """An image topic and its number of messages."""
 
     name: str
     type_name: str
@@ -72,20 +78,24 @@ class Recording:
 
     @property
     def storage(self) -> StoragePlugin:
-        """What its files are."""
+        """The storage format of its files."""
         files = [self._path] if self._path.is_file() else list(self._path.iterdir())
         is_mcap = any(".mcap" in file.suffixes for file in files)
         return StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
 
     def image_topic(self, name: str | None = None) -> ImageTopic:
-        """The image topic called `name`, or the only one; raises RecordingError with those that there are."""
+        """The image topic `name`, or the only one; raises RecordingError with the available topics."""
         topics = self._image_topics()
         wanted = [topic for topic in topics if name in (None, topic.name)]
         if len(wanted) == 1:
             return wanted[0]
-        listing = "".join(f"\n  {topic.name}  {topic.type_name}  {topic.count}" for topic in topics)
+        listing = "".join(
+            f"\n  {in_one_line(topic.name)}  {topic.type_name}  {topic.count}" for topic in topics
+        )
         if not topics:
-            others = ", ".join(sorted({one.topic for one in self._connections()})) or "nothing"
+            others = (
+                ", ".join(sorted({in_one_line(one.topic)[:200] for one in self._connections()})) or "nothing"
+            )
             raise RecordingError(
                 f"{self._path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
                 "Record the topic of the camera."
@@ -95,15 +105,24 @@ class Recording:
         raise RecordingError(f"{self._path}: there is no image topic {name}; name one of these:{listing}")
 
     def images(self, topic: ImageTopic) -> Iterator[RecordedImage]:
-        """Every message of `topic` in the order of recording; raises RecordingError at a damage."""
-        messages = self._reader.messages(topic.connections)
+        """Every message of `topic` in recording order; raises RecordingError if the file is damaged."""
+        is_packed = self._reader.compression_mode == "message"
+        messages = self._raw_messages(topic)
         while True:
             with _readable(self._path):
-                found = next(messages, None)
-            if found is None:
-                return
-            _, timestamp_ns, data = found
+                if (found := next(messages, None)) is None:
+                    return
+                _, timestamp_ns, data = found
+                if not (isinstance(timestamp_ns, int) and isinstance(data, bytes)):
+                    raise TypeError("expected a time and bytes for each message")
+                data = unpacked_message(data) if is_packed else data
             yield RecordedImage(timestamp_ns, topic.type_name, data)
+
+    def _raw_messages(self, topic: ImageTopic) -> Iterator[Any]:
+        """Messages as stored: rosbags would decompress them without a limit."""
+        storage = self._reader.storage
+        storage.metadata = storage.metadata._replace(compression_mode=None)
+        return self._reader.messages(topic.connections)
 
     def _image_topics(self) -> list[ImageTopic]:
         by_topic: dict[tuple[str, str], list[Connection]] = {}
@@ -116,21 +135,35 @@ class Recording:
         ]
 
     def _connections(self) -> list[Connection]:
-        """Those of the files: rosbags leaves out what metadata.yaml describes otherwise than they do."""
-        storage = self._reader.storage
-        files = storage.storages if isinstance(storage, DirectoryReader) else [storage]
-        return [connection for file in files for connection in file.connections]
+        """Connections from the files: rosbags drops those that contradict metadata.yaml."""
+        files = _storages(self._reader)
+        return [
+            connection
+            for file in files
+            for connection in file.connections
+            if isinstance(connection.topic, str) and isinstance(connection.msgtype, str)
+        ]
+
+
+def _storages(reader: Reader) -> list[Any]:
+    """The open files of a recording."""
+    storage = reader.storage
+    return list(storage.storages) if isinstance(storage, DirectoryReader) else [storage]
 
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[Recording]:
-    """The recording at `path`: the folder that ros2 bag makes, or one of its .mcap and .db3 files.
+    """Open the recording at `path`: the folder created by ros2 bag, or one of its .mcap and .db3 files.
 
     Raises RecordingError.
     """
     with ExitStack() as stack:
         with _readable(path):
-            reader = stack.enter_context(Reader(path))
+            check_files(path)
+            with bounded_reading():
+                reader = stack.enter_context(Reader(path))
+            for storage in _storages(reader):
+                check_chunks(storage)
         yield Recording(path, reader)
 
 
@@ -139,8 +172,19 @@ def _readable(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = in_one_line(str(error))[:500] or type(error).__name__
         raise RecordingError(
             f"{path}: the recording cannot be read: {reason.removesuffix('.')}. "
             "If its end is missing, `ros2 bag reindex` or `mcap recover` may mend it."
         ) from error
+
+
+class StoredPicture(Protocol):
+    """An image of a recording, a folder or a video, loaded on demand."""
+
+    @property
+    def label(self) -> str:
+        """Its name in messages: a time stamp, a file, a frame number."""
+
+    def load(self) -> Picture:
+        """Load the pixels; raises ImageError."""

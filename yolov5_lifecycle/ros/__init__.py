@@ -1,1 +1,1 @@
-"""The ROS 2 side: the only folder that knows rclpy and messages."""
+"""ROS 2 code; the only folder that imports rclpy and message packages."""

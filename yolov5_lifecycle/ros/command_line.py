@@ -1,17 +1,22 @@
-"""What stands on a node's command line besides ROS's own arguments: explained, never ignored."""
+"""Handling of a node's non-ROS arguments: --help, --version, and errors for all others."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
+from yolov5_lifecycle.commands.command_parser import EXIT_USAGE
+from yolov5_lifecycle.commands.version import version_line
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.process.standard_streams import complain, write_output
+
 _HELP = {"-h", "--help"}
+_VERSION = "--version"
 
 
-def complain(command: str, problem: object) -> int:
-    """Say why `command` cannot start; the exit code for it."""
-    sys.stderr.write(f"{command}: {problem}\n")
-    return 2
+def refuse(command: str, problem: object) -> int:
+    """Print why `command` cannot start; return the exit code."""
+    complain(command, problem)
+    return EXIT_USAGE
 
 
 def explain(
@@ -21,12 +26,25 @@ def explain(
     usage: str,
     parameters: Sequence[tuple[str, str | None, object]],
 ) -> int:
-    """Answer `words` with `usage` and `parameters` (name, description, default); the exit code for them."""
-    unknown = [word for word in words if word not in _HELP]
+    """Print help (`parameters`: name, description, default), version or an error; return the exit code."""
+    unknown = [word for word in words if word not in _HELP and word != _VERSION]
+    if unknown:
+        return refuse(command, _unknown(command, unknown, [name for name, *_ in parameters]))
+    if _VERSION in words:
+        return write_output(command, f"{version_line(command)}\n")
     width = max(len(name) for name, *_ in parameters)
     rows = [
         f"  {name:{width}}  {description} Default: {default!r}" for name, description, default in parameters
     ]
-    stream = sys.stderr if unknown else sys.stdout
-    stream.write("\n".join([usage, *rows, ""]))
-    return complain(command, f"arguments not understood: {' '.join(unknown)}") if unknown else 0
+    text = "\n".join([usage, *rows, f"`{command} --version` prints the version.", ""])
+    return write_output(command, text)
+
+
+def _unknown(command: str, words: Sequence[str], parameters: Sequence[str]) -> str:
+    """One-line error for the unknown arguments `words`, with what to write instead."""
+    names = [word.lstrip("-").partition("=")[0].replace("-", "_") for word in words]
+    name = next((name for name in names if name in parameters), parameters[0])
+    return (
+        f"arguments not understood: {in_one_line(' '.join(words))}. Parameters are given as "
+        f"`{command} --ros-args -p {name}:=VALUE`; `{command} --help` lists them."
+    )

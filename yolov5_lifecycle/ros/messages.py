@@ -1,4 +1,4 @@
-"""Between ROS messages and the project's own values."""
+"""Conversions between ROS messages and the project's own types."""
 
 from __future__ import annotations
 
@@ -20,19 +20,18 @@ from vision_msgs.msg import (
     VisionClass,
 )
 
-from yolov5_lifecycle.detections import Detections
-from yolov5_lifecycle.found_objects import FoundObject, found_objects
-from yolov5_lifecycle.images import Picture
-from yolov5_lifecycle.message_pictures import compressed_picture, raw_picture
+from yolov5_lifecycle.detection.detections import Detections, FoundObject, found_objects
+from yolov5_lifecycle.images.from_message import compressed_picture, raw_picture
+from yolov5_lifecycle.images.image import Picture
 
 
 def picture(message: Image | CompressedImage) -> Picture:
-    """The picture in `message`, without a copy where the encoding allows; raises ImageError."""
+    """Image in `message`, without a copy where the encoding allows; raises ImageError."""
     return compressed_picture(message) if isinstance(message, CompressedImage) else raw_picture(message)
 
 
 def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> Image:
-    """An Image of (H, W, channels) pixels laid out as `encoding` says."""
+    """Image message of (H, W, channels) pixels in `encoding`."""
     height, width, channels = pixels.shape
     message = Image(
         header=header, height=height, width=width, encoding=encoding, is_bigendian=0, step=width * channels
@@ -42,8 +41,8 @@ def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> I
 
 
 def compressed_image_message(jpeg: NDArray[np.uint8], encoding: str, header: Header) -> CompressedImage:
-    """A CompressedImage of the bytes of a JPEG file, which image_transport will unpack to `encoding`."""
-    # Written as image_transport writes it: what was compressed, how, and its colours, for greys no word.
+    """CompressedImage message of JPEG bytes, which image_transport decompresses to `encoding`."""
+    # As image_transport formats it: source encoding, codec and colour order, the latter empty for mono8.
     colours = "" if encoding == "mono8" else "bgr8"
     message = CompressedImage(header=header, format=f"{encoding}; jpeg compressed {colours}")
     message.data = _array_of(jpeg)
@@ -51,14 +50,14 @@ def compressed_image_message(jpeg: NDArray[np.uint8], encoding: str, header: Hea
 
 
 def _array_of(values: NDArray[np.uint8]) -> array[int]:
-    # Messages iterate over every byte of anything but an array (ros2/rclpy#836): 127 ms for 640x480 pixels.
+    # Setters iterate over every byte of anything but an array (ros2/rclpy#836): 127 ms for 640x480 pixels.
     buffer = array("B")
     buffer.frombytes(np.ascontiguousarray(values).data.cast("B"))
     return buffer
 
 
 def detection_array(detections: Detections, class_names: Sequence[str], header: Header) -> Detection2DArray:
-    """Detections in source pixels with the header of the image they are from."""
+    """Detection2DArray message in source pixels, with the header of the source image."""
     found = found_objects(detections, class_names)
     return Detection2DArray(header=header, detections=[_detection(one, header) for one in found])
 
@@ -71,7 +70,7 @@ def _detection(found: FoundObject, header: Header) -> Detection2D:
 
 
 def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:
-    """The names behind the class indices of the loaded model and the threshold in force."""
+    """LabelInfo message with the class names of the loaded model and the active threshold."""
     return LabelInfo(
         header=Header(stamp=stamp),
         class_map=[VisionClass(class_id=index, class_name=name) for index, name in enumerate(class_names)],

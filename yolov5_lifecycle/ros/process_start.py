@@ -1,33 +1,50 @@
-"""What must be settled in a node's process before the node's modules are imported."""
+"""Preparation of a node's process before the node's modules are imported."""
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
 from typing import NoReturn
 
-from yolov5_lifecycle.heap import prepare_heap
-from yolov5_lifecycle.one_line import in_one_line
+from yolov5_lifecycle.commands.version import version_line
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.process.environment import prepare_environment
+from yolov5_lifecycle.process.memory import prepare_heap
+from yolov5_lifecycle.process.standard_streams import complain, open_standard_streams, write_output
+from yolov5_lifecycle.process.termination import end_at_once
+from yolov5_lifecycle.process.thread_limit import compute_threads, thread_problem
+
+EXIT_UNABLE = 1
+"""Exit code if the machine or its Python lacks what the node needs."""
+
+_ROS_THREADS = 12
+"""Eight threads of Fast DDS, plus those of the node and rclpy."""
 
 
-def prepare_process() -> None:
-    """End with code 0 at SIGINT and SIGTERM from now on; make the heap one for images.
+def prepare_process(command: str) -> None:
+    """Exit with code 0 on SIGINT, SIGTERM and SIGHUP from now on; prepare streams, environment and heap.
 
-    The imports to come take seconds, in which Python would answer with a traceback or die of the signal. They
-    also begin threads.
+    The imports that follow take seconds, during which a signal would otherwise cause a traceback or kill
+    Python. They also start threads; exits with code 1 if too few can be started. Prints `--version` and exits
+    first, so that it works even where the imports fail.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: os._exit(0))
+    open_standard_streams()
+    end_at_once(0)
+    prepare_environment()
+    if sys.argv[1:] == ["--version"]:
+        sys.exit(write_output(command, f"{version_line(command)}\n"))
     prepare_heap()
+    if problem := thread_problem(_ROS_THREADS + 2 * compute_threads()):
+        complain(command, problem)
+        sys.exit(EXIT_UNABLE)
 
 
 def refuse_python(command: str, error: ImportError) -> NoReturn:
-    """End with code 1 and one line: what is missing, for which Python, and why it may be the wrong one."""
+    """Exit with code 1 after reporting the failed import, the Python used and the Python required."""
     problem = in_one_line(str(error))
-    sys.stderr.write(
-        f"{command}: {sys.executable} cannot import what the node needs: {problem}. The node runs with the "
+    complain(
+        command,
+        f"{sys.executable} cannot import what the node needs: {problem}. The node runs with the "
         "Python that built it, which needs torch, pydantic 2, safetensors and a sourced ROS: build the "
-        "workspace as README.md says under 'In a colcon workspace'.\n"
+        "workspace as README.md says under 'In a colcon workspace'.",
     )
-    sys.exit(1)
+    sys.exit(EXIT_UNABLE)

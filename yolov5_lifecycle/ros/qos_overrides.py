@@ -1,4 +1,4 @@
-"""QoS that users override when they start the node: `qos_overrides.TOPIC.publisher.POLICY` and so on."""
+"""QoS overrides given at startup, such as `qos_overrides.TOPIC.publisher.POLICY`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSPolicyKind, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from yolov5_lifecycle.parameter_file import QOS_PREFIX
 from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED, full_name
-from yolov5_lifecycle.settings import Problem, Settings
-from yolov5_lifecycle.suggestion import did_you_mean
+from yolov5_lifecycle.settings.parameter_file import QOS_PREFIX
+from yolov5_lifecycle.settings.settings import Problem, Settings
+from yolov5_lifecycle.settings.suggestion import did_you_mean
 
 MAX_DEPTH = 10_000
 
@@ -22,13 +22,13 @@ _POLICIES = (*_CHOICES, "depth")
 
 
 def parameter_overrides(node: Node) -> dict[str, Parameter]:
-    """What parameter files and the command line say, by name, whether declared or not."""
-    # rclpy has no public way to list overrides that nobody declared.
+    """Overrides from parameter files and the command line by name, declared or not."""
+    # rclpy has no public way to list overrides of undeclared parameters.
     return dict(getattr(node, "_parameter_overrides", {}))
 
 
 def qos_problems(node: Node) -> list[Problem]:
-    """Overrides of QoS that no topic of `node` can obey; only another start can mend them."""
+    """QoS overrides that are invalid or match no topic of `node`; fixing them needs a restart."""
     topics = (*PUBLISHED, *SUBSCRIBED)
     policy_of = {_name(node, topic, policy): policy for topic in topics for policy in _POLICIES}
     problems = []
@@ -41,7 +41,7 @@ def qos_problems(node: Node) -> list[Problem]:
 
 
 def qos_contradictions(node: Node, settings: Settings) -> list[Problem]:
-    """Settings that say otherwise, or again, what an override says."""
+    """Settings that conflict with or duplicate a QoS override."""
     if settings.image_reliability == "auto":
         return []
     overrides = parameter_overrides(node)
@@ -57,15 +57,15 @@ def qos_contradictions(node: Node, settings: Settings) -> list[Problem]:
 
 
 def overridden_reliability(node: Node, topic: str) -> ReliabilityPolicy | None:
-    """What a valid override asks of the subscription to `topic`, None when there is none."""
+    """Reliability that an override sets for the subscription to `topic`, None without an override."""
     override = parameter_overrides(node).get(_name(node, topic, "reliability"))
     return None if override is None else ReliabilityPolicy[override.value.upper()]
 
 
 def overriding_options(node: Node, topic: str) -> QoSOverridingOptions:
-    """For the endpoint of `topic`: the policies that valid overrides name, and no others."""
-    # rclpy keeps the first value of every policy that is named here: an unasked-for reliability of the images
-    # could no longer follow the camera.
+    """Options for the endpoint of `topic`, limited to the policies that have an override."""
+    # rclpy fixes every policy listed here to its first value: without an override, the reliability of the
+    # image subscription could no longer follow the camera.
     overrides = parameter_overrides(node)
     return QoSOverridingOptions(
         [QoSPolicyKind[policy.upper()] for policy in _POLICIES if _name(node, topic, policy) in overrides]
@@ -73,7 +73,7 @@ def overriding_options(node: Node, topic: str) -> QoSOverridingOptions:
 
 
 def _name(node: Node, topic: str, policy: str) -> str:
-    """The parameter that overrides `policy` of the endpoint of `topic`."""
+    """Name of the parameter that overrides `policy` of the endpoint of `topic`."""
     kind = "publisher" if topic in PUBLISHED else "subscription"
     return f"{QOS_PREFIX}{full_name(node, topic)}.{kind}.{policy}"
 
@@ -87,10 +87,10 @@ def _unknown(name: str, known: dict[str, str]) -> str:
 
 
 def _broken_rule(policy: str, override: Parameter) -> str:
-    """What `override` must be and is not, "" when it is."""
+    """The rule that `override` violates, "" if it is valid."""
     if policy == "depth":
         is_whole = override.type_ is Parameter.Type.INTEGER and 1 <= override.value <= MAX_DEPTH
-        return "" if is_whole else f"a whole number from 1 to {MAX_DEPTH}."
+        return "" if is_whole else f"an integer from 1 to {MAX_DEPTH}."
     value, choices = override.value, _CHOICES[policy]
     if value in choices:
         return ""

@@ -1,4 +1,4 @@
-"""Services that answer whatever they are asked."""
+"""Services that respond to every request, even if a callback raises."""
 
 from __future__ import annotations
 
@@ -12,55 +12,77 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.service import Service
 
-from yolov5_lifecycle.one_line import in_one_line
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros.request_bound import OversizedRequest, bounded
 
+MAX_RESULTS = 1000
+"""Max results in the response to an oversized request; each takes 2 us to send."""
+
+_MAX_REASON = 5_000
+"""Max characters of the reason for a refusal."""
 Handler = Callable[[Any, Any], Any]
 """(request, response) -> response, or an awaitable of one."""
 
 
 def harden(node: Node, handlers: dict[str, Handler]) -> None:
-    """Make every service of `node` answer even when its callback raises; `handlers` replace callbacks by
-    name.
+    """Make every service of `node` respond even if its callback raises.
 
-    A plain rclpy node dies of the first exception in a service callback: of a transition that is not possible
-    now (ros2/rclpy#1209) or of a parameter value of a type that does not exist (ros2/rclcpp#3257).
+    `handlers` replace callbacks by service name. Oversized requests are refused before rclpy converts them.
+
+    A plain rclpy node dies of the first exception in a service callback, such as for an impossible transition
+    (ros2/rclpy#1209) or a parameter value of an unknown type (ros2/rclcpp#3257).
     """
     for service in node.services:
         name = service.srv_name.rpartition("/")[2]
         service.callback = _answering(node, service, handlers.get(name, service.callback))
+        service.srv_type = bounded(service.srv_type)
 
 
 def _answering(node: Node, service: Service, handler: Handler) -> Handler:
     async def answer(request: Any, response: Any) -> Any:
+        if isinstance(request, OversizedRequest):
+            node.get_logger().warning(
+                f"{service.srv_name}: request refused: {request.reason}", throttle_duration_sec=1.0
+            )
+            return _refusal(service, request.count, request.reason)
         try:
             answered = handler(request, response)
-            return await answered if inspect.isawaitable(answered) else answered
+            return _printable(await answered if inspect.isawaitable(answered) else answered)
         except (ValueError, ParameterException) as error:
             problem = _described(error)
             node.get_logger().warning(
                 f"{service.srv_name}: request refused: {problem}", throttle_duration_sec=1.0
             )
-        except Exception as error:  # noqa: BLE001 - logged, and the caller gets an answer
+        except Exception as error:  # noqa: BLE001 - logged, and the caller gets a response
             problem = _described(error)
             node.get_logger().error(
                 f"unexpected {type(error).__name__} in {service.srv_name}:\n{traceback.format_exc()}",
                 throttle_duration_sec=1.0,
             )
-        return _refusal(service, request, problem)
+        return _refusal(service, len(getattr(request, "parameters", ())), problem)
 
     return answer
+
+
+def _printable(response: Any) -> Any:
+    """Make the reasons in `response`, which quote the request, printable and bounded."""
+    results = [*getattr(response, "results", []), getattr(response, "result", None)]
+    for result in results:
+        if isinstance(result, SetParametersResult):
+            result.reason = in_one_line(result.reason, _MAX_REASON)
+    return response
 
 
 def _described(error: Exception) -> str:
     return in_one_line(f"{type(error).__name__}: {str(error)[:300]}")
 
 
-def _refusal(service: Service, request: Any, reason: str) -> Any:
-    """A fresh response that says no; a half-filled one may not even serialise."""
+def _refusal(service: Service, count: int, reason: str) -> Any:
+    """New response that refuses `count` items; a partially filled one may fail to serialise."""
     response = service.srv_type.Response()
     result = SetParametersResult(successful=False, reason=reason)
     if hasattr(response, "results"):
-        response.results = [result] * len(request.parameters)
+        response.results = [result] * min(count, MAX_RESULTS)
     elif hasattr(response, "result") and isinstance(response.result, SetParametersResult):
         response.result = result
     return response

@@ -1,4 +1,4 @@
-"""The node's topics, and where remapping leads them."""
+"""The node's topics and their remapped names."""
 
 from __future__ import annotations
 
@@ -13,20 +13,37 @@ COMPRESSED_IMAGE_RAW = "~/image_raw/compressed"
 
 PUBLISHED = (DETECTIONS, IMAGE, COMPRESSED_IMAGE, LABEL_INFO)
 SUBSCRIBED = (IMAGE_RAW, COMPRESSED_IMAGE_RAW)
+_OTHERS = ("/diagnostics", "/rosout", "/parameter_events")
 
 _COMPRESSED = "/compressed"
 
 
 def endpoint_name(node: Node, topic: str) -> str:
-    """The name to create an endpoint of `topic` with, before remapping.
+    """Name with which to create the endpoint of `topic`, before remapping.
 
-    A compressed topic follows where its raw one was remapped to, as with image_transport.
+    A compressed topic follows the remapping of its raw topic, as with image_transport.
     """
     if not topic.endswith(_COMPRESSED):
         return topic
     return str(node.resolve_topic_name(topic.removesuffix(_COMPRESSED))) + _COMPRESSED
 
 
+def remapping_problems(node: Node) -> list[str]:
+    """One problem per name to which several topics of `node` are remapped."""
+    return [
+        f"{' and '.join(topics)} are the same topic, {name}, and each needs its own: start the node with "
+        "other remappings"
+        for name, topics in _shared_topics(node).items()
+    ]
+
+
+def _shared_topics(node: Node) -> dict[str, list[str]]:
+    by_name: dict[str, list[str]] = {}
+    for topic in (*PUBLISHED, *SUBSCRIBED, *_OTHERS):
+        by_name.setdefault(full_name(node, topic), []).append(topic)
+    return {name: topics for name, topics in by_name.items() if len(topics) > 1}
+
+
 def full_name(node: Node, topic: str) -> str:
-    """The name of `topic` in the ROS graph."""
+    """Name of `topic` in the ROS graph."""
     return str(node.resolve_topic_name(endpoint_name(node, topic)))

@@ -1,1 +1,1 @@
-"""Ways to execute a network, one file each, with the same call."""
+"""Inference runtimes: torch, ONNX Runtime and OpenVINO, and the choice between them."""

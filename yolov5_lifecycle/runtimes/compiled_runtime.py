@@ -1,4 +1,4 @@
-"""The network compiled for each size of frame by an engine that reads ONNX."""
+"""Runtime of the ONNX engines, which compile the network for each input size."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images import Order
-from yolov5_lifecycle.model import Model
+from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes.cache_folder import cache_folder
 from yolov5_lifecycle.runtimes.compiled_store import CompiledStore
-from yolov5_lifecycle.runtimes.compiler import Compiler
-from yolov5_lifecycle.runtimes.detection_head import DetectionHead
-from yolov5_lifecycle.runtimes.engine import Engine, Run
+from yolov5_lifecycle.runtimes.compiler import Compiler, Engine, Run
+from yolov5_lifecycle.runtimes.denormals import denormals_as_zero
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.runtimes.size_cache import SizeCache
+from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
 
 _PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
@@ -35,7 +35,7 @@ class CompiledRuntime:
 
     @classmethod
     def load(cls, model: Model, engine: Engine, *, device: str, precision: str) -> CompiledRuntime:
-        """The network of `model`; raises DeviceError for a device or precision that the engine has not."""
+        """Load `model`; raises DeviceError for a device or precision that the engine does not support."""
         if device not in ("auto", "cpu"):
             raise DeviceError(
                 f"Runtime '{engine.name}' runs on the CPU only, found device {device[:40]!r}. "
@@ -51,12 +51,13 @@ class CompiledRuntime:
     def __call__(
         self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
     ) -> NDArray[np.float32]:
-        """See `Runtime`; the first frame of a size waits for the compiler."""
-        compiled = self._compiled  # a thread that was given up may run while another closes
+        """See `Runtime`; the first frame of each size waits for the compiler."""
+        compiled = self._compiled  # an abandoned thread may run while another closes
         if compiled is None:
             raise InferenceError("The runtime was closed; load the model again.")
         try:
-            return compiled[frame.shape[0], frame.shape[1]](frame, order, least_objectness)
+            with denormals_as_zero():  # in this thread; the engine does so in its own threads
+                return compiled[frame.shape[0], frame.shape[1]](frame, order, least_objectness)
         except self._engine.errors as error:
             problem = str(error).partition("\n")[0]
         raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
@@ -67,7 +68,7 @@ class CompiledRuntime:
 
 
 class _Compiled:
-    """A runnable network for one size, its last layer and its input memory."""
+    """A compiled network for one input size, with its detection head and input buffer."""
 
     def __init__(self, run: Run, head: DetectionHead, size_hw: tuple[int, int]) -> None:
         self._run = run

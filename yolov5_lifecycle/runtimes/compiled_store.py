@@ -1,4 +1,4 @@
-"""Compiled models on disk, so that each is made once."""
+"""Disk cache of compiled models."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import hashlib
 import logging
 import os
 import re
+import stat
 from contextlib import suppress
 from pathlib import Path
 
-from yolov5_lifecycle.runtimes.cache_folder import NO_PLACE, write_cache
+from yolov5_lifecycle.runtimes.cache_folder import NO_PLACE, read_cache, write_cache
 
 MOST_BYTES = 1 << 30
 
@@ -20,9 +21,9 @@ _log = logging.getLogger(__name__)
 
 
 class CompiledStore:
-    """Bytes by a key of 64 hexadecimal digits, each in a file of its own in a `folder` that may begin with ~.
+    """Bytes by a key of 64 hexadecimal digits, one file each, in a `folder` that may begin with ~.
 
-    When they are more than `most_bytes`, those that were not used for longest are cleared away.
+    Beyond `most_bytes` in total, the least recently used files are evicted.
     """
 
     def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:
@@ -30,21 +31,18 @@ class CompiledStore:
         self._most_bytes = most_bytes
 
     def read(self, key: str) -> bytes | None:
-        """What was kept under `key`; None when that is nothing, or damaged."""
-        try:
-            path = (self._folder / key).expanduser()
-            if not path.is_file() or path.stat().st_size > self._most_bytes:
-                return None
-            with path.open("rb") as file:
-                digest, kept = file.read(_DIGEST_BYTES), file.read()
-        except NO_PLACE:
+        """The content cached under `key`; None when it is missing or damaged."""
+        path = self._folder / key
+        found = read_cache(path, self._most_bytes, head_bytes=_DIGEST_BYTES)
+        if found is None:
             return None
-        with suppress(OSError):  # another's, or on a file system for reading only
-            os.utime(path)
+        digest, kept = found
+        with suppress(*NO_PLACE):  # owned by another user, or on a read-only file system
+            os.utime(path.expanduser(), follow_symlinks=False)
         return kept if hashlib.sha256(kept).digest() == digest else None
 
     def keep(self, key: str, content: bytes) -> None:
-        """`content` under `key`; where that cannot be, the log says so and no more happens."""
+        """Cache `content` under `key`; a failure is only logged."""
         if _DIGEST_BYTES + len(content) > self._most_bytes:
             _log.warning("The compiled model is not kept: %d bytes are too many", len(content))
             return
@@ -52,7 +50,8 @@ class CompiledStore:
             write_cache(self._folder / key, hashlib.sha256(content).digest(), content)
         except NO_PLACE as error:
             _log.warning("The compiled model is not kept: %s", error)
-        else:
+            return
+        with suppress(*NO_PLACE):  # another process may evict at the same time
             self._clear_away(self._folder.expanduser() / key)
 
     def _clear_away(self, newest: Path) -> None:
@@ -65,11 +64,11 @@ class CompiledStore:
 
 
 def _last_used_first(newest: Path) -> list[tuple[int, Path]]:
-    """Size in bytes and path of the other files beside `newest` that a store has written."""
+    """Size in bytes and path of the other cached files next to `newest`, most recently used first."""
     found = []
     for path in newest.parent.iterdir():
-        with suppress(OSError):  # another process clears away, too
-            if _KEY.fullmatch(path.name) and path.is_file() and path != newest:
-                status = path.stat()
+        with suppress(OSError):  # another process may evict at the same time
+            status = path.lstat()
+            if _KEY.fullmatch(path.name) and stat.S_ISREG(status.st_mode) and path != newest:
                 found.append((status.st_mtime, status.st_size, path))
     return [(size_bytes, path) for _, size_bytes, path in sorted(found, reverse=True)]

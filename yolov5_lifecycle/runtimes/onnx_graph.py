@@ -1,4 +1,4 @@
-"""The network without its last layer as an ONNX model of fixed size: what the compiling runtimes read."""
+"""ONNX export of the network without its last layer, at a fixed input size."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from yolov5_lifecycle.network import C3, SPPF, Bottleneck, Concat, Conv, Network
+from yolov5_lifecycle.models.network import C3, SPPF, Bottleneck, Concat, Conv, Network
 
-# The oldest ones that have every operator as it is used here; every runtime of today reads them.
+# The oldest versions that have every operator used here; all current runtimes read them.
 _OPSET = 13
 _IR_VERSION = 8
 
@@ -22,7 +22,7 @@ def onnx_graph(network: Network, size_hw: tuple[int, int]) -> bytes:
     """A serialized ONNX model of a fused `network` for frames of `size_hw`, multiples of the largest stride.
 
     Its input `planes` is uint8 (1, 3, h, w) RGB in 0..255. Its outputs, float32 (1, channels, ny, nx), are
-    what the network's last layer, `Detect`, gets: that layer is not in it.
+    the inputs of the network's last layer, `Detect`, which is not exported.
     """
     graph = _Graph(size_hw)
     pixels = graph.add("Cast", "planes", to=TensorProto.FLOAT)
@@ -35,17 +35,17 @@ def onnx_graph(network: Network, size_hw: tuple[int, int]) -> bytes:
 
 
 class _Graph:
-    """Nodes and constants, growing; a value is known by its name."""
+    """Builder of an ONNX graph; values are referenced by name."""
 
     def __init__(self, size_hw: tuple[int, int]) -> None:
         opset = helper.make_opsetid("", _OPSET)
         self._model = onnx.ModelProto(ir_version=_IR_VERSION, opset_import=[opset])
-        self._graph = self._model.graph  # grown in place, as each copy of large weights takes a while
+        self._graph = self._model.graph  # built in place, as copying large weights is slow
         self._graph.name = "yolov5"
         self._graph.input.append(helper.make_tensor_value_info("planes", TensorProto.UINT8, [1, 3, *size_hw]))
 
     def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
-        """The output of a new node."""
+        """Add a node; return the name of its output."""
         name = f"{operator}{len(self._graph.node)}"
         self._graph.node.append(helper.make_node(operator, list(inputs), [name], **attributes))
         return name
@@ -65,12 +65,12 @@ class _Graph:
         return serialized
 
     def layer(self, module: nn.Module, inputs: list[str]) -> str:
-        """What a layer of the architecture gives."""
+        """Add a layer of the architecture; return the name of its output."""
         if isinstance(module, Concat):
             return self.add("Concat", *inputs, axis=1)
         if isinstance(module, nn.Upsample):
             scales = self.constant(np.array([1, 1, 2, 2], np.float32))
-            # With `asymmetric` and `floor` nearest means repetition, as in torch.
+            # With `asymmetric` and `floor`, nearest repeats pixels, as in torch.
             return self.add(
                 "Resize",
                 inputs[0],

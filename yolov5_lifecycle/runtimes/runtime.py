@@ -1,4 +1,4 @@
-"""The call that every way to execute a network answers."""
+"""Interface of the inference runtimes."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images import Order
+from yolov5_lifecycle.images.image import Order
 
 
 class InferenceError(RuntimeError):
-    """The network could not be run on a picture, or gave no usable predictions."""
+    """Inference on an image failed or returned invalid predictions."""
 
 
 class DeviceLostError(InferenceError):
-    """The device will not answer this process again; only a new process helps."""
+    """The device is lost to this process; only a new process can use it again."""
 
 
 class Runtime(Protocol):
@@ -23,24 +23,24 @@ class Runtime(Protocol):
 
     @property
     def name(self) -> str:
-        """The word of the setting `runtime` that chooses it."""
+        """The value of the setting `runtime` that selects it."""
 
     @property
     def device(self) -> str:
-        """Where it really runs: cpu, cuda:0, ..."""
+        """The resolved device: cpu, cuda:0, ..."""
 
     @property
     def precision(self) -> str:
-        """What it really computes in: fp32 or fp16."""
+        """The resolved precision: fp32 or fp16."""
 
     def __call__(
         self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
     ) -> NDArray[np.float32]:
         """Raw predictions (n, 5 + C) for a letterboxed frame (h, w, 3): rows of `Network.forward`.
 
-        In its order: all those whose objectness is not below `least_objectness`, which is in [0, 1], up to
-        rounding; which others are given depends on the runtime. Raises InferenceError.
+        In that order: all rows whose objectness is not below `least_objectness`, in [0, 1], up to rounding;
+        which other rows are returned depends on the runtime. Raises InferenceError.
         """
 
     def close(self) -> None:
-        """Free the network; running it then raises InferenceError. Closing again does nothing."""
+        """Free the network; later calls raise InferenceError. Idempotent."""

@@ -1,4 +1,4 @@
-"""What was made for frames of one size, kept for the next frame of that size."""
+"""LRU cache by frame size."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Generic, TypeVar
 
 Made = TypeVar("Made")
 
-_SIZES_KEPT = 4  # each holds memory of a network's size; a node sees as many sizes as its cameras have
+_SIZES_KEPT = 4  # each holds as much memory as a network; a node sees one size per camera resolution
 
 
 class SizeCache(Generic[Made]):
-    """Keeps what `make` makes for a height and width; of the least recently used ones it lets go."""
+    """Caches the result of `make` for a height and width; evicts the least recently used."""
 
     def __init__(self, make: Callable[[tuple[int, int]], Made]) -> None:
         self._make = make
         self._kept: dict[tuple[int, int], Made] = {}
 
     def __getitem__(self, size_hw: tuple[int, int]) -> Made:
-        """Made now if need be; raises what making raises."""
+        """The cached value, made if needed; raises the errors of `make`."""
         made = self._kept.pop(size_hw, None)
         if made is None:
             while len(self._kept) >= _SIZES_KEPT:

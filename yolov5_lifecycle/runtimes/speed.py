@@ -1,4 +1,4 @@
-"""How fast each runtime is, here and now."""
+"""Speed measurement of the runtimes."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.model import Model
-from yolov5_lifecycle.runtimes.loading import RuntimeAbsentError, load_runtime
+from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.runtimes.registry import RuntimeAbsentError, load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 
 _ROUNDS = 9
-_NOTHING_FOUND = 1.0  # as least objectness: what a network finds in grey is no measure
-_ENOUGH_S = 2.0  # big networks are measured in fewer rounds
+_NOTHING_FOUND = 1.0  # as least_objectness: detections in a grey image must not affect the timing
+_ENOUGH_S = 2.0  # large networks are measured in fewer rounds
 
 
 def measure_ms(
     model: Model, runtimes: Iterable[str], *, precision: str, frame_hw: tuple[int, int]
 ) -> dict[str, float]:
-    """Median milliseconds of one frame of `frame_hw` on the CPU, by runtime.
+    """Median milliseconds per frame of `frame_hw` on the CPU, by runtime.
 
-    One that cannot be loaded or run is left out with a warning; torch raises InferenceError.
+    A runtime that cannot be loaded or run is skipped with a warning; torch raises InferenceError.
     """
     frame = np.full((*frame_hw, 3), 114, np.uint8)
     warm = {name: _warm_runtime(model, name, precision, frame) for name in runtimes}
@@ -49,7 +49,7 @@ def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uin
 
 
 def _take_turns(runtimes: Mapping[str, Runtime], frame: NDArray[np.uint8]) -> dict[str, float]:
-    """Taken in turns, so that a noisy moment of the machine meets all alike."""
+    """Median milliseconds by runtime, measured in turns so that machine load affects all equally."""
     seconds: dict[str, list[float]] = {name: [] for name in runtimes}
     begin = time.perf_counter()
     for _ in range(_ROUNDS):

@@ -1,4 +1,4 @@
-"""Where torch runs and in which numbers, from the words of a user."""
+"""Resolution of the device and precision settings for torch."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import torch
 
 
 class DeviceError(ValueError):
-    """The device is absent or cannot do what was asked; says what there is and what to do."""
+    """An absent or unsuitable device; the message lists alternatives and a fix."""
 
 
 def resolve_device(device: str) -> torch.device:
-    """The device for auto, cpu, cuda, cuda:N, N (the same as cuda:N) or mps.
+    """Resolve auto, cpu, cuda, cuda:N, N (the same as cuda:N) or mps to a torch device.
 
     auto is the first CUDA device, else the CPU. Raises DeviceError.
     """
@@ -27,9 +27,9 @@ def resolve_device(device: str) -> torch.device:
 
 
 def resolve_precision(precision: str, device: torch.device) -> torch.dtype:
-    """The number format for auto, fp32 or fp16; auto is fp16 on CUDA and fp32 elsewhere.
+    """Resolve auto, fp32 or fp16 to a dtype; auto is fp16 on CUDA and fp32 elsewhere.
 
-    Raises DeviceError when the device is a CPU and the word fp16, or the word unknown.
+    Raises DeviceError for fp16 on a CPU and for an unknown precision.
     """
     if precision == "auto":
         return torch.float16 if device.type == "cuda" else torch.float32
@@ -44,7 +44,7 @@ def resolve_precision(precision: str, device: torch.device) -> torch.dtype:
 
 
 def devices_present() -> list[str]:
-    """Names of the devices that torch can use here."""
+    """Names of the devices available to torch."""
     devices = ["cpu"]
     if torch.cuda.is_available():
         devices += [f"cuda:{index}" for index in range(torch.cuda.device_count())]
@@ -55,7 +55,7 @@ def devices_present() -> list[str]:
 
 def _cuda_device(device: str) -> torch.device:
     index = "0" if device == "cuda" else device.removeprefix("cuda:")
-    # torch keeps the index in eight bits.
+    # torch stores the index in eight bits.
     if not (index.isascii() and index.isdigit() and len(index) < 4 and int(index) < 128):
         raise DeviceError(f"Device must be auto, cpu, cuda, cuda:N, N or mps, found {device[:40]!r}.")
     return torch.device("cuda", int(index))

@@ -1,4 +1,4 @@
-"""The network run by torch itself."""
+"""Torch runtime, on CPU or GPU."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from yolov5_lifecycle.images import Order
-from yolov5_lifecycle.model import Model
-from yolov5_lifecycle.network import Network, fuse
-from yolov5_lifecycle.runtimes.recorded_network import RecordedNetwork
+from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.models.network import Network, fuse
+from yolov5_lifecycle.runtimes.cuda_graph import RecordedNetwork
+from yolov5_lifecycle.runtimes.denormals import denormals_as_zero
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.runtimes.size_cache import SizeCache
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
@@ -28,7 +29,7 @@ _log = logging.getLogger(__name__)
 
 
 class TorchRuntime:
-    """A fused network in channels-last layout. Takes `network` over: fuses, converts and moves it."""
+    """A fused network in channels-last layout. Takes ownership of `network`: fuses, converts and moves it."""
 
     name = "torch"
 
@@ -42,9 +43,9 @@ class TorchRuntime:
 
     @classmethod
     def load(cls, model: Model, *, device: str, precision: str) -> TorchRuntime:
-        """The network of `model` on the device and in the precision that the settings' words name.
+        """Load `model` on the device and in the precision of the settings.
 
-        Raises DeviceError, also when the device has no room for the network, and DeviceLostError.
+        Raises DeviceError, also when the device runs out of memory, and DeviceLostError.
         """
         torch_device = resolve_device(device)
         dtype = resolve_precision(precision, torch_device)
@@ -70,18 +71,19 @@ class TorchRuntime:
     def __call__(
         self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
     ) -> NDArray[np.float32]:
-        """See `Runtime`; DeviceLostError when CUDA has given this process up."""
-        forwards = self._forwards  # a thread that was given up may run while another closes
+        """See `Runtime`; DeviceLostError when CUDA no longer works in this process."""
+        forwards = self._forwards  # an abandoned thread may run while another closes
         if forwards is None:
             raise InferenceError("The runtime was closed; load the model again.")
         rgb = cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) if order == "bgr" else frame
         try:
-            return self._run(forwards, torch.from_numpy(rgb), least_objectness)
+            with denormals_as_zero():
+                return self._run(forwards, torch.from_numpy(rgb), least_objectness)
         except torch.OutOfMemoryError as error:
             problem = f"{_first_line(error)} Use a smaller image_size or model."
         except RuntimeError as error:
             problem = _first_line(error)
-        # Only outside the except block are the tensors of this frame free (pytorch/pytorch#18853).
+        # The tensors of this frame are freed only outside the except block (pytorch/pytorch#18853).
         raise self._failure(problem)
 
     def close(self) -> None:
@@ -91,12 +93,12 @@ class TorchRuntime:
     @torch.inference_mode()
     def _run(self, forwards: SizeCache[Forward], rgb: Tensor, least_objectness: float) -> NDArray[np.float32]:
         raw = forwards[rgb.shape[0], rgb.shape[1]](rgb)
-        # Picked where they are, as all would be 8 MB to fetch from a GPU; not a number is not below either.
+        # Filtered on the device, as all rows would be 8 MB to copy from a GPU; NaN rows are kept.
         rows: NDArray[np.float32] = raw[~(raw[:, 4] < least_objectness)].cpu().numpy()
         return rows
 
     def _failure(self, problem: str) -> InferenceError:
-        """What to raise for a failed frame."""
+        """The error to raise for a failed frame."""
         if _is_lost(self._device):
             return DeviceLostError(_lost(self._device, problem))
         if self._device.type == "cuda":
@@ -107,10 +109,10 @@ class TorchRuntime:
 def _forward(
     network: Network, size_hw: tuple[int, int], *, device: torch.device, dtype: torch.dtype
 ) -> Forward:
-    """How to run `network` on RGB frames (h, w, 3) of uint8: recorded where that is possible."""
+    """Forward pass of `network` on uint8 RGB frames (h, w, 3), as a CUDA graph where possible."""
 
     def eager(rgb: Tensor) -> Tensor:
-        # Channels-last layout, because the frame comes so.
+        # The frame is channels-last already.
         pixels = rgb.to(device).permute(2, 0, 1).unsqueeze(0).to(dtype) / 255
         predictions: Tensor = network(pixels)[0]
         return predictions
@@ -120,7 +122,7 @@ def _forward(
     try:
         return RecordedNetwork(eager, size_hw, device)
     except RuntimeError as error:
-        problem = _first_line(error.__context__ or error)  # the latter may only say that there was one before
+        problem = _first_line(error.__context__ or error)  # the latter may only mention an earlier error
     _log.warning("The network is run step by step, as CUDA could not record it: %s", problem)
     return eager
 
@@ -130,18 +132,18 @@ def _prepared(network: Network, device: torch.device, dtype: torch.dtype) -> Net
     for module in network.modules():
         if isinstance(module, nn.Conv2d):  # the anchors stay float32
             module.to(dtype)
-    if device.type == "cuda" and dtype == torch.float32:  # else convolutions take TF32, as coarse as fp16
+    if device.type == "cuda" and dtype == torch.float32:  # else convolutions use TF32, as coarse as fp16
         torch.backends.cudnn.allow_tf32 = False
     network.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network
 
 
 def _is_lost(device: torch.device) -> bool:
-    """Some errors of CUDA are for ever: then even waiting for the device fails."""
+    """Whether CUDA failed permanently: then even synchronizing the stream fails."""
     if device.type != "cuda":
         return False
     try:
-        torch.cuda.current_stream(device).synchronize()  # not for the whole device, where a thread may record
+        torch.cuda.current_stream(device).synchronize()  # not the whole device, where a thread may capture
     except RuntimeError:
         return True
     return False
@@ -152,5 +154,5 @@ def _lost(device: torch.device, problem: str) -> str:
 
 
 def _first_line(error: BaseException) -> str:
-    """torch appends its C++ stack and advice about environment variables."""
+    """First line of an error; torch appends its C++ stack and advice on environment variables."""
     return str(error).partition("\n")[0]

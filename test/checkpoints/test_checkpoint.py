@@ -1,0 +1,280 @@
+"""Checkpoints that YOLOv5 writes become the models that they hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import io
+import threading
+import zipfile
+import zlib
+from pathlib import Path, PosixPath
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support.checkpoint_builder import SMALL, foreign, official_model, saved, stripped
+from support.random_model import CLASS_NAMES, TINY, random_network
+
+from yolov5_lifecycle.checkpoints import pt_file as checkpoint
+from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
+from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
+from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
+from yolov5_lifecycle.models.model import Model, WeightsError
+from yolov5_lifecycle.models.network import Network
+
+TINY_N6 = dataclasses.replace(SIZES["n6"], width_multiple=0.125, classes=3)
+
+
+def p2_layers() -> tuple[Layer, ...]:
+    """The official layers with one more level, of stride 4, as in YOLOv5's yolov5-p2.yaml."""
+    *neck, _ = TINY.layers
+    return (
+        *neck[:18],
+        Layer((-1,), 1, "Conv", (128, 1, 1)),
+        Layer((-1,), 1, "Upsample"),
+        Layer((-1, 2), 1, "Concat"),
+        Layer((-1,), 1, "C3", (128, 0)),
+        Layer((-1,), 1, "Conv", (128, 3, 2)),
+        Layer((-1, 18), 1, "Concat"),
+        Layer((-1,), 3, "C3", (256, 0)),
+        Layer((-1,), 1, "Conv", (256, 3, 2)),
+        Layer((-1, 14), 1, "Concat"),
+        Layer((-1,), 3, "C3", (512, 0)),
+        Layer((-1,), 1, "Conv", (512, 3, 2)),
+        Layer((-1, 10), 1, "Concat"),
+        Layer((-1,), 3, "C3", (1024, 0)),
+        Layer((21, 24, 27, 30), 1, "Detect"),
+    )
+
+
+P2 = dataclasses.replace(
+    TINY, strides=(4, 8, 16, 32), anchors_px=(((4.0, 5.0),) * 3, *TINY.anchors_px), layers=p2_layers()
+)
+
+
+def read(architecture: Architecture = SMALL, **options: Any) -> Model:
+    return read_checkpoint(saved(stripped(official_model(architecture, **options))))
+
+
+def names_of(classes: int) -> list[str]:
+    return [f"class {index}" for index in range(classes)]
+
+
+@pytest.mark.parametrize("half", [True, False], ids=["fp16", "fp32"])
+@pytest.mark.parametrize("kind", ["models.yolo.Model", "models.yolo.DetectionModel"])
+def test_the_tensors_are_those_that_were_saved(kind: str, half: bool) -> None:
+    model = read(kind=kind, half=half)
+    expected = random_network(0, SMALL)
+    state_dict = (expected.half() if half else expected).float().state_dict()
+    assert model.state_dict.keys() == state_dict.keys()
+    for key, tensor in model.state_dict.items():
+        assert tensor.dtype is (torch.int64 if key.endswith("num_batches_tracked") else torch.float32)
+        assert torch.equal(tensor, state_dict[key]), key
+
+
+@pytest.mark.parametrize(
+    "architecture",
+    [
+        pytest.param(TINY, id="n layout"),
+        pytest.param(TINY_N6, id="P6 layout"),
+        pytest.param(P2, id="P2 head"),
+        pytest.param(dataclasses.replace(SMALL, depth_multiple=0.67), id="deeper"),
+        pytest.param(dataclasses.replace(SMALL, width_multiple=0.1), id="odd width"),
+        pytest.param(
+            dataclasses.replace(SMALL, anchors_px=tuple(level[:1] for level in SMALL.anchors_px)),
+            id="one anchor a level",
+        ),
+        pytest.param(
+            dataclasses.replace(SMALL, anchors_px=(((7.5, 9.25),) * 2,) * 2), id="anchors that were evolved"
+        ),
+    ],
+)
+def test_the_architecture_is_read_from_the_file(architecture: Architecture) -> None:
+    model = read(architecture)
+    assert _without_anchors(model.architecture) == _without_anchors(architecture)
+    assert np.allclose(model.architecture.anchors_px, architecture.anchors_px, rtol=2e-3)
+    network = Network(model.architecture)
+    network.load_state_dict(model.state_dict, strict=True)
+    side = max(architecture.strides)
+    cells = sum((side // stride) ** 2 * len(architecture.anchors_px[0]) for stride in architecture.strides)
+    assert network.eval()(torch.zeros(1, 3, side, side)).shape == (1, cells, 8)
+
+
+def _without_anchors(architecture: Architecture) -> Architecture:
+    layers = tuple(layer._replace(args=tuple(map(int, layer.args))) for layer in architecture.layers)
+    return dataclasses.replace(architecture, anchors_px=(), layers=layers)
+
+
+@pytest.mark.parametrize("classes", [1, 2, 80, 365])
+def test_any_number_of_classes_is_read(classes: int) -> None:
+    model = read(dataclasses.replace(SMALL, classes=classes), names=names_of(classes))
+    assert model.architecture.classes == classes
+    assert model.class_names == tuple(names_of(classes))
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        pytest.param(list(CLASS_NAMES), id="list"),
+        pytest.param(dict(enumerate(CLASS_NAMES)), id="dict"),
+        pytest.param({2: "cow", 0: "cat", 1: "dog"}, id="dict in another order"),
+    ],
+)
+def test_names_may_be_a_list_or_a_dict(names: object) -> None:
+    assert read(names=names).class_names == CLASS_NAMES
+
+
+def test_names_may_be_of_any_script() -> None:
+    assert read(names=["Fußgänger", "自行车", "voiture à cheval"]).class_names[1] == "自行车"
+
+
+def test_equal_names_of_two_classes_are_kept() -> None:
+    assert read(names=["item", "item", "other"]).class_names == ("item", "item", "other")
+
+
+def training_checkpoint(*, ema: Any) -> dict[str, Any]:
+    """last.pt, before YOLOv5 strips it: optimizer, options, a fitness of numpy."""
+    parameter = torch.nn.Parameter(torch.ones(3))
+    optimizer = torch.optim.SGD([parameter], lr=0.01, momentum=0.9)
+    parameter.grad = torch.ones(3)
+    optimizer.step()
+    return {
+        "epoch": 7,
+        "best_fitness": np.array([0.5]),
+        "model": official_model(seed=1, half=False),
+        "ema": ema,
+        "updates": 1234,
+        "optimizer": optimizer.state_dict(),
+        "opt": {"weights": PosixPath("yolov5n.pt"), "fitness": np.float64(0.5), "freeze": [0]},
+        "git": {"remote": None, "branch": None, "commit": None},
+        "date": datetime.datetime(2024, 1, 2, 3, 4, 5),
+        "wandb_id": None,
+    }
+
+
+def test_of_a_training_checkpoint_the_averaged_model_is_read() -> None:
+    model = read_checkpoint(saved(training_checkpoint(ema=official_model(seed=2, half=False))))
+    key = "model.0.conv.weight"
+    assert torch.equal(model.state_dict[key], random_network(2, SMALL).state_dict()[key])
+
+
+def test_of_a_training_checkpoint_without_an_averaged_model_the_model_is_read() -> None:
+    model = read_checkpoint(saved(training_checkpoint(ema=None)))
+    key = "model.0.conv.weight"
+    assert torch.equal(model.state_dict[key], random_network(1, SMALL).state_dict()[key])
+
+
+def test_options_may_be_a_namespace() -> None:
+    options = {"opt": foreign("utils.general.Options", epochs=300)}
+    assert read_checkpoint(saved(stripped(official_model()) | options)).class_names == CLASS_NAMES
+
+
+def with_adam(*, amsgrad: bool) -> dict[str, Any]:
+    """The largest checkpoint that a training leaves: all twice, and three numbers for each weight."""
+    weights = [parameter.data for parameter in random_network(0, SMALL).parameters()]
+    optimizer = torch.optim.Adam([torch.nn.Parameter(weight) for weight in weights], amsgrad=amsgrad)
+    for parameter in optimizer.param_groups[0]["params"]:
+        parameter.grad = torch.ones_like(parameter)
+    optimizer.step()
+    ema = official_model(seed=2, half=True)
+    return training_checkpoint(ema=ema) | {"optimizer": optimizer.state_dict()}
+
+
+@pytest.mark.parametrize("amsgrad", [False, True])
+def test_a_training_checkpoint_may_hold_what_its_optimizer_needs(
+    amsgrad: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint_bytes = len(pickle_of(data := saved(with_adam(amsgrad=amsgrad))))
+    monkeypatch.setattr(checkpoint, "MAX_SURPLUS_BYTES", 2 * checkpoint_bytes + 200_000)  # zip's own, too
+    key = "model.0.conv.weight"
+    assert torch.equal(
+        read_checkpoint(data).state_dict[key], random_network(2, SMALL).half().float().state_dict()[key]
+    )
+
+
+def test_a_file_that_is_mostly_something_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkpoint, "MAX_SURPLUS_BYTES", 1 << 20)
+    data = saved(stripped(official_model()) | {"more": torch.zeros(1 << 20)})
+    with pytest.raises(WeightsError, match="bytes that belong to no layer"):
+        read_checkpoint(data)
+
+
+def test_what_belongs_to_no_layer_is_not_read() -> None:
+    """Nor would it be noticed that it is damaged."""
+    data = saved(training_checkpoint(ema=official_model(seed=2)) | {"more": torch.full((64,), 7.0)})
+    damaged = data.replace(torch.full((64,), 7.0).numpy().tobytes(), bytes(256))
+    assert damaged != data
+    assert read_checkpoint(damaged).class_names == CLASS_NAMES
+
+
+def test_another_byte_order_is_refused() -> None:
+    data = saved(stripped(official_model()))
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        crc = archive.getinfo(f"{archive.namelist()[0].partition('/')[0]}/byteorder").CRC
+    other = data.replace(b"little", b"big   ").replace(
+        crc.to_bytes(4, "little"), zlib.crc32(b"big   ").to_bytes(4, "little")
+    )
+    with pytest.raises(WeightsError, match="in the byte order"):
+        read_checkpoint(other)
+
+
+def pickle_of(data: bytes) -> bytes:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return archive.read(next(name for name in archive.namelist() if name.endswith("data.pkl")))
+
+
+def test_several_threads_may_read_at_once() -> None:
+    data = saved(stripped(official_model()))
+    models: list[Model] = []
+    threads = [
+        threading.Thread(target=lambda: models.append(read_checkpoint(data)), daemon=True) for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert [model.class_names for model in models] == [CLASS_NAMES] * 4
+
+
+def test_the_tensors_have_memory_of_their_own() -> None:
+    model = read()
+    storages = {tensor.untyped_storage().data_ptr() for tensor in model.state_dict.values()}
+    assert len(storages) == len(model.state_dict)
+    assert all(not tensor.requires_grad and tensor.is_contiguous() for tensor in model.state_dict.values())
+
+
+@pytest.fixture(scope="module")
+def official(reference_dir: Path) -> Model:
+    return load_weights(reference_dir / "weights" / "yolov5n.pt").model
+
+
+def test_the_official_model_has_the_official_architecture(official: Model) -> None:
+    assert _without_anchors(official.architecture) == _without_anchors(SIZES["n"])
+    assert official.architecture.anchors_px == SIZES["n"].anchors_px
+    assert len(official.class_names) == 80
+    assert (official.class_names[0], official.class_names[79]) == ("person", "toothbrush")
+
+
+def test_the_official_model_loads_strictly(official: Model) -> None:
+    network = Network(official.architecture)
+    network.load_state_dict(official.state_dict, strict=True)
+    assert sum(parameter.numel() for parameter in network.parameters()) == 1_872_157
+
+
+def test_the_official_model_as_safetensors_is_the_same_to_the_bit(official: Model, tmp_path: Path) -> None:
+    path = tmp_path / "yolov5n.safetensors"
+    write_safetensors(official, path)
+    again = read_safetensors(path.read_bytes())
+    assert (again.architecture, again.class_names) == (official.architecture, official.class_names)
+    assert again.state_dict.keys() == official.state_dict.keys()
+    for key, tensor in again.state_dict.items():
+        assert tensor.dtype is official.state_dict[key].dtype
+        assert torch.equal(tensor, official.state_dict[key]), key
+    networks = [Network(model.architecture).eval() for model in (official, again)]
+    for network, model in zip(networks, (official, again), strict=True):
+        network.load_state_dict(model.state_dict)
+    pixels = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(networks[0](pixels), networks[1](pixels))

@@ -1,0 +1,91 @@
+"""Hostile and wrong weights files are refused, each in its own words, and nothing in them is run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.colcon_workspace import REPOSITORY, SUPPORT
+from support.hostile_archives import valid
+from support.hostile_files import (
+    MAX_GROWN_MB,
+    TOLD,
+    Answer,
+    read_all,
+)
+from support.hostile_pickles import MARKER
+
+from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
+
+MAX_SECONDS = 20
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("hostile")
+
+
+@pytest.fixture(scope="module")
+def answers(folder: Path) -> dict[str, Answer]:
+    return read_all(folder)
+
+
+def test_a_valid_file_is_what_the_others_differ_from() -> None:
+    assert read_checkpoint(valid()).class_names == ("cat", "dog", "cow")
+
+
+@pytest.mark.parametrize("case", TOLD)
+def test_the_file_is_refused_in_its_own_words(case: str, answers: dict[str, Answer]) -> None:
+    answer = answers[case]
+    assert answer.is_refused, answer
+    assert TOLD[case] in answer.message
+    assert answer.name in answer.message
+    assert answer.message.isprintable()
+    assert len(answer.message) < 1000
+
+
+@pytest.mark.parametrize("case", TOLD)
+def test_nothing_in_the_file_is_run(case: str, answers: dict[str, Answer], folder: Path) -> None:
+    assert answers[case].events == []
+    assert [file.name for file in (folder / "workplace").iterdir()] == [f"{MARKER}.py"]
+
+
+def test_the_traces_of_a_gadget_are_seen(folder: Path, answers: dict[str, Answer]) -> None:
+    """The guard of the tests above: what a gadget would do is noticed when it is done."""
+    assert answers
+    script = f"""
+import os, sys, hostile_reader
+events = []
+sys.addaudithook(lambda event, _: events.append(event) if event.startswith(hostile_reader.SUSPECT) else None)
+import {MARKER}
+os.system("true")
+print(events)
+"""
+    workplace = folder / "workplace"
+    seen = subprocess.run(
+        [sys.executable, "-B", "-c", script],
+        env=os.environ | {"PYTHONPATH": f"{workplace}:{SUPPORT}:{REPOSITORY}"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    trace = workplace / "imported"
+    assert trace.exists()
+    trace.unlink()
+    assert "os.system" in seen.stdout
+
+
+def test_no_file_takes_up_the_memory_or_the_time(answers: dict[str, Answer]) -> None:
+    assert answers.keys() == TOLD.keys()
+    slowest = max(answers.values(), key=lambda answer: answer.seconds)
+    assert slowest.seconds < MAX_SECONDS, slowest
+    largest = max(answers.values(), key=lambda answer: answer.grown_mb)
+    assert largest.grown_mb < MAX_GROWN_MB, largest
+
+
+def test_most_refusals_differ(answers: dict[str, Answer]) -> None:
+    messages = {answer.message.partition(answer.name)[2] for answer in answers.values()}
+    assert len(messages) > 0.8 * len(answers)

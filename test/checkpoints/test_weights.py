@@ -1,0 +1,266 @@
+"""Which weights file is taken, and what is said of one that cannot be."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from support.random_model import CLASS_NAMES, random_model
+
+from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, find_weights, is_out_of_memory, load_weights
+from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.models.model import WeightsError
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("weights") / "good.safetensors"
+    write_safetensors(random_model(), path)
+    return path
+
+
+def refusal(path: Path, **options: str) -> str:
+    with pytest.raises(WeightsError) as refused:
+        load_weights(path, **options)
+    return str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("present", "chosen"),
+    [
+        pytest.param(["yolov5s.pt"], "yolov5s.pt", id="only pt"),
+        pytest.param(["yolov5s.safetensors"], "yolov5s.safetensors", id="only safetensors"),
+        pytest.param(["yolov5s.pt", "yolov5s.safetensors"], "yolov5s.safetensors", id="both"),
+        pytest.param(["yolov5s.pt", "yolov5n.safetensors"], "yolov5s.pt", id="another size beside it"),
+    ],
+)
+def test_without_a_path_the_file_of_the_size_is_taken(
+    tmp_path: Path, present: list[str], chosen: str
+) -> None:
+    for name in present:
+        (tmp_path / name).touch()
+    assert find_weights(weights="", weights_dir=tmp_path, model_size="s") == tmp_path / chosen
+
+
+def test_a_path_wins_over_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "yolov5n.pt").touch()
+    found = find_weights(weights="/elsewhere/mine.pt", weights_dir=tmp_path, model_size="n")
+    assert found == Path("/elsewhere/mine.pt")
+
+
+def test_a_tilde_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "yolov5n.pt").touch()
+    assert find_weights(weights="~/a.pt", weights_dir=Path("/"), model_size="n") == tmp_path / "a.pt"
+    assert find_weights(weights="", weights_dir=Path("~"), model_size="n") == tmp_path / "yolov5n.pt"
+
+
+@pytest.mark.parametrize(
+    ("weights", "folder"), [("~nobody-of-that-name/a.pt", "/"), ("", "~nobody-of-that-name")], ids=str
+)
+def test_a_home_folder_that_does_not_exist_is_refused(weights: str, folder: str) -> None:
+    with pytest.raises(WeightsError, match="no such home folder"):
+        find_weights(weights=weights, weights_dir=Path(folder), model_size="n")
+
+
+def test_when_nothing_is_found_both_paths_and_the_remedy_are_named(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError) as refused:
+        find_weights(weights="", weights_dir=tmp_path, model_size="m6")
+    message = str(refused.value)
+    for part in (tmp_path / "yolov5m6.safetensors", tmp_path / "yolov5m6.pt", "`weights`"):
+        assert str(part) in message
+    assert f"`fetch_weights m6 --dir {tmp_path}`" in message
+
+
+def test_the_remedy_can_be_typed_for_a_folder_with_a_space(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match=r"`fetch_weights n --dir '.*/my models'`"):
+        find_weights(weights="", weights_dir=tmp_path / "my models", model_size="n")
+
+
+def test_a_link_to_nowhere_is_found_and_then_told(tmp_path: Path) -> None:
+    (tmp_path / "yolov5n.pt").symlink_to(tmp_path / "gone.pt")
+    path = find_weights(weights="", weights_dir=tmp_path, model_size="n")
+    assert path == tmp_path / "yolov5n.pt"
+    assert "no such file" in refusal(path)
+
+
+def test_a_file_is_what_its_bytes_say(good: Path) -> None:
+    loaded = load_weights(good)
+    assert loaded.path == good
+    assert loaded.sha256 == hashlib.sha256(good.read_bytes()).hexdigest()
+    assert loaded.model.class_names == CLASS_NAMES
+
+
+def test_a_variable_in_a_path_is_explained() -> None:
+    with pytest.raises(WeightsError, match=r"variables as in \$HOME are not replaced here: write ~"):
+        load_weights(Path("$HOME/best.pt"))
+
+
+def test_a_link_is_followed_and_its_target_told(good: Path, tmp_path: Path) -> None:
+    link = tmp_path / "link.safetensors"
+    link.symlink_to(good)
+    assert load_weights(link).path == good
+
+
+def test_the_suffix_may_be_written_large(good: Path, tmp_path: Path) -> None:
+    large = tmp_path / "GOOD.SAFETENSORS"
+    large.write_bytes(good.read_bytes())
+    assert load_weights(large).model.class_names == CLASS_NAMES
+
+
+@pytest.mark.parametrize("write", [str.lower, str.upper], ids=["lower", "upper"])
+def test_the_right_digest_is_accepted_in_any_case(good: Path, write: Callable[[str], str]) -> None:
+    digest = load_weights(good).sha256
+    assert load_weights(good, sha256=write(digest)).sha256 == digest
+
+
+@pytest.mark.parametrize("digest", ["0" * 64, "0", "no digest"], ids=["another", "short", "no hex"])
+def test_another_digest_is_refused_with_both(good: Path, digest: str) -> None:
+    message = refusal(good, sha256=digest)
+    assert digest in message
+    assert hashlib.sha256(good.read_bytes()).hexdigest() in message
+
+
+def test_the_digest_is_checked_before_anything_is_read_out_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "broken.pt"
+    path.write_bytes(b"PK\x03\x04 and nothing that could be read")
+    assert "sha256" in refusal(path, sha256="0" * 64)
+
+
+def _loop(path: Path) -> None:
+    path.symlink_to(path)
+
+
+def _link_to_pipe(path: Path) -> None:
+    os.mkfifo(path.with_name("pipe"))
+    path.symlink_to(path.with_name("pipe"))
+
+
+def _too_large(path: Path) -> None:
+    path.touch()
+    os.truncate(path, MAX_FILE_BYTES + 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "message"),
+    [
+        pytest.param("a.pt", lambda path: None, "no such file", id="missing"),
+        pytest.param("no/a.pt", lambda path: None, "no such file", id="folder missing"),
+        pytest.param("a.pt", Path.mkdir, "expected a regular file, found a folder", id="folder"),
+        pytest.param("a.pt", os.mkfifo, "expected a regular file", id="pipe"),
+        pytest.param("a.pt", _link_to_pipe, "expected a regular file", id="link to a pipe"),
+        pytest.param("a.pt", lambda path: path.symlink_to("/dev/zero"), "expected a regular", id="endless"),
+        pytest.param("a.pt", lambda path: path.symlink_to("/proc/version"), "changed while", id="no size"),
+        pytest.param("a.pt", _loop, "cannot be read (Too many levels", id="link to itself"),
+        pytest.param("a.pt", _too_large, "at most 2147483648 are read", id="too large"),
+        pytest.param("a.pt/b.pt", lambda path: path.parent.touch(), "Not a directory", id="file as folder"),
+        pytest.param(f"{'a' * 300}.pt", lambda path: None, "File name too long", id="name too long"),
+        pytest.param("a\0.pt", lambda path: None, "no NUL character", id="NUL"),
+        pytest.param("a.pt", Path.touch, "the file is empty", id="empty pt"),
+        pytest.param("a.pth", Path.touch, "the file is empty", id="empty pth"),
+        pytest.param("a.safetensors", Path.touch, "found 0 bytes", id="empty safetensors"),
+        pytest.param("a.onnx", Path.touch, "ends in .onnx is an ONNX export: use the .pt", id="export"),
+        pytest.param("a.txt", Path.touch, "ends in .safetensors, .pt, .pth, found '.txt'", id="suffix"),
+        pytest.param("a", Path.touch, "ends in .safetensors, .pt, .pth, found ''", id="no suffix"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_refused(
+    tmp_path: Path, name: str, make: Callable[[Path], None], message: str
+) -> None:
+    path = tmp_path / name
+    make(path)
+    told = refusal(path)
+    assert told.startswith(f"{path}: ")
+    assert told.endswith(".")
+    assert message in told
+
+
+def test_a_file_that_was_written_to_meanwhile_is_refused(good: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As soon as the file system's clock tells: 4 ms later, on many."""
+    times = itertools.count()
+    real = os.fstat
+
+    def touched(descriptor: int) -> os.stat_result:
+        os.utime(descriptor, (0, next(times)))
+        return real(descriptor)
+
+    monkeypatch.setattr(os, "fstat", touched)
+    assert "changed while it was read" in refusal(good)
+
+
+def test_a_file_that_is_rewritten_all_the_time_is_read_or_refused(tmp_path: Path) -> None:
+    contents = []
+    for seed in (1, 2):
+        write_safetensors(random_model(seed), tmp_path / "one.safetensors")
+        contents.append((tmp_path / "one.safetensors").read_bytes())
+    path, stopped = tmp_path / "changing.safetensors", threading.Event()
+    path.write_bytes(contents[0])
+
+    def rewrite() -> None:
+        while not stopped.is_set():
+            for content in contents:
+                path.write_bytes(content)
+
+    writer = threading.Thread(target=rewrite)
+    writer.start()
+    try:
+        for _ in range(50):
+            with contextlib.suppress(WeightsError):
+                assert load_weights(path).model.class_names == CLASS_NAMES
+    finally:
+        stopped.set()
+        writer.join()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_a_file_without_permission_is_refused(good: Path, tmp_path: Path) -> None:
+    secret = tmp_path / "secret.safetensors"
+    secret.write_bytes(good.read_bytes())
+    secret.chmod(0)
+    assert "Permission denied" in refusal(secret)
+
+
+def test_a_refused_file_leaves_no_file_open(good: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.pt")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    refusal(tmp_path / "pipe.pt")
+    refusal(good, sha256="0" * 64)
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+def fail(error: Exception) -> None:
+    raise error
+
+
+def hide_a_shortage() -> None:
+    """As zipfile does, which then finds a file closed."""
+    try:
+        raise MemoryError
+    finally:
+        raise ValueError("I/O operation on closed file")
+
+
+@pytest.mark.parametrize(
+    ("fail", "is_shortage"),
+    [
+        pytest.param(lambda: fail(MemoryError()), True, id="Python's"),
+        pytest.param(hide_a_shortage, True, id="behind another error"),
+        pytest.param(lambda: torch.empty(1 << 60, dtype=torch.uint8), True, id="torch's"),
+        pytest.param(lambda: torch.empty(-1), False, id="another of torch"),
+        pytest.param(lambda: fail(WeightsError("damaged")), False, id="damage"),
+        pytest.param(
+            lambda: fail(WeightsError("no tensor 'can't allocate memory'")), False, id="damage that says so"
+        ),
+    ],
+)
+def test_a_shortage_of_memory_is_told_from_damage(fail: Callable[[], object], is_shortage: bool) -> None:
+    with pytest.raises(Exception) as raised:  # noqa: PT011 - of any kind
+        fail()
+    assert is_out_of_memory(raised.value) is is_shortage

@@ -1,0 +1,202 @@
+"""The command `convert`: what it writes, what it tells, what it refuses."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from support.colcon_workspace import REPOSITORY
+from support.random_model import CLASS_NAMES, random_model
+
+from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.commands.convert import main
+
+OFFICIAL_PARAMETERS = "1,872,157"
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """A valid input that needs no reference data; any file that the node reads can be converted."""
+    path = tmp_path / "in.safetensors"
+    write_safetensors(random_model(), path)
+    return path
+
+
+def test_a_conversion_tells_classes_parameters_and_digest(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "out.safetensors"
+    assert main([str(source), str(target)]) == 0
+    told = capsys.readouterr()
+    digest = hashlib.sha256(target.read_bytes()).hexdigest()
+    network = sum(
+        tensor.numel() for key, tensor in random_model().state_dict.items()
+        if not key.endswith(("running_mean", "running_var", "num_batches_tracked", "anchors"))
+    )  # fmt: skip
+    assert told.err == ""
+    assert told.out.splitlines() == [
+        str(target),
+        f"classes     {len(CLASS_NAMES)}: {', '.join(CLASS_NAMES)}",
+        f"parameters  {network:,}",
+        f"sha256      {digest}",
+    ]
+
+
+def test_a_converted_model_is_the_same_model(source: Path, tmp_path: Path) -> None:
+    target = tmp_path / "out.safetensors"
+    assert main([str(source), str(target)]) == 0
+    model, original = load_weights(target).model, random_model()
+    assert (model.architecture, model.class_names) == (original.architecture, original.class_names)
+    assert model.state_dict.keys() == original.state_dict.keys()
+    assert all(torch.equal(tensor, original.state_dict[key]) for key, tensor in model.state_dict.items())
+
+
+def test_a_file_that_exists_is_kept_unless_forced(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "out.safetensors"
+    target.write_text("precious")
+    assert main([str(source), str(target)]) == 1
+    assert capsys.readouterr().err == f"convert: {target} exists; give --force to replace it.\n"
+    assert target.read_text() == "precious"
+    assert main([str(source), str(target), "--force"]) == 0
+    assert load_weights(target).model.class_names == CLASS_NAMES
+
+
+def test_a_file_can_be_converted_onto_itself(source: Path) -> None:
+    before = load_weights(source).sha256
+    assert main([str(source), str(source), "--force"]) == 0
+    assert load_weights(source).sha256 == before
+
+
+@pytest.mark.parametrize(
+    ("source_name", "target_name", "told"),
+    [
+        pytest.param("missing.pt", "out.safetensors", "there is no such file", id="source missing"),
+        pytest.param("broken.pt", "out.safetensors", "the file is empty", id="source broken"),
+        pytest.param("in.safetensors", "out.pt", "expected a name that ends in .safetensors", id="suffix"),
+        pytest.param("in.safetensors", "no/out.safetensors", "there is no such folder", id="no folder"),
+        pytest.param("in.safetensors", "folder.safetensors", "folder.safetensors", id="target is a folder"),
+        pytest.param("in.safetensors", "x" * 300 + ".safetensors", "too long", id="name too long"),
+    ],
+)
+def test_an_error_is_one_line_and_leaves_nothing_behind(
+    source: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    source_name: str,
+    target_name: str,
+    told: str,
+) -> None:
+    (tmp_path / "broken.pt").touch()
+    (tmp_path / "folder.safetensors").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    assert main([str(tmp_path / source_name), str(tmp_path / target_name), "--force"]) == 1
+    output, error = capsys.readouterr()
+    assert output == ""
+    assert error.startswith("convert: ")
+    assert error.count("\n") == 1
+    assert told in error
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["only.pt"], ["a.pt", "b", "c"], ["a.pt", "b", "--unknown"]], ids=str
+)
+def test_wrong_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("convert: ")
+    assert line.endswith("`convert --help` explains all arguments.")
+
+
+@pytest.mark.parametrize("kind", ["file", "FIFO", "link to a file", "link to /dev/full", "broken link"])
+def test_whatever_is_there_is_kept_unless_forced_and_then_replaced(
+    source: Path, tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A link is replaced itself; what it leads to is not written."""
+    target, precious = tmp_path / "out.safetensors", tmp_path / "precious"
+    precious.write_bytes(b"precious")
+    if kind == "FIFO":
+        os.mkfifo(target)
+    elif kind == "file":
+        target.write_bytes(b"old")
+    else:
+        links = {"link to a file": precious, "link to /dev/full": Path("/dev/full")}
+        target.symlink_to(links.get(kind, tmp_path / "nowhere"))
+    assert main([str(source), str(target)]) == 1
+    assert "exists; give --force to replace it" in capsys.readouterr().err
+    assert main([str(source), str(target), "--force"]) == 0
+    assert target.is_file()
+    assert not target.is_symlink()
+    assert precious.read_bytes() == b"precious"
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_a_link_to_the_input_is_replaced_and_the_input_kept(source: Path, tmp_path: Path) -> None:
+    before, target = source.read_bytes(), tmp_path / "out.safetensors"
+    target.symlink_to(source)
+    assert main([str(source), str(target), "--force"]) == 0
+    assert (source.read_bytes(), target.is_symlink()) == (before, False)
+
+
+@pytest.mark.parametrize("redirection", [">/dev/full", ">&-", "| true"])
+def test_an_output_that_cannot_be_written_is_told_and_the_file_is_there(
+    source: Path, tmp_path: Path, redirection: str
+) -> None:
+    target = tmp_path / "out.safetensors"
+    program = "import sys; from yolov5_lifecycle.commands.convert import main; sys.exit(main())"
+    finished = subprocess.run(
+        ["bash", "-c", f'"$@" {redirection}', "-", sys.executable, "-c", program, source, target],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+    )
+    assert finished.stderr.count("\n") <= 1
+    assert "Traceback" not in finished.stderr
+    assert load_weights(target).model.class_names == CLASS_NAMES
+
+
+def test_letters_that_the_terminal_lacks_are_escaped(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(output, encoding="ascii"))
+    assert main([str(source), str(tmp_path / "größer.safetensors")]) == 0
+    assert b"gr\\xf6\\xdfer.safetensors" in output.getvalue()
+
+
+def test_an_unwritable_folder_is_an_error(source: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(source), "/proc/out.safetensors"]) == 1
+    assert capsys.readouterr().err.startswith("convert: ")
+
+
+def test_the_official_model_is_converted_by_the_command(reference_dir: Path, tmp_path: Path) -> None:
+    target = tmp_path / "yolov5n.safetensors"
+    command = [
+        sys.executable,
+        "-W",
+        "error",
+        "-c",
+        "import sys; from yolov5_lifecycle.commands.convert import main; sys.exit(main())",
+    ]
+    source = reference_dir / "weights" / "yolov5n.pt"
+    finished = subprocess.run(
+        [*command, source, target],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+    )
+    assert (finished.returncode, finished.stderr) == (0, "")
+    assert f"parameters  {OFFICIAL_PARAMETERS}" in finished.stdout
+    assert load_weights(target).sha256 in finished.stdout

@@ -1,0 +1,56 @@
+"""Names and indices of classes."""
+
+from __future__ import annotations
+
+import pytest
+
+from yolov5_lifecycle.detection.class_filter import ClassFilterError, class_ids
+
+NAMES = ("person", "bicycle", "traffic light", "3", "person")
+
+
+@pytest.mark.parametrize(
+    ("entries", "ids"),
+    [
+        pytest.param([], None, id="empty-is-all"),
+        pytest.param(["bicycle"], {1}, id="name"),
+        pytest.param(["2"], {2}, id="index"),
+        pytest.param(["3"], {3}, id="a-name-that-looks-like-an-index"),
+        pytest.param(["person"], {0, 4}, id="a-name-that-occurs-twice"),
+        pytest.param(["traffic light", "0", "0"], {0, 2}, id="mixed-and-repeated"),
+        pytest.param(["0" * 5000 + "2"], {2}, id="leading-zeros"),
+    ],
+)
+def test_entries_select_classes(entries: list[str], ids: set[int] | None) -> None:
+    assert class_ids(entries, NAMES) == (None if ids is None else frozenset(ids))
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        pytest.param(["persn"], "'persn' is not a class.*Did you mean 'person'", id="typo"),
+        pytest.param(["Bicycle"], "Did you mean 'bicycle'", id="capital"),
+        pytest.param(["5"], "index 5 is out of range.*0 to 4", id="index-too-large"),
+        pytest.param(["-1"], "'-1' is not a class", id="negative-index"),
+        pytest.param([""], "'' is not a class", id="empty-name"),
+        pytest.param(["²"], "'²' is not a class", id="a-digit-that-is-no-decimal"),
+        pytest.param(["persn", "99"], "persn.*99", id="all-at-once"),
+        pytest.param(["9" * 5000], r"index 9+\.\.\. is out of range.*0 to 4", id="index-of-5000-digits"),
+        pytest.param(["a\n\x1b[31m"], r"'a \?\[31m' is not a class", id="control-characters"),
+    ],
+)
+def test_an_entry_that_the_model_does_not_have_is_refused(entries: list[str], message: str) -> None:
+    with pytest.raises(ClassFilterError, match=message):
+        class_ids(entries, NAMES)
+
+
+def test_of_many_unknown_entries_the_first_are_explained() -> None:
+    entries = [f"{'x' * 200}{number}" for number in range(10_000)]
+    with pytest.raises(ClassFilterError, match=r"'x+.*9997 more entries are not classes") as refusal:
+        class_ids(entries, ["x" * 195] * 9999)
+    assert len(str(refusal.value)) < 2500
+
+
+def test_a_filter_with_every_class_of_a_large_model_selects_all() -> None:
+    names = [f"class {number}" for number in range(10_000)]
+    assert class_ids(names, names) == frozenset(range(10_000))

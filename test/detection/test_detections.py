@@ -1,0 +1,57 @@
+"""Detections are checked at birth."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from yolov5_lifecycle.detection.detections import Detections
+
+GOOD: dict[str, Any] = {
+    "boxes_xyxy": np.array([[1, 2, 3, 4], [5, 6, 5, 6]], np.float32),
+    "scores": np.array([1, 0], np.float32),
+    "class_ids": np.array([0, 7], np.int64),
+}
+
+
+def test_columns_of_one_length_make_detections() -> None:
+    assert len(Detections(**GOOD)) == 2
+
+
+def test_there_may_be_none() -> None:
+    none = Detections(np.empty((0, 4), np.float32), np.empty(0, np.float32), np.empty(0, np.int64))
+    assert len(none) == 0
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "reason"),
+    [
+        pytest.param("boxes_xyxy", np.zeros((2, 4)), "float32", id="boxes of another dtype"),
+        pytest.param("boxes_xyxy", np.zeros((1, 4), np.float32), r"\(2, 4\)", id="a box too few"),
+        pytest.param("boxes_xyxy", np.zeros((2, 5), np.float32), r"\(2, 4\)", id="five columns"),
+        pytest.param("boxes_xyxy", np.full((2, 4), np.nan, np.float32), "finite", id="NaN box"),
+        pytest.param("boxes_xyxy", np.full((2, 4), np.inf, np.float32), "finite", id="infinite box"),
+        pytest.param("boxes_xyxy", np.array([[3, 2, 1, 4]] * 2, np.float32), "x1 <= x2", id="x exchanged"),
+        pytest.param("boxes_xyxy", np.array([[1, 4, 3, 2]] * 2, np.float32), "y1 <= y2", id="y exchanged"),
+        pytest.param("scores", np.zeros((2, 1), np.float32), r"\(2,\)", id="scores in a matrix"),
+        pytest.param("scores", np.array([0.5, 0.5]), "float32", id="scores of another dtype"),
+        pytest.param("scores", np.array([1.5, 0.5], np.float32), r"\[0, 1\]", id="score above 1"),
+        pytest.param("scores", np.array([0.5, -0.5], np.float32), r"\[0, 1\]", id="score below 0"),
+        pytest.param("scores", np.array([0.5, np.nan], np.float32), r"\[0, 1\]", id="NaN score"),
+        pytest.param("scores", np.array([0.1, 0.2], np.float32), "best first", id="worse one first"),
+        pytest.param("class_ids", np.array([0, 1], np.int32), "int64", id="class ids of another dtype"),
+        pytest.param("class_ids", np.array([0, -1]), "negative", id="negative class id"),
+        pytest.param("class_ids", np.array([0, 1, 2]), r"\(2,\)", id="a class id too many"),
+    ],
+)
+def test_a_bad_column_is_refused_by_name(column: str, values: object, reason: str) -> None:
+    with pytest.raises(ValueError, match=f"(?s){column}.*{reason}"):
+        Detections(**GOOD | {column: values})
+
+
+def test_a_column_cannot_be_exchanged() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Detections(**GOOD).scores = np.empty(0, np.float32)  # type: ignore[misc]

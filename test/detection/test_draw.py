@@ -1,0 +1,198 @@
+"""Annotated pictures show boxes and labels that can be read, and nothing leaves the picture."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.draw import annotate, class_colour, printable, text_colour
+from yolov5_lifecycle.images.image import Order, Picture
+
+NAMES = ("circle", "square", "triangle", "star")
+NONE = Detections(np.empty((0, 4), np.float32), np.empty(0, np.float32), np.empty(0, np.int64))
+
+
+def one(*box_xyxy: float, class_id: int = 0, score: float = 0.5) -> Detections:
+    boxes_xyxy = np.array([box_xyxy], np.float32)
+    return Detections(boxes_xyxy, np.array([score], np.float32), np.array([class_id]))
+
+
+def black(height: int, width: int, order: Order = "rgb") -> Picture:
+    return Picture(np.zeros((height, width, 3), np.uint8), order)
+
+
+def count_of(colour: tuple[int, int, int], pixels: NDArray[np.uint8]) -> int:
+    return int((pixels == colour).all(axis=2).sum())
+
+
+def ink_of_class_1(pixels: NDArray[np.uint8]) -> int:
+    """Pixels of white letters; the label is blue, the picture black."""
+    return int((pixels[..., 0] > 100).sum())
+
+
+def label_height(pixels: NDArray[np.uint8], colour: tuple[int, int, int]) -> int:
+    """Rows in which a run of `colour` is as long as only a label's is."""
+    return int(((pixels == colour).all(axis=2).sum(axis=1) > pixels.shape[1] // 40).sum())
+
+
+def test_a_picture_without_detections_is_copied() -> None:
+    picture = Picture(np.arange(60, dtype=np.uint8).reshape(4, 5, 3), "rgb")
+    drawn = annotate(picture, NONE, NAMES)
+    np.testing.assert_array_equal(drawn, picture.pixels)
+    assert not np.shares_memory(drawn, picture.pixels)
+
+
+def test_a_view_that_cannot_be_written_is_drawn_on_a_copy() -> None:
+    padded = np.zeros((100, 150, 3), np.uint8)
+    view = padded[:, 10:130]
+    view.flags.writeable = False
+    drawn = annotate(Picture(view, "bgr"), one(20, 40, 90, 80), NAMES)
+    assert drawn.shape == (100, 120, 3)
+    assert drawn.flags.c_contiguous
+    assert drawn.any()
+    assert not padded.any()
+
+
+def test_the_box_is_drawn_where_it_is() -> None:
+    colour = class_colour(2, "rgb")
+    drawn = annotate(black(240, 320), one(50, 100, 200, 180, class_id=2), NAMES)
+    for x, y in [(50, 140), (200, 140), (120, 180), (50, 100), (200, 180)]:
+        assert tuple(drawn[y, x]) == colour, (x, y)
+    assert not drawn[120:160, 70:190].any()
+    assert not drawn[190:].any()
+
+
+def test_a_box_that_ends_at_the_edge_is_closed() -> None:
+    drawn = annotate(black(100, 100), one(0, 0, 100, 100, class_id=2), NAMES)
+    for x, y in [(99, 50), (50, 99), (0, 50)]:
+        assert tuple(drawn[y, x]) == class_colour(2, "rgb"), (x, y)
+
+
+def test_colours_are_drawn_in_the_order_of_the_picture() -> None:
+    detections = one(50, 100, 200, 180, class_id=1)
+    in_rgb = annotate(black(240, 320, "rgb"), detections, NAMES)
+    in_bgr = annotate(black(240, 320, "bgr"), detections, NAMES)
+    np.testing.assert_array_equal(in_rgb, in_bgr[..., ::-1])
+
+
+@pytest.mark.parametrize(
+    "box_xyxy",
+    [
+        pytest.param((0, 0, 40, 40), id="upper left"),
+        pytest.param((380, 0, 400, 40), id="upper right"),
+        pytest.param((0, 280, 20, 300), id="lower left"),
+        pytest.param((399, 299, 400, 300), id="lower right"),
+        pytest.param((0, 0, 400, 300), id="everything"),
+    ],
+)
+def test_the_whole_label_is_inside_wherever_the_box_is(box_xyxy: tuple[float, ...]) -> None:
+    in_the_middle = annotate(black(300, 400), one(150, 150, 200, 200, class_id=1), NAMES)
+    drawn = annotate(black(300, 400), one(*box_xyxy, class_id=1), NAMES)
+    assert ink_of_class_1(in_the_middle) > 100
+    assert ink_of_class_1(drawn) == ink_of_class_1(in_the_middle)
+
+
+@settings(max_examples=40)
+@given(height=st.integers(30, 200), width=st.integers(120, 300), x=st.floats(0, 1), y=st.floats(0, 1))
+def test_no_label_loses_a_letter_at_the_edge_of_a_picture_of_any_size(
+    height: int, width: int, x: float, y: float
+) -> None:
+    in_the_middle = annotate(black(height, width), one(5, height / 2, 9, height / 2, class_id=1), NAMES)
+    corner_xy = (x * width, y * height)
+    drawn = annotate(black(height, width), one(*corner_xy, *corner_xy, class_id=1), NAMES)
+    assert ink_of_class_1(drawn) == ink_of_class_1(in_the_middle) > 0
+
+
+def test_labels_grow_with_the_picture() -> None:
+    colour = class_colour(0, "rgb")
+    heights = []
+    for height, width in [(240, 320), (480, 640), (1080, 1920), (2160, 3840)]:
+        box_xyxy = (width * 0.3, height * 0.5, width * 0.31, height * 0.51)
+        heights.append(label_height(annotate(black(height, width), one(*box_xyxy), NAMES), colour))
+    assert heights[0] >= 9
+    assert all(lower < higher for lower, higher in itertools.pairwise(heights))
+
+
+def test_a_name_that_is_too_long_is_cut_before_its_score() -> None:
+    drawn = annotate(black(100, 200), one(10, 50, 60, 90, class_id=1), ["", "word " * 1000])
+    label = annotate(black(100, 200), one(10, 50, 60, 90, class_id=1), ["", "word"])
+    background = class_colour(1, "rgb")
+    assert count_of(background, drawn) > count_of(background, label)
+
+
+@settings(deadline=None)
+@given(
+    height=st.integers(1, 200),
+    width=st.integers(1, 200),
+    corners=st.lists(st.tuples(*[st.floats(0, 1)] * 4), max_size=4),
+    name=st.text(max_size=60),
+    order=st.sampled_from(["rgb", "bgr"]),
+)
+def test_any_box_and_name_can_be_drawn_in_any_picture(
+    height: int, width: int, corners: list[tuple[float, ...]], name: str, order: Order
+) -> None:
+    relative = np.array(corners, np.float32).reshape(-1, 2, 2)
+    boxes_xyxy = (np.sort(relative, axis=1) * np.array((width, height), np.float32)).reshape(-1, 4)
+    count = len(boxes_xyxy)
+    detections = Detections(boxes_xyxy, np.full(count, 0.5, np.float32), np.zeros(count, np.int64))
+    drawn = annotate(black(height, width, order), detections, [name])
+    assert drawn.shape == (height, width, 3)
+    assert drawn.any() == bool(count)
+
+
+def test_a_better_detection_covers_a_worse_one() -> None:
+    boxes_xyxy = np.array([[50, 50, 100, 100]] * 2, np.float32)
+    both = Detections(boxes_xyxy, np.array([0.9, 0.4], np.float32), np.array([0, 1]))
+    drawn = annotate(black(150, 150), both, NAMES)
+    assert tuple(drawn[100, 75]) == class_colour(0, "rgb")
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("traffic light", "traffic light"),
+        ("", ""),
+        ("café crème", "cafe creme"),
+        ("Fußgänger", "Fu?ganger"),
+        ("自転車", "???"),
+        ("line\nbreak\0", "line?break?"),
+        ("ﬁsh", "fish"),
+    ],
+)
+def test_letters_that_cannot_be_drawn_are_replaced(name: str, expected: str) -> None:
+    assert printable(name) == expected
+
+
+def test_the_classes_of_coco_have_80_colours() -> None:
+    assert len({class_colour(class_id, "rgb") for class_id in range(80)}) == 80
+
+
+def test_classes_have_colours_of_their_own() -> None:
+    colours = np.array([class_colour(class_id, "rgb") for class_id in range(20)])
+    distances = [np.abs(a - b).max() for a, b in itertools.combinations(colours, 2)]
+    assert min(distances) >= 30
+    assert [class_colour(class_id, "bgr")[::-1] for class_id in range(20)] == [
+        tuple(row) for row in colours.tolist()
+    ]
+
+
+def luminance(colour: tuple[int, int, int]) -> float:
+    """WCAG 2 relative luminance of an sRGB colour."""
+    scaled = [channel / 255 for channel in colour]
+    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in scaled)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+@pytest.mark.parametrize("order", ["rgb", "bgr"])
+def test_every_label_has_the_contrast_that_reading_needs(order: Order) -> None:
+    for class_id in range(1000):
+        background = class_colour(class_id, order)
+        ink = text_colour(background, order)
+        lights = [luminance(colour if order == "rgb" else colour[::-1]) for colour in (background, ink)]
+        assert (max(lights) + 0.05) / (min(lights) + 0.05) >= 4.5, class_id

@@ -1,0 +1,145 @@
+"""The letterbox is YOLOv5's, and its two directions are each other's inverse."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.detection.letterbox import PADDING_VALUE, Letterbox
+
+sides = st.integers(1, 16384)
+sizes_hw = st.tuples(sides, sides)
+strides = st.sampled_from([32, 64])
+
+
+def random_pixels(source_hw: tuple[int, int]) -> NDArray[np.uint8]:
+    return np.random.default_rng(0).integers(0, 256, (*source_hw, 3), np.uint8)
+
+
+@settings(deadline=None)
+@given(source_hw=sizes_hw, stride=strides, steps=st.integers(1, 20))
+def test_numbers_are_those_of_yolov5(source_hw: tuple[int, int], stride: int, steps: int) -> None:
+    image_size = stride * steps
+    letterbox = Letterbox.fit(source_hw, image_size=image_size, stride=stride)
+
+    height, width = source_hw
+    ratio = min(image_size / height, image_size / width)
+    unpadded_w, unpadded_h = max(round(width * ratio), 1), max(round(height * ratio), 1)
+    padding_w, padding_h = (image_size - unpadded_w) % stride, (image_size - unpadded_h) % stride
+    assert letterbox.resized_hw == (unpadded_h, unpadded_w)
+    assert (letterbox.left, letterbox.top) == (round(padding_w / 2 - 0.1), round(padding_h / 2 - 0.1))
+    right = letterbox.network_hw[1] - letterbox.left - unpadded_w
+    bottom = letterbox.network_hw[0] - letterbox.top - unpadded_h
+    assert (right, bottom) == (round(padding_w / 2 + 0.1), round(padding_h / 2 + 0.1))
+
+
+@settings(deadline=None)
+@given(source_hw=sizes_hw, stride=strides)
+def test_the_frame_is_a_multiple_of_the_stride_and_as_long_as_asked(
+    source_hw: tuple[int, int], stride: int
+) -> None:
+    letterbox = Letterbox.fit(source_hw, image_size=640, stride=stride)
+    assert max(letterbox.network_hw) == 640
+    assert all(side % stride == 0 and side > 0 for side in letterbox.network_hw)
+
+
+@pytest.mark.parametrize("stride", [32, 320], ids=["rectangle", "square"])
+@pytest.mark.parametrize(
+    "source_hw", [(480, 640), (360, 639), (1080, 810), (64, 64), (1, 1), (1, 16384), (16384, 1), (7, 3)]
+)
+def test_pixels_are_resized_linearly_and_framed_in_grey(source_hw: tuple[int, int], stride: int) -> None:
+    pixels = random_pixels(source_hw)
+    letterbox = Letterbox.fit(source_hw, image_size=320, stride=stride)
+    (height, width), (frame_height, frame_width) = letterbox.resized_hw, letterbox.network_hw
+    expected = cv2.copyMakeBorder(
+        cv2.resize(pixels, (width, height), interpolation=cv2.INTER_LINEAR),
+        letterbox.top,
+        frame_height - letterbox.top - height,
+        letterbox.left,
+        frame_width - letterbox.left - width,
+        cv2.BORDER_CONSTANT,
+        value=(PADDING_VALUE,) * 3,
+    )
+    np.testing.assert_array_equal(letterbox.apply(pixels), expected)
+
+
+def test_a_read_only_view_with_padded_rows_gives_the_same_frame_and_stays_as_it_was() -> None:
+    padded = random_pixels((50, 100))
+    view = padded[:, 10:90]
+    view.flags.writeable = False
+    before = padded.copy()
+    letterbox = Letterbox.fit((50, 80), image_size=64, stride=32)
+    np.testing.assert_array_equal(letterbox.apply(view), letterbox.apply(view.copy()))
+    np.testing.assert_array_equal(padded, before)
+
+
+@settings(deadline=None)
+@given(source_hw=sizes_hw, stride=strides, data=st.data())
+def test_undo_is_the_inverse_of_the_way_pixels_go(
+    source_hw: tuple[int, int], stride: int, data: st.DataObject
+) -> None:
+    letterbox = Letterbox.fit(source_hw, image_size=640, stride=stride)
+    height, width = source_hw
+    xs, ys = (sorted(data.draw(st.tuples(*[st.floats(0, side)] * 2))) for side in (width, height))
+    source = np.array([[xs[0], ys[0], xs[1], ys[1]]])
+    scale_x, scale_y = letterbox.resized_hw[1] / width, letterbox.resized_hw[0] / height
+    origin = np.array([letterbox.left, letterbox.top] * 2)
+    network = source * (scale_x, scale_y, scale_x, scale_y) + origin
+    undone = letterbox.undo(network.astype(np.float32))
+    assert undone.dtype == np.float32
+    # float32 places 640 to 3e-5 network pixels.
+    np.testing.assert_allclose(undone, source, atol=1e-4 / min(scale_x, scale_y) + 1e-3)
+
+
+@pytest.mark.parametrize("source_hw", [(300, 200), (720, 1280), (97, 331)], ids=str)
+def test_a_shape_in_the_frame_is_found_where_it_is_in_the_picture(source_hw: tuple[int, int]) -> None:
+    height, width = source_hw
+    x1, y1, x2, y2 = width // 4, height // 3, width // 2, height // 3 * 2
+    pixels = np.zeros((*source_hw, 3), np.uint8)
+    pixels[y1:y2, x1:x2] = 255
+    letterbox = Letterbox.fit(source_hw, image_size=256, stride=32)
+    rows, columns = np.nonzero(letterbox.apply(pixels)[..., 0] > 127)
+    found = np.array([[columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]], np.float32)
+    tolerance_px = max(source_hw) / 256  # a network pixel
+    np.testing.assert_allclose(letterbox.undo(found), [[x1, y1, x2, y2]], atol=tolerance_px)
+
+
+@settings(deadline=None)
+@given(
+    source_hw=sizes_hw,
+    corners=st.lists(st.tuples(*[st.floats(-1e4, 1e4, width=32)] * 4), max_size=5),
+)
+def test_undone_boxes_stay_inside_the_picture(
+    source_hw: tuple[int, int], corners: list[tuple[float, ...]]
+) -> None:
+    letterbox = Letterbox.fit(source_hw, image_size=640, stride=32)
+    network = np.array(corners, np.float32).reshape(-1, 4)
+    before = network.copy()
+    undone = letterbox.undo(network)
+    assert undone.shape == network.shape
+    assert (undone >= 0).all()
+    assert (undone <= np.array([*source_hw[::-1]] * 2)).all()
+    np.testing.assert_array_equal(network, before)
+
+
+@pytest.mark.parametrize("image_size", [0, -32, 100, 16], ids=str)
+def test_an_image_size_that_is_no_multiple_of_the_stride_is_refused(image_size: int) -> None:
+    with pytest.raises(ValueError, match=f"multiple of 32, found {image_size}"):
+        Letterbox.fit((480, 640), image_size=image_size, stride=32)
+
+
+@pytest.mark.parametrize("source_hw", [(0, 5), (5, 0), (-1, 5)], ids=str)
+def test_a_picture_without_pixels_is_refused(source_hw: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match="at least 1 pixel"):
+        Letterbox.fit(source_hw, image_size=640, stride=32)
+
+
+@pytest.mark.parametrize("shape", [(480, 641, 3), (480, 640), (480, 640, 4)], ids=str)
+def test_pixels_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    letterbox = Letterbox.fit((480, 640), image_size=640, stride=32)
+    with pytest.raises(ValueError, match=r"shape \(480, 640, 3\), found"):
+        letterbox.apply(np.zeros(shape, np.uint8))

@@ -1,0 +1,244 @@
+"""Selection follows YOLOv5's rules; a slow implementation says what they are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.detection.nms import MAX_CANDIDATES, Selection, cxcywh_to_xyxy, select, suppress
+
+Row = tuple[float, ...]
+Found = tuple[tuple[float, float, float, float], float, int]
+
+
+def raw_rows(*rows: Row, classes: int = 2) -> NDArray[np.float32]:
+    return np.array(rows, np.float32).reshape(-1, 5 + classes)
+
+
+def found(raw: NDArray[np.float32], **selection: Any) -> list[Found]:
+    """Boxes, scores and class ids that `select` gives."""
+    detections = select(raw, Selection(**selection))
+    columns = (detections.boxes_xyxy.tolist(), detections.scores.tolist(), detections.class_ids.tolist())
+    return [
+        ((x1, y1, x2, y2), score, class_id)
+        for (x1, y1, x2, y2), score, class_id in zip(*columns, strict=True)
+    ]
+
+
+def reference_iou(a: Row, b: Row) -> float:
+    width = min(a[2], b[2]) - max(a[0], b[0])
+    height = min(a[3], b[3]) - max(a[1], b[1])
+    both = max(width, 0.0) * max(height, 0.0)
+    return both / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - both)
+
+
+def reference_select(raw: NDArray[np.float32], selection: Selection) -> list[Found]:
+    """One row, one box at a time."""
+    candidates: list[Found] = []
+    for cx, cy, w, h, objectness, *class_scores in raw:
+        best = max(class_scores)
+        class_id = class_scores.index(best)
+        is_wanted = selection.classes is None or class_id in selection.classes
+        if min(objectness, objectness * best) > selection.confidence_threshold and is_wanted:
+            box = (float(cx - w / 2), float(cy - h / 2), float(cx + w / 2), float(cy + h / 2))
+            candidates.append((box, float(objectness * best), class_id))
+    kept: list[Found] = []
+    for box, score, class_id in sorted(candidates, key=lambda row: -row[1]):
+        rivals = [other for other, _, other_id in kept if selection.agnostic_nms or other_id == class_id]
+        if all(reference_iou(box, other) <= selection.iou_threshold for other in rivals):
+            kept.append((box, score, class_id))
+    return kept[: selection.max_detections]
+
+
+# Few values, so that equal scores and equal boxes happen; IoUs of these boxes are never just at a threshold.
+scores = st.sampled_from([0.0, 0.125, 0.25, 0.5, 0.75, 1.0])
+rows = st.tuples(
+    *[st.integers(-20, 40).map(float)] * 2,
+    *[st.integers(1, 30).map(float)] * 2,
+    *[scores] * 4,
+)
+selections = st.builds(
+    Selection,
+    confidence_threshold=st.sampled_from([0.0, 0.1, 0.25, 0.5, 1.0]),
+    iou_threshold=st.sampled_from([0.0, 0.2501237, 0.4501237, 0.7501237, 1.0]),
+    max_detections=st.integers(1, 8),
+    classes=st.none() | st.frozensets(st.integers(0, 3), max_size=2),
+    agnostic_nms=st.booleans(),
+)
+
+
+@settings(deadline=None)
+@given(raw=st.lists(rows, max_size=15).map(lambda listed: raw_rows(*listed, classes=3)), selection=selections)
+def test_the_selection_is_that_of_the_slow_one(raw: NDArray[np.float32], selection: Selection) -> None:
+    before = raw.copy()
+    assert found(raw, **vars(selection)) == reference_select(raw, selection)
+    np.testing.assert_array_equal(raw, before)
+
+
+@pytest.mark.parametrize(
+    ("row", "selection", "best_missed"),
+    [
+        pytest.param((0.5, 0.25, 0.75), {"confidence_threshold": 0.4}, 0.375, id="too low"),
+        pytest.param((0.5, 0.25, 0.75), {"confidence_threshold": 0.3}, 0.0, id="found"),
+        pytest.param((0.5, 0.25, 0.75), {"classes": frozenset({0})}, 0.0, id="another class"),
+        pytest.param((0.0, 1.0, 0.0), {}, 0.0, id="nothing at all"),
+    ],
+)
+def test_when_nothing_is_found_the_best_score_is_told(
+    row: Row, selection: dict[str, Any], best_missed: float
+) -> None:
+    assert select(raw_rows((10, 10, 4, 4, *row)), Selection(**selection)).best_missed == best_missed
+
+
+def test_the_best_score_of_many_rows_is_told() -> None:
+    raw = np.random.default_rng(3).uniform(0, 0.4, (5000, 7)).astype(np.float32)
+    raw[1234, 4:6] = 0.45
+    best_missed = select(raw, Selection(confidence_threshold=0.5)).best_missed
+    assert best_missed == pytest.approx((raw[:, 4] * raw[:, 5:].max(axis=1)).max())
+
+
+def test_corners_are_half_the_size_around_the_centre() -> None:
+    corners = cxcywh_to_xyxy(np.array([[10, 20, 4, 6], [0, 0, 1, 3]], np.float32))
+    np.testing.assert_array_equal(corners, [[8, 17, 12, 23], [-0.5, -1.5, 0.5, 1.5]])
+    assert corners.dtype == np.float32
+
+
+def test_no_predictions_give_no_detections() -> None:
+    assert found(raw_rows()) == []
+
+
+def test_the_score_is_objectness_times_the_best_class() -> None:
+    assert found(raw_rows((10, 10, 4, 4, 0.5, 0.25, 0.75))) == [((8, 8, 12, 12), 0.375, 1)]
+
+
+@pytest.mark.parametrize(
+    ("row", "threshold", "count"),
+    [
+        pytest.param((0.5, 1.0, 0.0), 0.5, 0, id="objectness at the threshold"),
+        pytest.param((0.51, 1.0, 0.0), 0.5, 1, id="both above"),
+        pytest.param((0.9, 0.5, 0.0), 0.5, 0, id="only objectness above"),
+        pytest.param((1.0, 0.0, 0.0), 0.0, 0, id="no class at all"),
+        pytest.param((1.0, 1.0, 1.0), 1.0, 0, id="nothing is above 1"),
+    ],
+)
+def test_the_threshold_must_be_exceeded(row: Row, threshold: float, count: int) -> None:
+    assert len(found(raw_rows((10, 10, 4, 4, *row)), confidence_threshold=threshold)) == count
+
+
+# Two boxes 10 x 10 that share 6 x 10: IoU 60 / 140 = 0.43.
+OVERLAPPING = ((10, 10, 10, 10, 0.9, 1.0, 0.0), (14, 10, 10, 10, 0.8, 1.0, 0.0))
+
+
+@pytest.mark.parametrize(("iou_threshold", "count"), [(0.42, 1), (0.44, 2)])
+def test_a_worse_box_goes_when_it_overlaps_by_more_than_the_threshold(
+    iou_threshold: float, count: int
+) -> None:
+    assert len(found(raw_rows(*OVERLAPPING), iou_threshold=iou_threshold)) == count
+
+
+def test_a_box_that_went_suppresses_nothing() -> None:
+    third = (18, 10, 10, 10, 0.7, 1.0, 0.0)  # overlaps the second only
+    boxes = [box for box, _, _ in found(raw_rows(*OVERLAPPING, third), iou_threshold=0.3)]
+    assert boxes == [(5, 5, 15, 15), (13, 5, 23, 15)]
+
+
+@pytest.mark.parametrize(("agnostic_nms", "class_ids"), [(False, [0, 1]), (True, [0])])
+def test_boxes_of_two_classes_suppress_each_other_only_when_agnostic(
+    agnostic_nms: bool, class_ids: list[int]
+) -> None:
+    raw = raw_rows((10, 10, 10, 10, 0.9, 1.0, 0.0), (10, 10, 10, 10, 0.8, 0.0, 1.0))
+    assert [class_id for _, _, class_id in found(raw, agnostic_nms=agnostic_nms)] == class_ids
+
+
+@pytest.mark.parametrize("size", [(100, 4), (4, 100)], ids=["wide", "high"])
+def test_boxes_of_many_classes_stay_apart_whatever_their_shape(size: Row) -> None:
+    raw = raw_rows(*[(0, 0, *size, 0.9, *np.eye(50)[class_id]) for class_id in range(50)], classes=50)
+    assert len(found(raw, iou_threshold=0.0)) == 50
+
+
+def test_a_better_box_of_an_unwanted_class_suppresses_nothing() -> None:
+    raw = raw_rows((10, 10, 10, 10, 0.9, 1.0, 0.0), (10, 10, 10, 10, 0.8, 0.0, 1.0))
+    kept = found(raw, classes=frozenset({1}), agnostic_nms=True)
+    assert [class_id for _, _, class_id in kept] == [1]
+
+
+def test_of_equal_boxes_with_equal_scores_the_first_row_stays() -> None:
+    raw = raw_rows(
+        (10, 10, 4, 4, 0.5, 1.0, 0.0), (10, 10, 4, 4, 1.0, 0.5, 0.0), (50, 50, 4, 4, 0.5, 1.0, 0.0)
+    )
+    assert [box for box, _, _ in found(raw)] == [(8, 8, 12, 12), (48, 48, 52, 52)]
+
+
+def test_the_best_are_kept_when_there_are_too_many() -> None:
+    raw = raw_rows(*[(20 * i, 0, 10, 10, 0.3 + i / 100, 1.0, 0.0) for i in range(50)])
+    detections = select(raw, Selection(max_detections=3))
+    np.testing.assert_allclose(detections.scores, [0.79, 0.78, 0.77], rtol=1e-6)
+
+
+def test_only_the_best_candidates_enter_the_suppression() -> None:
+    raw = np.tile(raw_rows((10, 10, 4, 4, 0.9, 1.0, 0.0)), (MAX_CANDIDATES + 1, 1))
+    raw[0] = (90, 90, 4, 4, 0.5, 1.0, 0.0)
+    assert [box for box, _, _ in found(raw)] == [(8, 8, 12, 12)]
+    assert len(found(raw[:-1])) == 2
+
+
+@settings(deadline=None)
+@given(
+    seed=st.integers(0, 100),
+    places=st.integers(1, 300),
+    limit=st.sampled_from([1, 5, 400, 600, 5000]),
+)
+def test_a_limit_gives_the_beginning_of_what_no_limit_gives(seed: int, places: int, limit: int) -> None:
+    """Of more than a thousand boxes, the worse are looked at only when the better ones do not suffice."""
+    rng = np.random.default_rng(seed)
+    count = 2500
+    corners = rng.integers(0, 2000, (places, 2))[rng.integers(0, places, count)] + rng.integers(
+        0, 4, (count, 2)
+    )
+    boxes_xyxy = np.concatenate((corners, corners + 10), axis=1).astype(np.float32)
+    scores = np.sort(rng.random(count, np.float32))[::-1] + np.float32(0.01)
+    groups = rng.integers(0, 5, count)
+    everything = suppress(boxes_xyxy, scores, groups=groups, iou_threshold=0.45, limit=count)
+    kept = suppress(boxes_xyxy, scores, groups=groups, iou_threshold=0.45, limit=limit)
+    np.testing.assert_array_equal(kept, everything[:limit])
+
+
+@pytest.mark.parametrize("shift_px", [0.0625, 0.1, 0.3, 1.3])
+def test_a_high_class_id_does_not_blur_the_boxes(shift_px: float) -> None:
+    boxes_xyxy = np.array([[0, 0, 99, 99], [0, 0, 99, 99], [shift_px, 0, 99 + shift_px, 99]], np.float32)
+    iou = (99 - shift_px) / (99 + shift_px)
+    for iou_threshold, kept in ((iou - 1e-5, [0, 1]), (iou + 1e-5, [0, 1, 2])):
+        indices = suppress(
+            boxes_xyxy,
+            np.array([0.9, 0.8, 0.7], np.float32),
+            groups=np.array([9_999, 9_998, 9_999]),
+            iou_threshold=iou_threshold,
+            limit=9,
+        )
+        assert indices.tolist() == kept
+
+
+@pytest.mark.parametrize("column", [4, 5, 6])
+def test_a_score_that_is_nan_is_above_no_threshold(column: int) -> None:
+    raw = raw_rows((10, 10, 4, 4, 0.9, 1.0, 0.5), (50, 50, 4, 4, 0.9, 0.5, 1.0))
+    raw[0, column] = np.nan
+    assert [box for box, _, _ in found(raw)] == [(48, 48, 52, 52)]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf], ids=str)
+@pytest.mark.parametrize("column", range(4))
+def test_a_box_that_is_not_finite_is_refused(column: int, value: float) -> None:
+    raw = raw_rows((10, 10, 4, 4, 0.9, 1.0, 0.5), (50, 50, 4, 4, 0.9, 0.5, 1.0))
+    raw[0, column] = value
+    with pytest.raises(ValueError, match="finite"):
+        select(raw, Selection())
+
+
+def test_a_score_that_is_infinite_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"scores must be in \[0, 1\], found inf"):
+        select(raw_rows((10, 10, 4, 4, 0.9, np.inf, 0.5)), Selection())

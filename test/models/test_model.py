@@ -1,0 +1,106 @@
+"""What every model keeps, whatever file it comes from, and how the content of files is shown."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from support.checkpoint_builder import SMALL
+from support.random_model import CLASS_NAMES, random_network
+
+from yolov5_lifecycle.models.model import (
+    MAX_NAME_LENGTH,
+    WeightsError,
+    blueprint,
+    check_class_names,
+    checked_model,
+    shown,
+    whole_number,
+)
+
+
+def test_a_model_shares_no_memory_with_what_it_was_made_of() -> None:
+    tensors = dict(random_network(0, SMALL).state_dict())
+    both = torch.ones(2, 8)
+    tensors["model.0.bn.weight"], tensors["model.0.bn.bias"] = both
+    model = checked_model(SMALL, CLASS_NAMES, tensors)
+    for tensor in tensors.values():
+        tensor.zero_()
+    assert bool((model.state_dict["model.0.bn.weight"] == 1).all())
+    storages = {tensor.untyped_storage().data_ptr() for tensor in model.state_dict.values()}
+    assert len(storages) == len(model.state_dict)
+    assert all(
+        tensor.untyped_storage().nbytes() == tensor.nbytes and tensor.is_contiguous()
+        for tensor in model.state_dict.values()
+    )
+
+
+def test_a_blueprint_takes_no_memory() -> None:
+    assert {tensor.device.type for tensor in blueprint(SMALL).state_dict().values()} == {"meta"}
+
+
+@pytest.mark.parametrize(
+    "layer",
+    [
+        pytest.param(SMALL.layers[0]._replace(args=(1 << 70, 6, 2)), id="too many channels"),
+        pytest.param(SMALL.layers[0]._replace(sources=(99,)), id="no such layer"),
+        pytest.param(SMALL.layers[0]._replace(kind="SPPF"), id="strange kernel"),
+        pytest.param(SMALL.layers[2]._replace(args=()), id="no arguments"),
+    ],
+)
+def test_layers_that_make_no_network_are_refused(layer: object) -> None:
+    layers = (layer, *SMALL.layers[1:])
+    with pytest.raises(WeightsError):
+        checked_model(dataclasses.replace(SMALL, layers=layers), CLASS_NAMES, {})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        pytest.param(None, "expected names of 3 classes, found None", id="none"),
+        pytest.param("cat", "expected names of 3 classes, found 'cat'", id="a text"),
+        pytest.param([], "found 0 names", id="empty"),
+        pytest.param(["a", "b"], "found 2 names", id="too few"),
+        pytest.param({0: "a", 1: "b", 3: "c"}, "numbered from 0 to 2", id="a number left out"),
+        pytest.param({"0": "a", "1": "b", "2": "c"}, "numbered from 0 to 2", id="numbers as text"),
+        pytest.param(["a", "b", None], "found None", id="no name"),
+        pytest.param(["a", "b", "c\nd"], r"found 'c\nd'", id="two lines"),
+        pytest.param(["a", "b", "\ud800"], r"found '\ud800'", id="half a character"),
+        pytest.param(["a", "b", "c" * (MAX_NAME_LENGTH + 1)], "of 1 to 200 printable", id="too long"),
+        pytest.param(["a", "b", ["c"]], "found ['c']", id="a list"),
+    ],
+)
+def test_names_that_do_not_fit_are_refused(names: object, message: str) -> None:
+    with pytest.raises(WeightsError) as refused:
+        check_class_names(names, 3)
+    assert message in str(refused.value)
+
+
+@pytest.mark.parametrize("value", [True, 1.0, "1", None, 0, 9, torch.tensor(1)], ids=repr)
+def test_what_is_no_whole_number_in_range_is_refused(value: object) -> None:
+    with pytest.raises(WeightsError, match="the size: expected an integer from 1 to 8, found"):
+        whole_number(value, "the size", 1, 8)
+
+
+JSON_LIKE = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text() | st.binary(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner) | st.tuples(inner, inner),
+)
+
+
+@given(value=JSON_LIKE)
+def test_anything_is_shown_in_one_short_line(value: object) -> None:
+    text = shown(value)
+    assert text
+    assert text.isprintable()
+    assert len(text) <= 640
+
+
+def test_a_value_that_doubles_with_each_level_is_shown_at_once() -> None:
+    value: object = "ha"
+    for _ in range(200):
+        value = (value, value)
+    assert shown(value) == "[a tuple, a tuple]"

@@ -1,0 +1,127 @@
+"""The network has the official shape, and computes what YOLOv5's formulas say."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.random_model import TINY, random_network
+from torch import nn
+
+from yolov5_lifecycle.models.architecture import SIZES
+from yolov5_lifecycle.models.network import Detect, Network, fuse
+
+# Parameters and digest of the table of names, shapes, anchors and strides of the official checkpoints.
+OFFICIAL = {
+    "n": (1_872_157, "da9552858b2c65e832bef4b381227e987601917762ce335380bdfa3c2b3ad82f"),
+    "n6": (3_246_940, "aa5af38ba6381b466b347c694a8cdb481aef2c4dc2cfe4271e59f07d799733da"),
+    "s": (7_235_389, "ee65ac48780db27409ed908c2358b51216ee93e9d75772a4c97cb37993e92456"),
+    "s6": (12_626_620, "4ee4b64c7f87a41a6c82c5a6cd84d431a29c479cb8a9be365a8d4051dfc03b1e"),
+    "m": (21_190_557, "8cada75bfc01229ac4abea5136a0d270374c22ab619153fe9d86c9ead3223f62"),
+    "m6": (35_731_932, "b411efb58514077c739392f41042c8b37176ae85ba7506423c47e744a45b191e"),
+    "l": (46_563_709, "b5cdf4977f189936bfd3ec145b8656ea3a862ce06c041251a2f5ba3a4dbb7a07"),
+    "l6": (76_770_172, "a8a06eafc95d0cce645fd416af869d703b795c55de5d7c9461308f088693bd70"),
+    "x": (86_749_405, "81d126c3328a706a7f1cf886c6ff4669544ad8ebaea86796fbede40986104a5d"),
+    "x6": (140_794_780, "2496c1f525dc8f2bda39a2709e57a07cc09a8ebda4b548c00a60e115baad4d2a"),
+}
+
+
+def digest(network: Network) -> str:
+    architecture = network.architecture
+    table = {
+        "anchors_px": [[list(map(float, anchor)) for anchor in level] for level in architecture.anchors_px],
+        "state_dict": {key: list(tensor.shape) for key, tensor in network.state_dict().items()},
+        "strides": architecture.strides,
+    }
+    return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
+
+
+def test_there_are_ten_official_sizes() -> None:
+    assert SIZES.keys() == OFFICIAL.keys()
+
+
+@pytest.mark.parametrize("size", OFFICIAL)
+def test_names_and_shapes_are_those_of_the_official_checkpoint(size: str) -> None:
+    with torch.device("meta"):
+        network = Network(SIZES[size])
+    parameters = sum(parameter.numel() for parameter in network.parameters())
+    assert (parameters, digest(network)) == OFFICIAL[size]
+
+
+@pytest.mark.parametrize(
+    ("size", "height", "width"),
+    [("n", 32, 32), ("n", 96, 160), ("n6", 64, 192)],
+    ids=lambda value: str(value),
+)
+def test_there_is_a_row_for_every_anchor_of_every_cell(size: str, height: int, width: int) -> None:
+    architecture = SIZES[size]
+    with torch.device("meta"):
+        raw = Network(architecture)(torch.zeros(2, 3, height, width))
+    cells = sum(height // stride * (width // stride) for stride in architecture.strides)
+    assert raw.shape == (2, 3 * cells, 85)
+
+
+def test_decoding_follows_the_formula() -> None:
+    detect = random_network(0).model[-1]
+    assert isinstance(detect, Detect)
+    shapes = [(2, 3, ny, nx, detect.outputs) for ny, nx in ((8, 12), (4, 6), (2, 3))]
+    logits = [2 * torch.randn(shape, generator=torch.Generator().manual_seed(1)) for shape in shapes]
+    rows = iter(detect.decode(logits)[1])
+    for level, stride, anchors in zip(logits, TINY.strides, TINY.anchors_px, strict=True):
+        _, _, ny, nx, _ = level.shape
+        for anchor, (anchor_w, anchor_h) in enumerate(anchors):
+            for y in range(ny):
+                for x in range(nx):
+                    sigma = [1 / (1 + math.exp(-logit)) for logit in level[1, anchor, y, x].tolist()]
+                    expected = [
+                        (2 * sigma[0] - 0.5 + x) * stride,
+                        (2 * sigma[1] - 0.5 + y) * stride,
+                        (2 * sigma[2]) ** 2 * anchor_w,
+                        (2 * sigma[3]) ** 2 * anchor_h,
+                        *sigma[4:],
+                    ]
+                    assert next(rows).tolist() == pytest.approx(expected, rel=1e-5)
+    assert next(rows, None) is None
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_fusing_leaves_the_predictions_as_they_are(seed: int) -> None:
+    network = random_network(seed)
+    pixels = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(seed))
+    with torch.inference_mode():
+        torch.testing.assert_close(fuse(network)(pixels), random_network(seed)(pixels), rtol=1e-3, atol=1e-4)
+
+
+def test_fusing_removes_every_normalisation_and_may_be_repeated() -> None:
+    network = fuse(fuse(random_network(0)))
+    assert not [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
+    assert not any(parameter.requires_grad for parameter in network.parameters())
+
+
+def test_the_pixels_are_not_written_to() -> None:
+    pixels = torch.rand(1, 3, 64, 64)
+    before = pixels.clone()
+    with torch.inference_mode():
+        fuse(random_network(0))(pixels)
+    assert torch.equal(pixels, before)
+
+
+def test_predictions_of_half_layers_are_decoded_in_full_precision() -> None:
+    network = fuse(random_network(0))
+    pixels = torch.rand(1, 3, 64, 640)
+    with torch.inference_mode():
+        expected = network(pixels)
+        for module in network.modules():
+            if isinstance(module, nn.Conv2d):
+                module.to(torch.float16)
+        raw = network(pixels.half())
+    assert raw.dtype == torch.float32
+    torch.testing.assert_close(raw, expected, rtol=0.02, atol=0.1)
+    centres = raw[..., :2]
+    assert (centres != centres.half()).any()

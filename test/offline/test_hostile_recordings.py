@@ -1,0 +1,229 @@
+"""Recordings and videos that were made to harm: `detect_bag` refuses them with a reason."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import lz4.frame  # type: ignore[import-untyped]
+import numpy as np
+import pytest
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
+from support.recorded_scene import COMPRESSED, IMAGE, TOPIC, raw, record, video
+
+from yolov5_lifecycle.images.image import ImageError, Picture
+from yolov5_lifecycle.offline import recording_limits
+from yolov5_lifecycle.offline.annotated_files import VideoOutput
+from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.offline.picture_files import VideoFile
+from yolov5_lifecycle.offline.recorded_types import TYPES
+from yolov5_lifecycle.offline.recording import RecordedImage, RecordingError, open_recording
+from yolov5_lifecycle.offline.recording_limits import LimitError, unpacked_message
+from yolov5_lifecycle.sources.source_error import SourceError
+
+MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
+ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
+
+
+def images(path: Path) -> list[RecordedImage]:
+    with open_recording(path) as recording:
+        return list(recording.images(recording.image_topic()))
+
+
+def database(folder: Path, *statements: str) -> Path:
+    """A recording in SQLite that was changed by `statements`."""
+    path = record(folder / "bag", [raw(0)], storage=SQLITE) / "bag.db3"
+    connection = sqlite3.connect(path)
+    for statement in statements:
+        connection.execute(statement)
+    connection.commit()
+    connection.close()
+    return path
+
+
+def endless_view(folder: Path) -> Path:
+    rows = f"{ENDLESS} SELECT i AS id, 1 AS topic_id, i AS timestamp, x'00' AS data FROM n"
+    return database(folder, "DROP TABLE messages", f"CREATE VIEW messages AS {rows}")
+
+
+def computed_column(folder: Path) -> Path:
+    column = "data BLOB GENERATED ALWAYS AS (zeroblob(1000000000))"
+    messages = f"CREATE TABLE messages(id INTEGER, topic_id INTEGER, timestamp INTEGER, {column})"
+    return database(folder, "DROP TABLE messages", messages)
+
+
+def a_pipe(folder: Path) -> Path:
+    os.mkfifo(folder / "bag.mcap")
+    return folder / "bag.mcap"
+
+
+def a_pipe_as_metadata(folder: Path) -> Path:
+    bag = record(folder / "bag", [raw(0)], storage=MCAP)
+    (bag / "metadata.yaml").unlink()
+    os.mkfifo(bag / "metadata.yaml")
+    return bag
+
+
+def a_linked_device(folder: Path) -> Path:
+    bag = record(folder / "bag", [raw(0)], storage=SQLITE)
+    (bag / "bag.db3").unlink()
+    (bag / "bag.db3").symlink_to("/dev/zero")
+    return bag
+
+
+def large_metadata(folder: Path) -> Path:
+    bag = record(folder / "bag", [raw(0)], storage=MCAP)
+    os.truncate(bag / "metadata.yaml", recording_limits.MAX_METADATA_BYTES + 1)
+    return bag
+
+
+def compressed(folder: Path) -> Path:
+    """An MCAP file with its messages in one zstd chunk."""
+    writer = Writer(folder / "bag", version=9, storage_plugin=MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection(TOPIC, IMAGE, typestore=TYPES)
+        writer.write(connection, 1, TYPES.serialize_cdr(raw(0), IMAGE))
+    return folder / "bag" / "bag.mcap"
+
+
+def chunk_with_claim(folder: Path, size: int) -> Path:
+    """The chunk of `compressed`, which claims to unpack to `size` bytes in header and index."""
+    path = compressed(folder)
+    with open_recording(path) as recording:
+        (chunk,) = vars(recording._reader.storage)["chunks"]
+    claim = struct.pack("<Q", chunk.uncompressed_size)
+    content = path.read_bytes()
+    assert content.count(claim) >= 2
+    path.write_bytes(content.replace(claim, struct.pack("<Q", size)))
+    return path
+
+
+def cut_off(folder: Path) -> Path:
+    path = compressed(folder)
+    path.write_bytes(path.read_bytes()[:-100])
+    return path
+
+
+def giant_record(folder: Path) -> Path:
+    path = compressed(folder)
+    content = path.read_bytes()
+    path.write_bytes(content[:9] + struct.pack("<Q", 2**40) + content[17:])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        pytest.param(endless_view, "has only tables", id="a view without an end"),
+        pytest.param(computed_column, "has only tables", id="a computed column"),
+        pytest.param(lambda f: database(f, "DROP TABLE topics"), "cannot be read", id="no topics"),
+        pytest.param(
+            lambda f: database(f, "UPDATE messages SET data = 'text'"),
+            "bytes for each message",
+            id="no bytes",
+        ),
+        pytest.param(
+            lambda f: database(f, "UPDATE messages SET timestamp = 'now'"), "cannot be read", id="no time"
+        ),
+        pytest.param(
+            lambda f: database(f, "UPDATE topics SET name = x'ff'"), "there are no images", id="no name"
+        ),
+        pytest.param(a_pipe, "bag.mcap is not a regular file", id="a pipe"),
+        pytest.param(a_pipe_as_metadata, "metadata.yaml is not a regular file", id="a pipe as metadata"),
+        pytest.param(a_linked_device, "bag.db3 is not a regular file", id="a link to a device"),
+        pytest.param(large_metadata, "metadata.yaml has more than", id="large metadata"),
+        pytest.param(lambda f: chunk_with_claim(f, 1000), "unpacks to more than the 1000", id="a bomb"),
+        pytest.param(lambda f: chunk_with_claim(f, 2**40), "a chunk claims 1099511627776", id="a claim"),
+        pytest.param(cut_off, "cannot be read", id="cut off"),
+        pytest.param(giant_record, "cannot be read", id="a giant record"),
+    ],
+)
+def test_a_hostile_recording_is_refused(tmp_path: Path, make: Callable[[Path], Path], told: str) -> None:
+    path = make(tmp_path)
+    with pytest.raises(RecordingError) as raised:
+        images(path)
+    assert told in str(raised.value)
+    assert str(raised.value).replace("\n", "").isprintable()
+
+
+def test_a_bomb_is_unpacked_no_further_than_it_claims(monkeypatch: pytest.MonkeyPatch) -> None:
+    megabytes = lz4.frame.compress(bytes(50_000_000))
+    with pytest.raises(LimitError, match="more than the 1000 bytes"):
+        DECOMPRESSORS["lz4"](megabytes, 1000)
+    monkeypatch.setattr(recording_limits, "MAX_CHUNK_BYTES", 1000)
+    zstd: Any = recording_limits._ZSTD
+    with pytest.raises(LimitError, match="more than the 1000 bytes"):
+        unpacked_message(zstd.compress(bytes(50_000_000)))
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE, CompressionMode.STORAGE])
+@pytest.mark.parametrize("storage", [MCAP, SQLITE], ids=["MCAP", "SQLite"])
+def test_honest_compression_is_read(tmp_path: Path, mode: CompressionMode, storage: StoragePlugin) -> None:
+    if mode is CompressionMode.STORAGE and storage is SQLITE:
+        pytest.skip("SQLite has none")
+    data = bytes(TYPES.serialize_cdr(raw(0), IMAGE))
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        writer.write(writer.add_connection(TOPIC, IMAGE, typestore=TYPES), 1, data)
+    assert [image.data for image in images(tmp_path / "bag")] == [data]
+
+
+@pytest.mark.parametrize("type_name", [IMAGE, COMPRESSED])
+def test_damaged_messages_are_rejected_one_by_one(type_name: str) -> None:
+    generator = np.random.default_rng(0)
+    data = bytes(TYPES.serialize_cdr(raw(0), IMAGE))[:200]
+    for _ in range(300):
+        damaged = np.frombuffer(data, np.uint8).copy()
+        damaged[generator.integers(0, len(data), 8)] = generator.integers(0, 256, 8)
+        cut = damaged[: generator.integers(0, len(data))].tobytes()
+        with pytest.raises(ImageError):
+            RecordedImage(0, type_name, cut).load()
+
+
+def test_a_pipe_is_no_video(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "drive.mp4")
+    with pytest.raises(SourceError, match="not a regular file"):
+        VideoFile.open(tmp_path / "drive.mp4")
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        pytest.param(lambda path: path.write_text("text"), "neither as a picture nor", id="text"),
+        pytest.param(lambda path: path.touch(), "neither as a picture nor", id="empty"),
+        pytest.param(
+            lambda path: os.truncate(video(path), 400),
+            "neither as a picture nor|without a picture",
+            id="cut off",
+        ),
+    ],
+)
+def test_what_is_no_video_is_refused(tmp_path: Path, make: Callable[[Path], object], told: str) -> None:
+    make(tmp_path / "drive.avi")
+    with pytest.raises(SourceError, match=told):
+        VideoFile.open(tmp_path / "drive.avi")
+
+
+def test_a_folder_that_is_called_like_a_video_is_a_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "drive.mp4").mkdir()
+    assert main([str(tmp_path / "drive.mp4")]) == 1
+    assert "drive.mp4 has no pictures" in capsys.readouterr().err
+
+
+def test_frames_that_change_their_size_are_all_drawn(tmp_path: Path) -> None:
+    output = VideoOutput(tmp_path / "drawn.avi", 10.0)
+    for size_hw in ((48, 64), (24, 32), (96, 64)):
+        output.add(Picture(np.zeros((*size_hw, 3), np.uint8), "rgb"))
+    output.close()
+    capture = cv2.VideoCapture(str(tmp_path / "drawn.avi"))
+    assert [capture.read()[0] for _ in range(4)] == [True, True, True, False]

@@ -1,0 +1,259 @@
+"""The bond with a lifecycle manager: over the middleware against the manager's side of the protocol."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+
+import numpy as np
+import pytest
+from bond.msg import Constants, Status
+from support.detector_process import PARAMETERS, DetectorProcess, as_arguments, detector_process
+from support.lifecycle_manager import LifecycleManager
+from support.served_node import PATIENCE_S, Preparations, ServedNode, prediction
+
+from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.detector.bond import CONNECT_S, Bond, check_bond
+
+MANY = 15
+"""Heartbeats: more than can wait in a queue."""
+
+
+# A manager and the detector's process
+
+
+@contextmanager
+def managed(**parameters: object) -> Iterator[tuple[DetectorProcess, Observer]]:
+    """A detector's process, and a node for a manager that goes on when the process has ended."""
+    with (
+        detector_process(*as_arguments({**PARAMETERS, **parameters})) as detector,
+        closing(Observer("lifecycle_manager", domain=detector.domain)) as observer,
+    ):
+        yield detector, observer
+
+
+def test_a_manager_leads_the_process_through_its_whole_life() -> None:
+    with managed(bond_timeout=4.0) as (detector, observer):
+        manager = LifecycleManager(observer)
+        manager.startup()
+        first = manager.bonds["yolov5"]
+        manager.pause()
+        assert first.is_broken
+        assert not first.ended_by_timeout, "the node itself says that the bond ends"
+        manager.resume()
+        second = manager.bonds["yolov5"]
+        observer.wait_for(lambda: len(second.heard) >= MANY, "heartbeats")
+        assert {message.instance_id for message in second.heard}.isdisjoint(
+            message.instance_id for message in first.heard
+        )
+        manager.shutdown()
+        assert detector.process.stop(signal.SIGTERM, timeout_s=PATIENCE_S) == 0
+    assert "Traceback" not in detector.process.output
+
+
+def test_a_manager_notices_that_the_process_was_killed() -> None:
+    with managed(bond_timeout=1.0) as (detector, observer):
+        manager = LifecycleManager(observer, bond_timeout_s=1.0)
+        manager.startup()
+        bond = manager.bonds["yolov5"]
+        assert detector.process.stop(signal.SIGKILL) == -signal.SIGKILL
+        observer.wait_for(lambda: bond.is_broken, "the end of the bond")
+        assert bond.ended_by_timeout
+        assert all(message.active for message in bond.heard)
+
+
+# The node in this process, with models of the test's
+
+
+@contextmanager
+def served_with(*parameters: str) -> Iterator[tuple[ServedNode, Preparations]]:
+    prepare = Preparations()
+    with ServedNode(prepare, parameters=parameters) as served:
+        yield served, prepare
+    assert served.escaped == []
+
+
+class Listener:
+    """The messages on `bond`, taken by the client of `served`."""
+
+    def __init__(self, served: ServedNode) -> None:
+        self._served = served
+        self.heard: list[Status] = []
+        served.client.create_subscription(Status, "/bond", self.heard.append, 100)
+
+    def wait_for_more(self) -> None:
+        wanted = len(self.heard) + MANY
+        self._served.wait_for(lambda: len(self.heard) >= wanted, "heartbeats")
+
+
+def test_the_bond_is_off_unless_it_is_asked_for() -> None:
+    with served_with() as (served, _):
+        served.bring_to("active")
+        assert served.client.count_publishers("/bond") == served.client.count_subscribers("/bond") == 0
+
+
+def test_heartbeats_go_on_while_a_model_is_loaded_and_while_inference_hangs() -> None:
+    with served_with("bond_timeout:=4.0") as (served, prepare):
+        listener = Listener(served)
+        served.bring_to("active")
+        assert prepare.begun.acquire(timeout=PATIENCE_S)
+        prepare.gate.clear()
+        reload = served.begin_set(image_size=320)
+        assert prepare.begun.acquire(timeout=PATIENCE_S)
+        listener.wait_for_more()
+        assert not reload.done()
+        prepare.gate.set()
+        served.wait_for(reload.done, "the reload")
+        begun, release = threading.Event(), threading.Event()
+
+        def hang() -> np.ndarray:
+            begun.set()
+            assert release.wait(PATIENCE_S)
+            return prediction("cat", 0.9)
+
+        prepare.running.run = hang
+        served.send_until(begun.is_set, "inference to begin")
+        listener.wait_for_more()
+        release.set()
+        assert {(message.id, message.active, message.heartbeat_timeout) for message in listener.heard} == {
+            ("yolov5", True, 4.0)
+        }
+
+
+@pytest.mark.parametrize("transition", ["deactivate", "shutdown"])
+def test_a_node_that_is_no_longer_active_has_ended_its_bond(transition: str) -> None:
+    with served_with("bond_timeout:=4.0") as (served, _):
+        listener = Listener(served)
+        served.bring_to("active")
+        listener.wait_for_more()
+        assert served.transition(transition)
+        served.wait_for(lambda: not listener.heard[-1].active, "the end of the bond")
+        served.wait_for(lambda: served.client.count_publishers("/bond") == 0, "the publisher to go")
+
+
+def test_configure_says_what_a_bond_needs_where_its_messages_are_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "bond.msg", None)  # as where nobody has installed it
+    with served_with("bond_timeout:=4.0") as (served, _):
+        assert not served.transition("configure")
+        assert served.state() == "unconfigured"
+        problem = served.values()["last problem"]
+        assert all(words in problem for words in ("bond_timeout 4", "ros-jazzy-bond", "bond_timeout 0.0"))
+    check_bond(0.0)
+
+
+# One side alone, with a clock of the test's
+
+
+class OneSide:
+    """A node with a bond of 4 s, what it sends, and what is sent to it in the manager's name."""
+
+    def __init__(self, observer: Observer, capture: pytest.CaptureFixture[str]) -> None:
+        self.now_s = 100.0
+        self.heard: list[Status] = []
+        self.bond = Bond(observer, clock=lambda: self.now_s)
+        self._observer = observer
+        self._capture = capture
+        self._log = ""
+        observer.create_subscription(Status, "/bond", self._take, 100)
+        self._publisher = observer.create_publisher(Status, "/bond", 5)
+
+    def send(self, *, is_active: bool, node_name: str = "yolov5") -> None:
+        self._observer.wait_for(lambda: self._publisher.get_subscription_count() == 2, "both subscriptions")
+        self._publisher.publish(Status(id=node_name, instance_id="manager", active=is_active))
+
+    def wait_for_more(self, count: int = MANY) -> None:
+        wanted = len(self.heard) + count
+        self._observer.wait_for(lambda: len(self.heard) >= wanted, "heartbeats")
+
+    def wait_for_log(self, text: str, *, count: int = 1) -> None:
+        """Wait until the node has said `text` so many times."""
+
+        def is_said() -> bool:
+            self._log += self._capture.readouterr().err
+            return self._log.count(text) == count
+
+        self._observer.wait_for(is_said, f"{text!r} in the log")
+
+    def expect_silence(self) -> None:
+        """No heartbeat comes in the time of several."""
+        self._observer.work_for(0.1)  # what is on its way
+        before = len(self.heard)
+        self._observer.work_for(0.5)
+        assert len(self.heard) == before
+
+    def _take(self, message: Status) -> None:
+        if message.instance_id != "manager":
+            self.heard.append(message)
+
+
+@pytest.fixture
+def side(ros_domain: int, capfd: pytest.CaptureFixture[str]) -> Iterator[OneSide]:
+    with closing(Observer("yolov5", domain=ros_domain)) as observer:
+        side = OneSide(observer, capfd)
+        side.bond.start(4.0)
+        yield side
+        side.bond.stop()
+
+
+def test_nobody_who_joins_ends_the_heartbeats_after_the_time_of_the_protocol(side: OneSide) -> None:
+    assert CONNECT_S == Constants.DEFAULT_CONNECT_TIMEOUT
+    side.now_s += CONNECT_S
+    side.wait_for_more()
+    side.now_s += 0.1
+    side.wait_for_log("no lifecycle manager joined the bond within 10 s; detection goes on")
+    side.expect_silence()
+
+
+def test_the_end_of_the_bond_by_the_manager_is_acknowledged_and_ends_the_heartbeats(side: OneSide) -> None:
+    side.send(is_active=True)
+    side.wait_for_log("bonded with the lifecycle manager")
+    side.send(is_active=False)
+    side.wait_for_log("the lifecycle manager ended the bond; detection goes on")
+    side.send(is_active=True)
+    side.expect_silence()
+    assert [message.active for message in side.heard].count(False) == 1
+    assert not side.heard[-1].active
+
+
+def test_bonds_of_other_nodes_are_left_alone(side: OneSide) -> None:
+    side.send(is_active=True, node_name="amcl")
+    side.send(is_active=False, node_name="amcl")
+    side.wait_for_more()
+    assert all(message.active for message in side.heard)
+
+
+def test_a_manager_that_falls_silent_is_told_once_and_the_heartbeats_go_on(side: OneSide) -> None:
+    side.send(is_active=True)
+    side.wait_for_log("bonded with the lifecycle manager")
+    side.now_s += 4.1
+    side.wait_for_log("no heartbeat of the lifecycle manager for 4 s; detection goes on")
+    side.wait_for_more()
+    side.send(is_active=True)
+    side.wait_for_log("bonded with the lifecycle manager", count=2)
+    side.wait_for_log("no heartbeat of the lifecycle manager", count=1)
+    assert all(message.active for message in side.heard)
+
+
+def test_a_bond_that_is_started_again_is_another_one(side: OneSide) -> None:
+    side.wait_for_more(1)
+    side.bond.stop()
+    side.bond.stop()
+    side.expect_silence()
+    assert not side.heard[-1].active
+    side.bond.start(4.0)
+    side.wait_for_more(1)
+    assert side.heard[-1].active
+    assert side.heard[-1].instance_id != side.heard[0].instance_id
+
+
+@pytest.mark.parametrize(("timeout_s", "period_s"), [(60.0, 0.1), (0.2, 0.05), (0.001, 0.01)])
+def test_several_heartbeats_come_within_the_timeout(side: OneSide, timeout_s: float, period_s: float) -> None:
+    side.bond.start(timeout_s)
+    side.wait_for_more(2)
+    assert side.heard[-1].heartbeat_timeout == pytest.approx(timeout_s)
+    assert side.heard[-1].heartbeat_period == pytest.approx(period_s)

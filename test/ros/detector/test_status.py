@@ -1,0 +1,190 @@
+"""Why nothing comes out of an active node, and what is told of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from contextlib import closing
+from typing import Any
+
+import pytest
+from rcl_interfaces.msg import Log
+from rclpy.qos import ReliabilityPolicy
+from support.good_status import GOOD, GOOD_INPUT, LARGE
+
+from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics
+from yolov5_lifecycle.ros.detector.image_input import RecentImages
+from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
+from yolov5_lifecycle.ros.detector.status import DISCOVERY_S, EMPTY_S, SILENCE_S, SLOW_S, Status
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.empty_frames import EmptyFrames, EmptyRun
+from yolov5_lifecycle.streaming.frame_balance import FrameCounter, Outcome
+
+NO_CAMERA = TopicStatus(name="/yolov5/image_raw", missing_s=DISCOVERY_S + 1)
+SMALL = 230_400
+_IDLE = "idle (lazy): no subscribers to ~/detections or ~/image, so no images are received"
+BLIND = dataclasses.replace(
+    GOOD, empty=EmptyRun(0.9, frames=152, begun_s=5.0, ended_s=6.0 + EMPTY_S, best_missed=0.614)
+)
+
+
+def _with_topic(topic: TopicStatus = NO_CAMERA, **changes: Any) -> Status:
+    return dataclasses.replace(GOOD, topic=dataclasses.replace(topic, **changes))
+
+
+def _with_losses(received: int, lost: int, max_bytes: int = LARGE) -> Status:
+    return _with_input(recent=RecentImages(window_s=4.2, received=received, lost=lost, max_bytes=max_bytes))
+
+
+def _with_input(**changes: Any) -> Status:
+    return dataclasses.replace(GOOD, input=dataclasses.replace(GOOD_INPUT, **changes))
+
+
+@pytest.mark.parametrize(
+    ("status", "hint"),
+    [
+        pytest.param(GOOD, "", id="all-is-well"),
+        pytest.param(dataclasses.replace(GOOD, input=None), "", id="lazy-is-no-trouble"),
+        pytest.param(
+            _with_losses(30, 10), "10 of 40 images were lost between the camera and this node", id="losses"
+        ),
+        pytest.param(_with_losses(30, 10), "in the last 4 s", id="losses-say-how-long"),
+        pytest.param(_with_losses(30, 10), "config/shm.xml, if it runs on this machine", id="large-losses"),
+        pytest.param(_with_losses(30, 10, SMALL), "lower the camera's rate", id="small-losses"),
+        pytest.param(_with_losses(3, 4), "", id="too-few-images-to-judge"),
+        pytest.param(_with_topic(), "no publisher of images on /yolov5/image_raw", id="no-camera"),
+        pytest.param(_with_topic(missing_s=DISCOVERY_S), "", id="camera-not-discovered-yet"),
+        pytest.param(
+            _with_topic(similar=("/camera/image_raw",)),
+            "Images are published on /camera/image_raw: did you mean that?",
+            id="another-topic",
+        ),
+        pytest.param(
+            _with_topic(similar=("/yolov5/image_raw/compressed",)),
+            "set image_transport to compressed",
+            id="compressed-alone",
+        ),
+        pytest.param(
+            _with_topic(other_types=("std_msgs/msg/String",)),
+            "on /yolov5/image_raw (but std_msgs/msg/String)",
+            id="another-type",
+        ),
+        pytest.param(
+            _with_input(reliability=ReliabilityPolicy.RELIABLE), "does not match", id="incompatible-quality"
+        ),
+        pytest.param(
+            _with_input(silent_s=SILENCE_S + 5), "no image on /yolov5/image_raw for 7 s", id="silence"
+        ),
+        pytest.param(
+            dataclasses.replace(GOOD, busy_s=SLOW_S + 1), "at one image for more than 2 s", id="hanging"
+        ),
+        pytest.param(
+            dataclasses.replace(GOOD, recently_rejected="Encoding 'x' is not supported"),
+            "images are rejected: Encoding 'x'",
+            id="rejected",
+        ),
+        pytest.param(BLIND, "", id="nothing-to-see-is-no-trouble"),
+        pytest.param(dataclasses.replace(GOOD, state="inactive", input=None), "", id="not-active"),
+    ],
+)
+def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> None:
+    assert (hint in status.hint) if hint else (status.hint == "")
+
+
+@pytest.mark.parametrize(
+    ("status", "message"),
+    [
+        pytest.param(GOOD, "detecting", id="detecting"),
+        pytest.param(dataclasses.replace(GOOD, input=None), _IDLE, id="lazy"),
+        pytest.param(
+            dataclasses.replace(_with_topic(similar=("/front/image_raw",)), input=None),
+            f"{_IDLE}; no publisher of images on /yolov5/image_raw: start the camera or remap the topic. "
+            "Images are published on /front/image_raw: did you mean that?",
+            id="lazy-and-remapped-wrongly",
+        ),
+        pytest.param(
+            _with_topic(missing_s=0.5),
+            "waiting for a publisher of images on /yolov5/image_raw",
+            id="discovery",
+        ),
+        pytest.param(
+            BLIND,
+            "nothing scored above confidence_threshold 0.9 in the last 152 frames, the best 0.61: if there "
+            "was something, lower it, or empty classes",
+            id="below-threshold",
+        ),
+        pytest.param(
+            dataclasses.replace(BLIND, recently_rejected="too small"),
+            "images are rejected: too small",
+            id="trouble-before-remark",
+        ),
+        pytest.param(
+            dataclasses.replace(GOOD, state="unconfigured"),
+            "unconfigured: configure and activate the node to detect",
+            id="unconfigured",
+        ),
+        pytest.param(
+            dataclasses.replace(GOOD, state="inactive"),
+            "inactive: activate the node to detect",
+            id="inactive",
+        ),
+        pytest.param(dataclasses.replace(GOOD, state="finalized"), "finalized", id="any-other-state"),
+        pytest.param(dataclasses.replace(GOOD, problem="no weights"), "no weights", id="problem-first"),
+    ],
+)
+def test_the_message_is_the_most_pressing_thing(status: Status, message: str) -> None:
+    assert status.message == message
+
+
+def test_the_values_hold_every_count_and_the_configuration() -> None:
+    counter = FrameCounter()
+    for outcome in Outcome:
+        counter.receive()
+        counter.finish(outcome)
+    counter.receive()
+    values = dataclasses.replace(GOOD, balance=counter.balance()).values()
+    assert {values[f"frames {outcome.value}"] for outcome in Outcome} == {"1"}
+    assert (values["frames received"], values["frames pending"]) == (str(len(Outcome) + 1), "1")
+    assert (values["frames lost"], values["frames overtaken"]) == ("3", "7")
+    assert values["configuration"] == Settings().digest()
+    assert values["latency median ms"] == "21.0"
+    assert BLIND.values()["best score in them"] == "0.61"
+
+
+def test_scores_that_are_mere_noise_are_not_told() -> None:
+    assert BLIND.empty is not None
+    noise = dataclasses.replace(BLIND, empty=dataclasses.replace(BLIND.empty, best_missed=0.0))
+    assert "152 frames, nothing even above 0.05: if there was something" in noise.remark
+
+
+def test_empty_frames_are_counted_until_something_is_found() -> None:
+    frames = EmptyFrames(0.5)
+    assert (frames.run.frames, frames.run.duration_s) == (0, 0.0)
+    for now_s, best_missed in ((3.0, 0.1), (4.0, 0.4), (6.0, 0.0)):
+        frames.add(now_s, 0, best_missed)
+    assert (frames.run.frames, frames.run.duration_s, frames.run.threshold) == (3, 3.0, 0.5)
+    assert frames.run.best_missed == 0.4
+    frames.add(7.0, 1, 0.0)
+    assert frames.run == EmptyRun(0.5)
+
+
+def test_the_log_says_a_reason_once_a_minute_whatever_its_numbers(ros_domain: int) -> None:
+    silent = [_with_input(silent_s=silent_s) for silent_s in (5.0, 6.0, 17.0, 8.0, 9.0)]
+    inactive = dataclasses.replace(GOOD, state="inactive")
+    looks = [
+        *((0.0, status) for status in (GOOD, *silent[:3], GOOD, silent[0], BLIND, BLIND, silent[1])),
+        *((70.0, status) for status in (silent[2], GOOD, silent[3], inactive, silent[4])),
+    ]
+    now_s, last = 0.0, _with_topic()
+    with closing(Observer("watched", domain=ros_domain)) as observer:
+        logged: list[str] = []
+        observer.create_subscription(Log, "/rosout", lambda log: logged.append(log.msg), 100)
+        observer.wait_for(lambda: observer.count_subscribers("/rosout") == 1, "the subscription to the log")
+        seen = last
+        diagnostics = Diagnostics(observer, lambda: seen, clock=lambda: now_s)
+        for now_s, seen in [*looks, (70.0, last)]:  # noqa: B007 - the diagnostics look at both
+            diagnostics.publish()
+        observer.wait_for(lambda: any("no publisher of images" in text for text in logged), "the last reason")
+    words = ("for 5 s", "nothing scored", "for 8 s", "for 9 s", "no publisher of images")
+    assert len(logged) == len(words)
+    assert all(word in text for word, text in zip(words, logged, strict=True))

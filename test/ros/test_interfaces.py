@@ -1,0 +1,65 @@
+"""The message types in use are those of the official vision_msgs 4.1.1 and bond."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bond.msg
+import pytest
+import rclpy
+import vision_msgs.msg
+from rclpy.context import Context
+from rclpy.node import Node
+from support.colcon_workspace import REPOSITORY
+
+# A type's hash covers its name and its fields' names, types and order, through all nested types.
+VISION_MSGS_HASHES = {
+    "BoundingBox2D": "RIHS01_008eacbb0cf8f26e83795547bed013eec3675485ef386ec056d80eaaf1c1ce2f",
+    "Detection2D": "RIHS01_0d12b69df5c593b3455b7346fac8205437a7d4bcb09b9e0e0b2dde787ded38ea",
+    "Detection2DArray": "RIHS01_214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968",
+    "LabelInfo": "RIHS01_3d37df4015cdf660cc851c51897f2acd957e1ca6205ba0a99aebffb9406b0783",
+    "ObjectHypothesis": "RIHS01_51da43cec11c01957a64d1e05a24acd18aae7745ec30b74348ad5f6d634f7f90",
+    "ObjectHypothesisWithPose": "RIHS01_41c12344c0396c48b81df12467c192d99b2a0eb1463c5c37194e4223251c80bc",
+    "Point2D": "RIHS01_eab0e83f44ab4de92ceaf76dd7d0e7638f2bdd1d16ffbe16c7a136c48e407247",
+    "Pose2D": "RIHS01_b0b5d1d7b4c20dd4fcde3ed1d4b289a919290572007d67a97043814db25d3648",
+    "VisionClass": "RIHS01_1e4a11f0fed50b5623cb8ff26ca0e37952a48a9c074d16f804b44e9164c2037a",
+}
+BOND_HASHES = {
+    "Constants": "RIHS01_347874ac7a49af69eb313fc911d72cd59152a5a157b6577cafad31ad43a8d63e",
+    "Status": "RIHS01_87eaccffa254ffffadc0b61600452e8251740f06c25659a2dbda4927fdb1f70a",
+}
+OFFICIAL_HASHES = {"vision_msgs": VISION_MSGS_HASHES, "bond": BOND_HASHES}
+TYPES = {"vision_msgs": vision_msgs.msg, "bond": bond.msg}
+
+
+@pytest.fixture
+def node(ros_domain: int) -> Iterator[Node]:
+    context = Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = Node("types", context=context)
+    yield node
+    node.destroy_node()
+    context.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("package", "name", "official"),
+    [
+        pytest.param(package, name, official, id=f"{package}-{name}")
+        for package, hashes in OFFICIAL_HASHES.items()
+        for name, official in hashes.items()
+    ],
+)
+def test_a_type_is_published_under_the_official_hash(
+    node: Node, package: str, name: str, official: str
+) -> None:
+    node.create_publisher(getattr(TYPES[package], name), "/typed", 1)
+    (endpoint,) = node.get_publishers_info_by_topic("/typed")
+    assert endpoint.topic_type == f"{package}/msg/{name}"
+    assert str(endpoint.topic_type_hash) == official
+
+
+@pytest.mark.parametrize("package", OFFICIAL_HASHES)
+def test_every_message_definition_is_compared(package: str) -> None:
+    definitions = REPOSITORY / "interfaces" / package / "msg"
+    assert {file.stem for file in definitions.glob("*.msg")} == OFFICIAL_HASHES[package].keys()

@@ -1,0 +1,278 @@
+"""Requests to the parameter services: each is validated once, and its work is bounded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import pytest
+import rclpy
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+)
+from rclpy.parameter import Parameter
+from support.served_node import CLASS_NAMES, Preparations, ServedNode
+
+from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
+from yolov5_lifecycle.ros.parameters import MAX_REASON_LENGTH, MAX_SUGGESTIONS
+from yolov5_lifecycle.ros.request_bound import MAX_ITEMS
+from yolov5_lifecycle.ros.services import MAX_RESULTS
+from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
+
+
+class CountingValidation:
+    """Validates, and counts how often."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __call__(self, values: Mapping[str, object]) -> Settings:
+        self.count += 1
+        return validated(values)
+
+
+@pytest.fixture
+def prepare(ros_domain: int) -> Preparations:
+    return Preparations()
+
+
+@pytest.fixture
+def validation() -> CountingValidation:
+    return CountingValidation()
+
+
+@pytest.fixture
+def served(prepare: Preparations, validation: CountingValidation) -> Iterator[ServedNode]:
+    with ServedNode(prepare, validate=validation) as served:
+        yield served
+    assert served.escaped == []
+
+
+def messages(**values: Any) -> list[ParameterMessage]:
+    return [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+
+
+def unknown(count: int) -> list[ParameterMessage]:
+    """Parameters whose names resemble that of a setting."""
+    value = ParameterValue(type=3, double_value=0.5)
+    return [ParameterMessage(name=f"confidence_treshold{number}", value=value) for number in range(count)]
+
+
+def test_a_live_change_is_validated_once(served: ServedNode, validation: CountingValidation) -> None:
+    served.bring_to("active")
+    before = validation.count
+    (result,) = served.set_one_by_one(messages(confidence_threshold=0.5))
+    assert result.successful
+    assert validation.count - before == 1
+
+
+def test_a_reload_is_validated_once(served: ServedNode, validation: CountingValidation) -> None:
+    served.bring_to("active")
+    before = validation.count
+    assert served.set(image_size=320, confidence_threshold=0.5) == (True, "")
+    assert validation.count - before == 1
+
+
+def test_a_program_that_sets_a_parameter_of_its_node_is_validated_once(
+    served: ServedNode, validation: CountingValidation
+) -> None:
+    before = validation.count
+    (result,) = served.node.set_parameters([Parameter("confidence_threshold", value=1)])
+    assert result.successful
+    assert served.get("confidence_threshold") == 1.0
+    assert validation.count - before == 1
+
+
+def test_the_same_refused_parameter_is_validated_again_after_another_change(served: ServedNode) -> None:
+    precision, device = Parameter("precision", value="fp16"), Parameter("device", value="cpu")
+    assert [result.successful for result in served.node.set_parameters([device, precision])] == [True, False]
+    served.node.set_parameters([Parameter("device", value="auto"), Parameter("lazy", value=False)])
+    (result,) = served.node.set_parameters([precision])
+    assert result.successful
+    assert (served.get("precision"), served.get("lazy")) == ("fp16", False)
+
+
+def test_a_request_with_many_bad_values_is_validated_once_for_each_and_once_together(
+    served: ServedNode, validation: CountingValidation
+) -> None:
+    before = validation.count
+    results = served.set_one_by_one(messages(max_rate=-1.0) * MAX_ITEMS)
+    assert not any(result.successful for result in results)
+    assert len(results) == MAX_ITEMS
+    assert validation.count - before <= MAX_ITEMS + 1
+
+
+def test_the_first_unknown_names_are_explained(served: ServedNode) -> None:
+    results = served.set_one_by_one(unknown(MAX_ITEMS))
+    assert all("there is no such parameter" in result.reason for result in results)
+    explained = ["Did you mean 'confidence_threshold'?" in result.reason for result in results]
+    assert explained == [True] * MAX_SUGGESTIONS + [False] * (MAX_ITEMS - MAX_SUGGESTIONS)
+
+
+def test_the_reason_of_a_refusal_is_short(served: ServedNode) -> None:
+    done, reason = served.set_messages(unknown(MAX_ITEMS))
+    assert not done
+    assert f"({MAX_ITEMS} problems)" in reason
+    assert len(reason) < MAX_REASON_LENGTH + 50
+
+
+@pytest.mark.parametrize("count", [MAX_ITEMS + 1, 10_000])
+def test_a_request_with_too_many_parameters_is_refused_as_a_whole(served: ServedNode, count: int) -> None:
+    asked = messages(lazy=False) + unknown(count - 1)
+    done, reason = served.set_messages(asked)
+    assert not done
+    assert f"{count} items in one request; at most {MAX_ITEMS} are accepted" in reason
+    results = served.set_one_by_one(asked)
+    assert len(results) == min(count, MAX_RESULTS)
+    assert {result.reason for result in results} == {reason}
+    assert served.get("lazy") is True
+
+
+def test_a_request_about_too_many_names_is_answered_with_nothing(served: ServedNode) -> None:
+    names = ["lazy"] * 80_000
+    assert not served.call("get_parameters", GetParameters.Request(names=names)).values
+    assert not served.call("get_parameter_types", GetParameterTypes.Request(names=names)).types
+    assert not served.call("describe_parameters", DescribeParameters.Request(names=names)).descriptors
+    assert not served.call("list_parameters", ListParameters.Request(prefixes=names)).result.names
+    served.wait_for_log(f"80000 items in one request; at most {MAX_ITEMS} are accepted")
+
+
+def test_every_parameter_may_be_read_in_one_request(served: ServedNode) -> None:
+    names = list(served.call("list_parameters", ListParameters.Request()).result.names)
+    assert set(names) > SETTINGS_BY_NAME.keys()
+    assert 2 * len(names) < MAX_ITEMS
+    for field, service, request in (
+        ("values", "get_parameters", GetParameters.Request(names=names)),
+        ("types", "get_parameter_types", GetParameterTypes.Request(names=names)),
+        ("descriptors", "describe_parameters", DescribeParameters.Request(names=names)),
+    ):
+        assert len(getattr(served.call(service, request), field)) == len(names)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        pytest.param(ParameterValue(type=9, string_array_value=["a"] * 100_000), id="strings"),
+        pytest.param(ParameterValue(type=6, bool_array_value=[True] * 1_000_000), id="booleans"),
+        pytest.param(ParameterValue(type=5, byte_array_value=[b"a"] * 1_000_000), id="bytes"),
+        pytest.param(ParameterValue(type=7, integer_array_value=[1] * 125_000), id="integers"),
+        pytest.param(ParameterValue(type=1, double_array_value=[1.0] * 125_000), id="beside-a-bool"),
+    ],
+)
+def test_an_endless_list_is_refused(served: ServedNode, value: ParameterValue) -> None:
+    done, reason = served.set_messages([ParameterMessage(name="classes", value=value)])
+    assert not done
+    assert "entries; at most 10000 are accepted" in reason
+
+
+def test_a_request_that_was_refused_for_its_size_leaves_the_service_in_order(served: ServedNode) -> None:
+    for _ in range(3):
+        served.set_one_by_one(unknown(MAX_ITEMS + 1))
+        (result,) = served.set_one_by_one(messages(lazy=False))
+        assert result.successful
+
+
+class FailingDetection:
+    """Stands in for what runs; follows settings only up to a confidence threshold of 0.5."""
+
+    def __init__(self) -> None:
+        self.model = ClassesOnly()
+        self.settings = Settings()
+
+    def apply(self, settings: Settings, model: Any) -> None:
+        if settings.confidence_threshold > 0.5:
+            raise RuntimeError("the subscription failed")
+        self.settings = settings
+
+
+class ClassesOnly:
+    """Stands in for a model and its detector."""
+
+    @property
+    def detector(self) -> ClassesOnly:
+        return self
+
+    class_names = CLASS_NAMES
+
+
+def test_a_change_that_cannot_take_effect_leaves_nothing_behind(ros_domain: int) -> None:
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[])
+    node = rclpy.create_node("yolov5", context=context)
+    detection: Any = FailingDetection()
+    kept: list[Settings] = []
+    nothing: Any = None
+    reconfiguration = Reconfiguration(
+        node, loader=nothing, running=lambda: detection, on_commit=kept.append, arguments=()
+    )
+    set_one_by_one = reconfiguration.handlers()["set_parameters"]
+    request = SetParameters.Request(parameters=messages(confidence_threshold=0.75))
+    try:
+        with pytest.raises(RuntimeError, match="the subscription failed"):
+            set_one_by_one(request, SetParameters.Response()).send(None)
+        assert node.get_parameter("confidence_threshold").value == 0.25
+        assert reconfiguration.parameters.settings() == detection.settings == kept[-1] == Settings()
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+# Reloads
+
+
+def test_of_many_concurrent_reloads_the_first_and_the_last_are_carried_out(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+    prepare.gate.clear()
+    prepared = len(prepare.sources_hw)
+    sizes = [320 + 32 * step for step in range(8)]
+    changes = []
+    for count, size in enumerate(sizes):
+        changes.append(served.begin_set(image_size=size))
+        if count == 0:
+            served.wait_for(lambda: len(prepare.sources_hw) == prepared + 1, "the first to begin")
+        if count > 1:
+            served.wait_for(changes[count - 1].done, "the one before to be superseded")
+    prepare.gate.set()
+    served.wait_for(lambda: all(change.done() for change in changes), "every answer")
+    results = [change.result().result for change in changes]
+    assert [result.successful for result in results] == [True, *[False] * 6, True]
+    assert all("superseded by a later request" in result.reason for result in results[1:-1])
+    assert len(prepare.sources_hw) == prepared + 2
+    assert served.get("image_size") == sizes[-1]
+
+
+def test_after_a_queue_of_reloads_was_dropped_the_next_one_is_carried_out(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+    prepare.gate.clear()
+    changes = [served.begin_set(image_size=size) for size in (320, 352)]
+    assert served.transition("deactivate")
+    prepare.gate.set()
+    served.wait_for(lambda: all(change.done() for change in changes), "both answers")
+    assert served.transition("activate")
+    assert served.set(image_size=384) == (True, "")
+
+
+def test_a_loaded_file_with_new_classes_and_new_weights_says_how_to_set_both(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+    assert served.set(classes=[CLASS_NAMES[0]]) == (True, "")
+    prepare.class_names = ("star", "circle")
+    asked = messages(classes=["star"], weights="/other.pt")
+    refused = served.set_one_by_one(asked)
+    assert [result.successful for result in refused] == [False, False]
+    assert "'star' is not a class of the model" in refused[0].reason
+    assert "If these are classes of the new model in this request" in refused[0].reason
+    assert "`classes` still names those of the running model" in refused[1].reason
+    assert served.set_messages(asked) == (True, "")
+    assert served.label_info().class_map[0].class_name == "star"

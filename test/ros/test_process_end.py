@@ -1,0 +1,352 @@
+"""How the detector's process ends when it cannot start, its command line is wrong or its model misbehaves."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image
+from support.colcon_workspace import REPOSITORY, SUPPORT, SUPPORT_PATH
+from support.detector_process import NODE, environment, scene_image
+from vision_msgs.msg import Detection2DArray
+
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.domain import own_domain
+from yolov5_lifecycle.ros.demo.observer import PATIENCE_S, Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+
+TOO_MANY_ABANDONED = "1 inference threads hang and keep their memory, more than 0: this process ends"
+DEVICE_LOST = "the device is lost to this process, which ends: DeviceLostError: the GPU fell off the bus"
+SCRIPT = SUPPORT / "scripted_detector.py"
+
+
+@contextmanager
+def scripted_detector(script: str) -> Iterator[tuple[ChildProcess, Observer]]:
+    """A detector that starts by itself, with models that behave as `script` says."""
+    command = [sys.executable, str(SCRIPT), script, "--ros-args", "-p", "autostart:=true"]
+    with (
+        own_domain() as domain,
+        ChildProcess("detector", command, environment(domain) | SUPPORT_PATH) as process,
+        closing(Observer("client", domain=domain)) as observer,
+    ):
+        yield process, observer
+
+
+def send_until(observer: Observer, is_done: Callable[[], bool], what: str) -> None:
+    """Publish pictures to the node until `is_done()`."""
+    observer.create_subscription(Detection2DArray, f"{NODE}/detections", lambda _: None, 10)
+    publisher = observer.create_publisher(Image, f"{NODE}/image_raw", 1)
+
+    def is_over() -> bool:
+        publisher.publish(scene_image())
+        return is_done()
+
+    observer.wait_for(is_over, what)
+
+
+def test_a_lost_device_is_told_and_ends_the_process_with_its_own_code() -> None:
+    told: list[str] = []
+
+    def take(message: DiagnosticArray) -> None:
+        told.extend(status.message for status in message.status)
+
+    with scripted_detector("lose_device") as (process, observer):
+        observer.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
+        observer.wait_for(lambda: bool(told), "the first diagnostics")
+        send_until(observer, lambda: DEVICE_LOST in told, "the diagnostics of the lost device")
+        assert process.wait(PATIENCE_S) == EXIT_DEVICE_LOST
+    assert DEVICE_LOST in process.output
+
+
+def test_too_many_abandoned_threads_are_reported_and_end_the_process_with_their_own_code() -> None:
+    reports: list[dict[str, str]] = []
+
+    def take(message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {value.key: value.value for value in status.values}
+            reports.append(values | {"message": status.message})
+
+    with scripted_detector("hang_at_most_never") as (process, observer):
+        observer.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
+        observer.wait_for(lambda: bool(reports), "the first diagnostics")
+        assert reports[0]["abandoned threads"] == "0"
+        assert 10 < float(reports[0]["resident memory MB"]) < 10_000
+        hang(observer, process)
+        assert RemoteLifecycleNode(observer, NODE).change_state("deactivate")
+        observer.wait_for(lambda: reports[-1]["message"] == TOO_MANY_ABANDONED, "the last diagnostics")
+        assert reports[-1]["abandoned threads"] == "1"
+        assert process.wait(PATIENCE_S) == EXIT_ABANDONED_THREADS
+    assert TOO_MANY_ABANDONED in process.output
+
+
+def ask_for_another_model(observer: Observer, process: ChildProcess) -> None:
+    """Set a parameter that needs a reload, and wait until that has begun."""
+    client = observer.create_client(SetParametersAtomically, f"{NODE}/set_parameters_atomically")
+    observer.wait_for(client.service_is_ready, "the service of parameters")
+    parameter = Parameter("image_size", value=320).to_parameter_msg()
+
+    def is_loading() -> bool:
+        client.call_async(SetParametersAtomically.Request(parameters=[parameter]))
+        return "loading slowly" in process.output
+
+    observer.wait_for(is_loading, "the reload")
+
+
+def be_active(observer: Observer, process: ChildProcess) -> None:
+    observer.wait_for(lambda: "active with" in process.output, "the first model")
+
+
+def be_inactive(observer: Observer, process: ChildProcess) -> None:
+    be_active(observer, process)
+    node = RemoteLifecycleNode(observer, NODE)
+    node.wait_until_reachable()
+    assert node.change_state("deactivate")
+
+
+def be_finalized(observer: Observer, process: ChildProcess) -> None:
+    """Shut the node down from active; it answers but grants nothing, and has released everything."""
+    be_active(observer, process)
+    node = RemoteLifecycleNode(observer, NODE)
+    node.wait_until_reachable()
+    assert node.change_state("shutdown")
+    assert node.state() == "finalized"
+    assert process.output.count("model closed") == 1
+    topics = [full_name for full_name, _ in observer.get_publisher_names_and_types_by_node("yolov5", "/")]
+    assert f"{NODE}/detections" not in topics
+    assert observer.count_subscribers(f"{NODE}/image_raw") == 0
+    assert node.parameter("autostart") is True
+    assert not any(map(node.change_state, ("configure", "activate", "cleanup", "shutdown")))
+    assert node.state() == "finalized"
+
+
+def load(observer: Observer, process: ChildProcess) -> None:
+    observer.wait_for(lambda: "loading slowly" in process.output, "the model")
+
+
+def reload(observer: Observer, process: ChildProcess) -> None:
+    be_active(observer, process)
+    ask_for_another_model(observer, process)
+
+
+def hang(observer: Observer, process: ChildProcess) -> None:
+    send_until(observer, lambda: "hanging" in process.output, "the model")
+
+
+LOADER_LEFT = "a model is still being loaded or freed: its thread is left behind"
+INFERENCE_LEFT = "inference still has not ended: its thread is left behind"
+
+
+@pytest.mark.parametrize(
+    ("script", "come_to", "ending", "models", "left"),
+    [
+        pytest.param("work", be_active, signal.SIGHUP, 1, [], id="active"),
+        pytest.param("work", be_inactive, signal.SIGTERM, 1, [], id="inactive"),
+        pytest.param("work", be_finalized, signal.SIGTERM, 1, [], id="finalized"),
+        pytest.param("load_slowly", load, signal.SIGTERM, 0, [LOADER_LEFT], id="loading"),
+        pytest.param("reload_slowly", reload, signal.SIGTERM, 1, [LOADER_LEFT], id="reloading"),
+        pytest.param("hang", hang, signal.SIGTERM, 1, [INFERENCE_LEFT], id="hanging"),
+    ],
+)
+def test_a_signal_releases_every_model_and_ends_the_process_whatever_hangs(
+    script: str,
+    come_to: Callable[[Observer, ChildProcess], None],
+    ending: signal.Signals,
+    models: int,
+    left: list[str],
+) -> None:
+    """What hangs does so for longer than the process is waited for."""
+    with scripted_detector(script) as (process, observer):
+        come_to(observer, process)
+        assert process.stop(ending, timeout_s=PATIENCE_S) == 0
+    assert process.output.count("model closed") == models
+    assert [words for words in (LOADER_LEFT, INFERENCE_LEFT) if words in process.output] == left
+    assert "Traceback" not in process.output
+
+
+@pytest.mark.parametrize(
+    ("name", "signal_number"),
+    [
+        pytest.param(name, number, id=f"{name}-{number.name}")
+        for name in ("camera", "detector")
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if (name, number) != ("camera", signal.SIGHUP)
+    ],
+)
+def test_a_signal_ends_the_process_cleanly_while_it_imports(name: str, signal_number: signal.Signals) -> None:
+    told_imports = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
+    with ChildProcess(name, [entry_point(name)], told_imports) as process:
+        process.wait_for_output(" rclpy\n", 60)
+        assert process.stop(signal_number, timeout_s=PATIENCE_S) == 0
+    assert "Traceback" not in process.output
+
+
+ENDED_BEFORE_THE_FIRST_TURN = """
+import os
+import signal
+import threading
+from yolov5_lifecycle.ros.detector import process as detector
+
+default = signal.getsignal(signal.SIGTERM)
+
+def end():
+    while signal.getsignal(signal.SIGTERM) is default:  # until the process obeys it
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+threading.Thread(target=end).start()
+detector.main([])
+"""
+
+
+def test_a_signal_before_the_first_callback_ends_the_process_without_a_word(ros_domain: int) -> None:
+    command = [sys.executable, "-c", ENDED_BEFORE_THE_FIRST_TURN]
+    with ChildProcess("detector", command, environment(ros_domain)) as process:
+        assert process.wait(60) == 0
+    assert "Warning" not in process.output
+    assert "Traceback" not in process.output
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        pytest.param(["--help"], 0, ["confidence_threshold  ", "Default: 0.25"], id="help"),
+        pytest.param(
+            ["--device", "cpu", "--ros-args", "--params-file", "/nowhere.yaml"],
+            2,
+            ["not understood: --device cpu. Parameters are given as `detector --ros-args -p device:=VALUE`"],
+            id="stray words",
+        ),
+        pytest.param(
+            ["--ros-args", "-p", "use_sim_time:=1"], 2, ["'use_sim_time'"], id="a parameter of ROS's own"
+        ),
+    ],
+)
+def test_the_command_line_is_explained(words: list[str], code: int, told: list[str]) -> None:
+    with ChildProcess("detector", [entry_point("detector"), *words], os.environ) as process:
+        assert process.wait(60) == code
+    assert all(word in process.output for word in told), process.output
+    assert "Traceback" not in process.output
+
+
+COMMANDS = ("camera", "convert", "demo", "detect_bag", "detector", "fetch_weights")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_says_its_version(command: str) -> None:
+    run = subprocess.run([entry_point(command), "--version"], capture_output=True, text=True, timeout=60)
+    expected = f"{command} {version('yolov5_lifecycle')} (yolov5_lifecycle)\n"
+    assert (run.returncode, run.stdout, run.stderr) == (0, expected, "")
+
+
+@pytest.mark.parametrize("command", ["convert", "camera"])
+@pytest.mark.parametrize("is_buffered", [False, True], ids=["unbuffered", "buffered"])
+def test_an_output_that_cannot_be_written_is_said_in_one_line(command: str, is_buffered: bool) -> None:
+    variables = os.environ | {"PYTHONUNBUFFERED": "" if is_buffered else "1"}
+    with Path("/dev/full").open("w") as full:
+        run = subprocess.run(
+            [entry_point(command), "--help"],
+            env=variables,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+        )
+    reason = f"{command}: the output cannot be written: No space left on device\n"
+    assert (run.returncode, run.stderr) == (1, reason)
+
+
+@pytest.mark.parametrize("command", ["fetch_weights", "detector"])
+def test_an_output_that_nobody_reads_ends_the_command_without_a_word(command: str) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    run = subprocess.run(
+        [entry_point(command), "--help"],
+        env=os.environ | {"PYTHONUNBUFFERED": ""},  # argparse ignores an error while it writes the help
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+    )
+    os.close(writing)
+    assert (run.returncode, run.stderr) == (141, "")
+
+
+def test_a_node_goes_on_when_nobody_reads_its_log(ros_domain: int) -> None:
+    """As in `detector 2>&1 | head -1`."""
+    with subprocess.Popen(
+        [entry_point("detector")],
+        env=environment(ros_domain),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.stdout.close()
+        still_served_then_ended(process, ros_domain)
+
+
+@pytest.mark.parametrize("closing_words", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_node_does_its_work_with_closed_streams(ros_domain: int, closing_words: str) -> None:
+    command = ["sh", "-c", f'exec "$0" {closing_words}', entry_point("detector")]
+    with subprocess.Popen(
+        command, env=environment(ros_domain), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
+        still_served_then_ended(process, ros_domain)
+        assert process.stdout is not None
+        assert "Traceback" not in process.stdout.read()
+
+
+def still_served_then_ended(process: subprocess.Popen[Any], domain: int) -> None:
+    """The node configures, which is logged, and SIGHUP ends its process with 0."""
+    with closing(Observer("client", domain=domain)) as observer:
+        node = RemoteLifecycleNode(observer, NODE)
+        node.wait_until_reachable()
+        assert node.change_state("configure")
+        assert node.state() == "inactive"
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(60) == 0
+
+
+@pytest.mark.parametrize("command", ["detector", "convert"])
+def test_too_few_threads_are_said_in_one_line(command: str) -> None:
+    if os.geteuid() != 0 or (setpriv := shutil.which("setpriv")) is None:
+        pytest.skip("needs setpriv (util-linux) and root, whom no limit holds otherwise")
+    capabilities = "+dac_read_search,+dac_override"  # the environment may be root's own
+    limited = f'ulimit -u 2 && exec "$0" {entry_point(command)} IN OUT'
+    run = subprocess.run(
+        [setpriv, "--reuid=54321", "--clear-groups", f"--inh-caps={capabilities}",
+         f"--ambient-caps={capabilities}", "bash", "-c", limited, sys.executable],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert run.returncode == 1, run.stderr
+    (line,) = run.stderr.splitlines()
+    assert line.startswith(f"{command}: ")
+    assert "threads are needed, 1 can be started: raise the limit of processes (`ulimit -u`" in line
+
+
+@pytest.mark.parametrize(
+    ("command", "package"),
+    [("detector", "torch"), ("detector", "pydantic"), ("detector", "rclpy"), ("camera", "cv2")],
+)
+def test_a_python_that_lacks_a_package_is_named_in_one_line(command: str, package: str) -> None:
+    without = f"import sys; sys.modules['{package}'] = None"
+    program = f"{without}; from yolov5_lifecycle.ros.{command}.command import main; main()"
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=60
+    )
+    assert (run.returncode, run.stdout) == (1, "")
+    (line,) = run.stderr.splitlines()
+    assert line.startswith(f"{command}: {sys.executable} cannot import")
+    assert package in line.partition(". The node")[0]

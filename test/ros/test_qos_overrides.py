@@ -1,0 +1,222 @@
+"""QoS that a parameter file overrides is obeyed by the topics it names, or refused with the reason."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
+from support.colcon_workspace import REPOSITORY
+from support.detector_process import NODE, PARAMETERS, as_arguments, detector_process
+from support.served_node import Preparations, ServedNode
+
+from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.detector.image_input import ImageInput
+from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
+from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
+from yolov5_lifecycle.ros.detector.outputs import Outputs
+from yolov5_lifecycle.ros.qos_overrides import qos_problems
+from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED, full_name
+
+PAGE = REPOSITORY / "docs" / "images.md"
+CAMERA = "/camera/image_raw"
+REMAP = ["--ros-args", "-r", f"~/image_raw:={CAMERA}"]
+RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+
+
+def file_of_the_page(folder: Path) -> list[str]:
+    """Arguments that name the parameter file of docs/images.md."""
+    (block,) = re.findall(r"^```yaml\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    (folder / "qos.yaml").write_text(block)
+    return ["--params-file", str(folder / "qos.yaml")]
+
+
+def assignment(name: str, value: object) -> list[str]:
+    return ["-p", f"qos_overrides.{name}:={value}"]
+
+
+@contextmanager
+def started(*arguments: str) -> Iterator[LifecycleNode]:
+    """A node of the detector's name with these words on its command line."""
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[])
+    node = LifecycleNode("yolov5", context=context, cli_args=[*REMAP, *arguments])
+    yield node
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def test_a_parameter_file_is_obeyed_through_every_cycle_of_a_process(ros_domain: int, tmp_path: Path) -> None:
+    """Its words are those of docs/images.md; the camera itself is reliable."""
+    arguments = [*file_of_the_page(tmp_path), *REMAP[1:], *as_arguments(PARAMETERS)]
+    with detector_process(*arguments) as detector:
+        observer = detector.observer
+        observer.create_publisher(Image, CAMERA, 1)
+
+        def offers(
+            infos: Callable[[str], list[object]], topic: str, wanted: ReliabilityPolicy
+        ) -> Callable[[], bool]:
+            return lambda: [info.qos_profile.reliability for info in infos(topic)] == [wanted]  # type: ignore[attr-defined]
+
+        for state in ("active", "inactive", "active", "unconfigured", "active"):
+            detector.bring_to(state)
+            if state == "active":
+                subscriptions = observer.get_subscriptions_info_by_topic
+                observer.wait_for(offers(subscriptions, CAMERA, BEST_EFFORT), "the subscription")
+                publishers = observer.get_publishers_info_by_topic
+                observer.wait_for(offers(publishers, f"{NODE}/image", BEST_EFFORT), "the publisher")
+        observer.wait_for(
+            lambda: detector.status().get("image reliability") == "best_effort", "the node to subscribe"
+        )
+        name = f"qos_overrides.{CAMERA}.subscription.reliability"
+        assert detector.node.parameter(name) == "best_effort"
+        assert "read-only" in detector.node.set_parameters(**{name: "reliable"})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        pytest.param(
+            f"{CAMERA}.subscription.reliability", "relaible", "Did you mean 'reliable'", id="no such value"
+        ),
+        pytest.param(f"{CAMERA}.subscription.reliability", 1, "1 is not one of system_default", id="number"),
+        pytest.param(f"{CAMERA}.subscription.history", "last", "Did you mean 'keep_last'", id="history"),
+        pytest.param(f"{CAMERA}.subscription.depth", 0, "0 is not an integer from 1", id="no depth"),
+        pytest.param(f"{CAMERA}.subscription.depth", "deep", "'deep' is not a whole", id="a word for depth"),
+        pytest.param(f"{CAMERA}.subscription.depth", 10_001, "not an integer from 1 to", id="too deep"),
+        pytest.param(f"{CAMERA}.subscription.depth", True, "True is not an integer", id="truth for depth"),
+        pytest.param(f"{CAMERA}.subscription.durability", "volatile", "no such topic", id="other policy"),
+        pytest.param(
+            "/camara/image_raw.subscription.depth", 2, f"'qos_overrides.{CAMERA}.subs", id="mistyped topic"
+        ),
+        pytest.param(
+            f"{CAMERA}.publisher.depth", 2, f"Did you mean 'qos_overrides.{CAMERA}", id="other side"
+        ),
+        pytest.param("x.y", 2, f"There are .*, {CAMERA}.subscription, .*each with history", id="nonsense"),
+        pytest.param("/yolov5/image_raw.subscription.depth", 2, "no such topic", id="remapped"),
+    ],
+)
+def test_a_wrong_override_is_named_with_the_remedy(
+    ros_domain: int, name: str, value: object, reason: str
+) -> None:
+    with started(*assignment(name, value)) as node:
+        (problem,) = qos_problems(node)
+        assert problem.setting == f"qos_overrides.{name}"
+        assert re.search(reason, problem.message)
+        assert problem.message.endswith("Correct it and start again.")
+
+
+@pytest.mark.parametrize("reliability", ["system_default", "reliable", "best_effort", "best_available"])
+def test_every_topic_may_be_overridden_in_history_depth_and_reliability(
+    ros_domain: int, reliability: str
+) -> None:
+    with started() as node:
+        names = [f"{full_name(node, topic)}.publisher" for topic in PUBLISHED]
+        names += [f"{full_name(node, topic)}.subscription" for topic in SUBSCRIBED]
+    policies = {"history": "keep_all", "depth": 7, "reliability": reliability}
+    words = [
+        word
+        for name in names
+        for policy, value in policies.items()
+        for word in assignment(f"{name}.{policy}", value)
+    ]
+    with started(*words) as node:
+        assert qos_problems(node) == []
+        outputs = Outputs(node, on_subscribers_changed=lambda: None)
+        topics = [ImageTopic(node, "raw"), ImageTopic(node, "compressed")]
+        inputs = [
+            ImageInput(
+                node,
+                topic=topic,
+                reliability="auto",
+                on_frame=lambda frame: None,
+                losses=ImageLosses(),
+            )
+            for topic in topics
+        ]
+        ours = [e for e in (*node.publishers, *node.subscriptions) if node.has_parameter(_depth_of(e))]
+        assert len(ours) == len(names)
+        for endpoint in ours:
+            assert endpoint.qos_profile.history.name == "KEEP_ALL"
+            assert endpoint.qos_profile.depth == 7
+            assert endpoint.qos_profile.reliability.name == reliability.upper()
+        for topic, image_input in zip(topics, inputs, strict=True):
+            assert image_input.look(topic.look()).reliability.name == reliability.upper()
+            image_input.close()
+        outputs.close()
+
+
+def _depth_of(endpoint: object) -> str:
+    topic = getattr(endpoint, "topic_name", None)
+    kind = "subscription" if isinstance(endpoint, rclpy.subscription.Subscription) else "publisher"
+    return f"qos_overrides.{topic}.{kind}.depth"
+
+
+def test_configure_refuses_a_wrong_override_until_the_next_start(ros_domain: int) -> None:
+    arguments = [*REMAP, *assignment(f"{CAMERA}.subscription.reliability", "relaible")]
+    with ServedNode(Preparations(), arguments=arguments) as served:
+        assert not served.transition("configure")
+        assert served.status().message in PAGE.read_text()
+        assert served.state() == "unconfigured"
+        assert served.escaped == []
+
+
+def test_the_setting_and_an_override_cannot_both_say_the_reliability(ros_domain: int) -> None:
+    override = assignment(f"{CAMERA}.subscription.reliability", "reliable")
+    arguments = [*REMAP, *override, "-p", "image_reliability:=best_effort"]
+    with ServedNode(Preparations(), arguments=arguments) as served:
+        assert not served.transition("configure")
+        served.wait_for_log("both say how to subscribe")
+        assert served.set(image_reliability="auto") == (True, "")
+        served.bring_to("active")
+        done, reason = served.set(image_reliability="best_effort")
+        assert not done
+        assert "Use 'auto', or start without the override" in reason
+        assert served.set(image_transport="compressed") == (True, "")
+        compressed = f"{CAMERA}/compressed"
+        served.wait_for(lambda: served.client.count_subscribers(compressed) == 1, "the other transport")
+        assert served.escaped == []
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [(RELIABLE, BEST_EFFORT), (BEST_EFFORT, RELIABLE)],
+    ids=["to best effort", "to reliable"],
+)
+def test_without_an_override_the_subscription_follows_a_camera_that_is_replaced(
+    ros_domain: int, first: ReliabilityPolicy, second: ReliabilityPolicy
+) -> None:
+    observer = Observer("camera", domain=ros_domain)
+    camera = observer.create_publisher(Image, CAMERA, QoSProfile(depth=1, reliability=first))
+    with started() as node:
+        received: list[object] = []
+        topic = ImageTopic(node, "raw")
+        image_input = ImageInput(
+            node, topic=topic, reliability="auto", on_frame=received.append, losses=ImageLosses()
+        )
+
+        def reliability() -> ReliabilityPolicy:
+            return image_input.look(topic.look()).reliability
+
+        observer.wait_for(lambda: reliability() is first, "the first camera's reliability")
+        observer.destroy_publisher(camera)
+        observer.wait_for(lambda: topic.look().publishers == 0, "the first camera to go")
+        camera = observer.create_publisher(Image, CAMERA, QoSProfile(depth=1, reliability=second))
+        observer.wait_for(lambda: reliability() is second, "the second camera's reliability")
+
+        def is_received() -> bool:
+            camera.publish(Image())
+            rclpy.spin_once(node, executor=executor, timeout_sec=0.01)
+            return bool(received)
+
+        executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
+        observer.wait_for(is_received, "an image of the second camera")
+        executor.shutdown()
+        image_input.close()
+    observer.close()

@@ -1,0 +1,130 @@
+"""A process says when there is too little shared memory for the middleware, and what helps."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+from support.colcon_workspace import REPOSITORY
+from support.detector_process import environment
+
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
+from yolov5_lifecycle.ros.shared_memory import (
+    PROCESS_BYTES,
+    TRACER_BYTES,
+    free_bytes,
+    shared_memory_problems,
+    warn_before_import,
+)
+
+FOLDER = Path("/shared")
+PROFILE = REPOSITORY / "config" / "shm.xml"
+
+
+def problems(free: int, **variables: str) -> list[str]:
+    return shared_memory_problems(FOLDER, environment=variables, free=lambda _: free)
+
+
+@pytest.mark.parametrize("free", [0, 1, 372_736, PROCESS_BYTES - 1])
+def test_too_little_is_named_with_the_need_and_the_remedy(free: int) -> None:
+    (problem,) = problems(free)
+    assert problem.startswith(f"/shared has {free >> 10} KiB free and Fast DDS needs 656 KiB")
+    assert all(remedy in problem for remedy in ("--shm-size", "--ipc=host", "fastdds shm clean"))
+
+
+@pytest.mark.parametrize("free", [PROCESS_BYTES, 1 << 40])
+def test_enough_is_not_worth_a_word(free: int) -> None:
+    assert problems(free) == []
+
+
+@pytest.mark.parametrize("variable", ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"])
+def test_the_profile_for_images_needs_more_than_docker_gives(variable: str) -> None:
+    (problem,) = problems(64 << 20, **{variable: str(PROFILE)})
+    assert "needs 69468 KiB" in problem
+    assert problems(72 << 20, **{variable: str(PROFILE)}) == []
+
+
+def test_a_profile_that_cannot_be_read_counts_for_nothing(tmp_path: Path) -> None:
+    (tmp_path / "binary").write_bytes(bytes(range(256)) * 100)
+    (tmp_path / "huge").write_text("<segment_size>" + "9" * 5000 + "</segment_size>")
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("binary", "huge", "pipe", "absent", "", "\0"):
+        assert problems(PROCESS_BYTES, FASTRTPS_DEFAULT_PROFILES_FILE=f"{tmp_path}/{name}") == []
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [{"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}],
+    ids=str,
+)
+def test_who_takes_no_shared_memory_is_left_alone(variables: dict[str, str]) -> None:
+    assert problems(0, **variables) == []
+
+
+def test_a_machine_without_such_a_folder_is_left_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    absent = Path("/nowhere/at/all")
+    assert shared_memory_problems(absent, environment={}) == []
+    warn_before_import("camera", absent)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_full_folder_is_told_before_the_tracer_dies_of_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    warn_before_import("camera", tmp_path, free=lambda _: TRACER_BYTES)
+    assert capsys.readouterr().err == ""
+    warn_before_import("camera", tmp_path, free=lambda _: TRACER_BYTES - 1)
+    assert capsys.readouterr().err.startswith(f"camera: {tmp_path} is full: ROS's tracer, LTTng, may end")
+    (tmp_path / "lttng-ust-wait-6-1000").touch()
+    warn_before_import("camera", tmp_path, free=lambda _: 0)
+    assert capsys.readouterr().err == "", "its files are there already"
+
+
+def test_what_is_free_is_what_the_system_says(tmp_path: Path) -> None:
+    statistics = os.statvfs(tmp_path)
+    assert 0 <= free_bytes(tmp_path) <= statistics.f_blocks * statistics.f_frsize
+
+
+# Real processes whose /dev/shm is small
+
+
+@pytest.fixture(scope="module")
+def small() -> list[str]:
+    """The words in front of a command that give it a /dev/shm of its own; the size is to be filled in."""
+    if missing := [name for name in ("unshare", "mount") if shutil.which(name) is None]:
+        pytest.skip(f"needs {', '.join(missing)} (util-linux)")
+    command = [*("unshare", "--map-root-user", "--mount", "--fork", "--kill-child"), "sh", "-c"]
+    refused = subprocess.run([*command, _mount("4k", ["true"])], capture_output=True, text=True)
+    if refused.returncode != 0:
+        pytest.skip(f"this machine allows no mount namespaces: {refused.stderr.strip()}")
+    return command
+
+
+def _mount(size: str, command: list[str]) -> str:
+    return f"mount -t tmpfs -o size={size} tmpfs /dev/shm && exec {shlex.join(command)}"
+
+
+@pytest.mark.parametrize(("name", "ready"), [("detector", "go on with"), ("camera", "KiB free")])
+def test_a_process_with_too_little_says_so_and_works(
+    small: list[str], ros_domain: int, name: str, ready: str
+) -> None:
+    command = ["sh", "-c", f'echo "number $$"; exec {shlex.quote(entry_point(name))}']
+    with ChildProcess(name, [*small, _mount("300k", command)], environment(ros_domain)) as process:
+        process.wait_for_output("KiB free", PATIENCE_S)
+        process.wait_for_output(ready, PATIENCE_S)
+        number = int(process.output.partition("number ")[2].split()[0])
+        os.kill(number, signal.SIGTERM)
+        assert process.wait(PATIENCE_S) == 0
+    assert "and Fast DDS needs 656 KiB for this process" in process.output
+
+
+def test_a_process_that_the_tracer_ends_has_said_why(small: list[str], ros_domain: int) -> None:
+    command = [*small, _mount("4k", [entry_point("detector"), "--help"])]
+    run = subprocess.run(command, env=environment(ros_domain), capture_output=True, text=True, timeout=60)
+    assert "detector: /dev/shm is full: ROS's tracer, LTTng, may end this process" in run.stderr

@@ -1,0 +1,163 @@
+"""What a node does with the parameter files on its command line: they are read as ROS reads them."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.node import Node
+
+from yolov5_lifecycle.ros.start_arguments import initialize, start_arguments
+from yolov5_lifecycle.settings.parameter_file import ParameterFileError, names_node, read_parameter_file
+from yolov5_lifecycle.settings.parameter_yaml import plain_scalar
+
+SCALARS = [
+    "~", "null", "010", "08", "0x1F", "5e-1", "nan", "NaN", ".nan", "+.nan", "-nan", "nan(x)",
+    "Infinity", "-inf", ".inf", "-.Inf", "infinit", "1e999", "1e-400", "4.9e-324", "1e-310", "2.3e-308",
+    "+5", "-0", "00", "1_000", "0o7", "0b1", "2001-01-01", "99999999999999999999",
+    "9223372036854775807", "9223372036854775808", "-9223372036854775808", "0x8000000000000000",
+    "0x1.8p3", "0x.8", "0x", "0x1p5000", "0x1p-5000", "-.5", "5.", ".5e3", "1.e5", "1e", "y", "N", "NO",
+    "oN", "on", "Off", "TRUE", "tRUE", "=", "<<", "٣", "1" * 150, "é", "http://host/x", "12:30", "'5'",
+    '"yes"', "!!str 5", "!!int 5", "&anchor 5", "0.0e-999", "1e308", "1.8e308",
+]  # fmt: skip
+ALPHABET = "0123456789+-.eExXpPinfaN_"
+
+
+@contextmanager
+def overrides(path: Path) -> Iterator[dict[str, object]]:
+    """What ROS reads in the file for the node /a/yolov5."""
+    context = rclpy.Context()
+    rclpy.init(context=context, args=["--ros-args", "--params-file", str(path)])
+    try:
+        node = Node("yolov5", namespace="/a", context=context, enable_rosout=False)
+        yield {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+    finally:
+        rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "parameters.yaml"
+
+
+def test_scalars_are_read_as_ros_reads_them(ros_domain: int, path: Path) -> None:
+    generator = random.Random(8)
+    made = ["".join(generator.choices(ALPHABET, k=generator.randint(1, 6))) for _ in range(3000)]
+    plain = [text for text in made if text not in ("-", "?") and not text.startswith(("- ", "? "))]
+    lines = [f"    p{index}: {text}" for index, text in enumerate([*SCALARS, *plain])]
+    path.write_text("\n".join(["/**:", "  ros__parameters:", *lines]))
+    (values,) = read_parameter_file(path).values()
+    with overrides(path) as expected:
+        assert {name: repr(value) for name, value in values.items()} == {
+            name: repr(value) for name, value in expected.items()
+        }
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param("/**: {ros__parameters: {a: {b: {c: 1}, d: x}, e.f: 2.5}}", id="nested"),
+        pytest.param("/**: {ros__parameters: {a: 1}}\n---\n/**: {ros__parameters: {b: 1}}", id="documents"),
+        pytest.param("/**: {ros__parameters: {a: 1, a: 2}}", id="twice"),
+        pytest.param("/**: {ros__parameters: {a.b: 1, a: {b: 2}}}", id="twice, nested"),
+        pytest.param(
+            "/**: {ros__parameters: {a: 1}}\n/a/yolov5: {ros__parameters: {a: 2}}\n"
+            "/**: {ros__parameters: {a: 3}}",
+            id="a section in two places",
+        ),
+        pytest.param("a/: {yolov5: {ros__parameters: {x: [a, b], y: [1.5, 2.0], z: [on, n]}}}", id="lists"),
+        pytest.param("/a: {yolov5: {ros__parameters: {1: 2, true: 3}}}", id="names that are not strings"),
+        pytest.param("/**:\n ros__parameters:\n  a: |\n   5\n  b: >-\n   5", id="blocks"),
+        pytest.param("/b: {ros__parameters: {x: 1}}", id="another node"),
+        pytest.param("/**: {}\nb: {c: {}}", id="nothing"),
+        pytest.param("", id="empty"),
+    ],
+)
+def test_a_file_is_read_as_ros_reads_it(ros_domain: int, path: Path, text: str) -> None:
+    path.write_text(text)
+    with overrides(path) as expected:
+        nodes = read_parameter_file(path)
+        values = [values for pattern, values in nodes.items() if names_node(pattern, "/a/yolov5")]
+        assert {name: value for node in values for name, value in node.items()} == expected
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param("/**: {ros__parameters: {a: 1, a: x}}", id="twice, of two types"),
+        pytest.param("/**: {ros__parameters: {a: 1, a: {b: 2}, a.b: x}}", id="twice below a name"),
+        pytest.param("/**: {ros__parameters: {a: [[1, 2]]}}", id="a list in a list"),
+        pytest.param("/**: {ros__parameters: {a: [{b: 1}]}}", id="a mapping in a list"),
+        pytest.param('/**: {ros__parameters: {a: "x\\0y"}}', id="a null character"),
+        pytest.param("just text", id="text"),
+    ],
+)
+def test_what_ros_reads_in_a_surprising_way_is_refused(ros_domain: int, path: Path, text: str) -> None:
+    path.write_text(text)
+    with overrides(path), pytest.raises(ParameterFileError):
+        read_parameter_file(path)
+
+
+def test_bad_files_are_left_out_and_the_others_kept(tmp_path: Path) -> None:
+    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
+    good.write_text("/**: {ros__parameters: {a: 1}}")
+    bad.write_text("a: [")
+    words = ["detector", "--params-file", "x", "--ros-args", "--params-file", str(bad), "-p", "a:=1",
+             "--params-file", str(good), "--params-file", "/none", "--", "--params-file", "y"]  # fmt: skip
+    given = start_arguments(words)
+    assert [*given.words] == [
+        *words[:4], "-p", "a:=1", "--params-file", str(good), "--", "--params-file", "y"
+    ]  # fmt: skip
+    assert [file.path for file in given.files] == [str(good)]
+    assert [path in problem for path, problem in zip((str(bad), "/none"), given.problems, strict=True)]
+    assert given.own_words == ["--params-file", "x", "--params-file", "y"]
+
+
+def test_a_file_that_only_ros_refuses_is_left_out_with_its_reason(ros_domain: int, path: Path) -> None:
+    path.write_text("/**: {ros__parameters: {a: 12:30}}")  # rcl's own libyaml is older than PyYAML's
+    given = initialize(start_arguments(["detector", "--ros-args", "--params-file", str(path), "-p", "b:=1"]))
+    try:
+        assert given.words == ("detector", "--ros-args", "-p", "b:=1")
+        assert given.files == ()
+        (problem,) = given.problems
+        assert problem.startswith(f"the parameter file cannot be read: {path}: ")
+        assert "event near line 1" in problem
+    finally:
+        rclpy.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "told"),
+    [
+        pytest.param("device: 0", ["-p", "device:=cpu"], "device: 0 in", id="integer and string"),
+        pytest.param(
+            "rate: 30", ["--param", "rate:=5.5"], "'--param rate:=5.5'|--param rate:=5.5", id="numbers"
+        ),
+        pytest.param("device: 0", ["-p", "device:=1"], "", id="one type"),
+        pytest.param("device: 0", ["-p", "other:device:=cpu"], "", id="another node"),
+        pytest.param("device: 0", ["-p", "other:=cpu"], "", id="another name"),
+    ],
+)
+def test_values_of_two_types_for_one_name_are_a_problem(
+    path: Path, first: str, second: list[str], told: str
+) -> None:
+    path.write_text(f"/**: {{ros__parameters: {{{first}}}}}")
+    problems = start_arguments(["detector", "--ros-args", "--params-file", str(path), *second]).problems
+    assert len(problems) == bool(told)
+    assert all(re.search(told, problem) for problem in problems)
+
+
+def test_other_words_that_ros_refuses_are_an_error(ros_domain: int, path: Path) -> None:
+    path.write_text("")
+    words = ["detector", "--ros-args", "--params-file", str(path), "--no-such-word"]
+    with pytest.raises(RuntimeError, match="no-such-word"):
+        initialize(start_arguments(words))
+
+
+def test_a_number_of_thousands_of_digits_is_no_integer() -> None:
+    assert plain_scalar("9" * 5000) == "9" * 5000

@@ -1,0 +1,189 @@
+"""ONNX Runtime and OpenVINO predict what torch predicts, for every size, and give everything back."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.colcon_workspace import REPOSITORY
+from support.random_model import CLASS_NAMES, TINY, random_model
+from support.runtime_names import COMPILED_RUNTIMES
+
+from benchmark.process_memory import resident_mb
+from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.detector import load_detector
+from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.detection.nms import Selection, select
+from yolov5_lifecycle.images.image import Order, Picture
+from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
+from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.process.memory import release_unused_memory
+from yolov5_lifecycle.runtimes.registry import load_runtime
+from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
+from yolov5_lifecycle.runtimes.torch_device import DeviceError
+from yolov5_lifecycle.sources.scene import Scene
+
+TINY_P6 = dataclasses.replace(SIZES["n6"], width_multiple=0.125, classes=len(CLASS_NAMES))
+TINY_DEEP = dataclasses.replace(TINY, depth_multiple=1.0, classes=1)
+DETECT_ALONE = dataclasses.replace(
+    TINY, anchors_px=(((10, 13), (16, 30)),), strides=(1,), layers=(Layer((-1,), 1, "Detect"),)
+)
+PIXELS_TWICE = dataclasses.replace(
+    DETECT_ALONE,
+    strides=(2,),
+    layers=(Layer((-1, -1), 1, "Concat"), Layer((-1,), 1, "Conv", (64, 3, 2)), Layer((-1,), 1, "Detect")),
+)
+SCORES = 2e-3
+BOXES_PX = 0.1
+
+
+@pytest.fixture(params=COMPILED_RUNTIMES)
+def runtime_name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def loaded(model: Model, runtime: str) -> Runtime:
+    return load_runtime(model, runtime, device="cpu", precision="fp32")
+
+
+def random_frame(height: int = 64, width: int = 96) -> NDArray[np.uint8]:
+    return np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
+
+
+def assert_same_predictions(raw: NDArray[np.float32], expected: NDArray[np.float32]) -> None:
+    assert raw.shape == expected.shape
+    assert raw.dtype == np.float32
+    np.testing.assert_allclose(raw[:, :4], expected[:, :4], rtol=0, atol=BOXES_PX)
+    np.testing.assert_allclose(raw[:, 4:], expected[:, 4:], rtol=0, atol=SCORES)
+
+
+@pytest.mark.parametrize("size_hw", [(64, 128), (64, 64), (192, 64)], ids=str)
+@pytest.mark.parametrize(
+    "architecture",
+    [
+        pytest.param(TINY, id="three levels"),
+        pytest.param(TINY_P6, id="four levels"),
+        pytest.param(TINY_DEEP, id="repeated bottlenecks, one class"),
+        pytest.param(DETECT_ALONE, id="no layer but the last"),
+        pytest.param(PIXELS_TWICE, id="a first layer that joins the picture with itself"),
+    ],
+)
+def test_a_random_network_predicts_what_it_predicts_in_torch(
+    runtime_name: str, architecture: Architecture, size_hw: tuple[int, int]
+) -> None:
+    model = random_model(4, architecture)
+    frame = random_frame(*size_hw)
+    assert_same_predictions(loaded(model, runtime_name)(frame, "rgb"), loaded(model, "torch")(frame, "rgb"))
+
+
+@pytest.mark.parametrize(
+    "source_hw", [(1080, 810), (480, 640), (720, 1280), (33, 500)], ids=lambda hw: f"{hw[1]}x{hw[0]}"
+)
+def test_a_real_picture_gives_the_detections_of_torch(
+    runtime_name: str, reference_dir: Path, source_hw: tuple[int, int]
+) -> None:
+    model = load_weights(reference_dir / "weights" / "yolov5n.pt").model
+    bus = cv2.imread(str(reference_dir / "images" / "bus.jpg"))
+    found = same_detections(model, runtime_name, Picture(cv2.resize(bus, source_hw[::-1]), "bgr"), 640)
+    assert len(found) > 0 or source_hw == (33, 500)
+
+
+@pytest.mark.parametrize("source_hw", [(240, 320), (480, 640), (320, 180)], ids=lambda hw: f"{hw[1]}x{hw[0]}")
+def test_a_trained_model_finds_in_a_scene_what_it_finds_in_torch(
+    runtime_name: str, source_hw: tuple[int, int]
+) -> None:
+    model = load_weights(REPOSITORY / "weights" / "shapes.safetensors").model
+    shown, truth = Scene(8, source_hw).frame(0)
+    found = same_detections(model, runtime_name, Picture(shown, "rgb"), 320)
+    assert len(found) >= len(truth.class_ids) - 1 > 0
+
+
+def same_detections(model: Model, runtime_name: str, picture: Picture, image_size: int) -> Detections:
+    """What both runtimes find in the picture, in network pixels."""
+    letterbox = Letterbox.fit(picture.size_hw, image_size=image_size, stride=32)
+    frame = letterbox.apply(picture.pixels)
+    raw, expected = (loaded(model, name)(frame, picture.order) for name in (runtime_name, "torch"))
+    assert_same_predictions(raw, expected)
+    found, wanted = (select(rows, Selection()) for rows in (raw, expected))
+    np.testing.assert_array_equal(found.class_ids, wanted.class_ids)
+    np.testing.assert_allclose(found.scores, wanted.scores, rtol=0, atol=SCORES)
+    np.testing.assert_allclose(found.boxes_xyxy, wanted.boxes_xyxy, rtol=0, atol=BOXES_PX)
+    return found
+
+
+def test_the_order_of_colours_makes_no_difference(runtime_name: str) -> None:
+    runtime = loaded(random_model(1), runtime_name)
+    frame = random_frame()
+    np.testing.assert_array_equal(runtime(frame, "rgb"), runtime(frame[..., ::-1].copy(), "bgr"))
+    assert not np.array_equal(runtime(frame, "rgb"), runtime(frame, "bgr"))
+
+
+def test_frame_and_earlier_predictions_stay_as_they_are(runtime_name: str) -> None:
+    runtime = loaded(random_model(1), runtime_name)
+    frame = random_frame()
+    orders: list[Order] = ["rgb", "bgr"]
+    for order in orders:
+        first = runtime(frame, order)
+        before = first.copy()
+        runtime(255 - frame, order)
+        np.testing.assert_array_equal(first, before)
+    np.testing.assert_array_equal(frame, random_frame())
+
+
+def test_sizes_may_alternate_without_end(runtime_name: str) -> None:
+    model = random_model(2)
+    runtime, torch_runtime = loaded(model, runtime_name), loaded(model, "torch")
+    for width in [*range(32, 321, 32), 32, 64]:
+        frame = random_frame(64, width)
+        assert_same_predictions(runtime(frame, "rgb"), torch_runtime(frame, "rgb"))
+
+
+def test_what_was_resolved_can_be_read(runtime_name: str) -> None:
+    detector = load_detector(random_model(), runtime=runtime_name, image_size=64)
+    runtime = detector.runtime
+    assert (runtime.name, runtime.device, runtime.precision) == (runtime_name, "cpu", "fp32")
+    assert detector.choice == "as set"
+
+
+def test_a_gpu_or_half_numbers_are_refused(runtime_name: str) -> None:
+    with pytest.raises(DeviceError, match=f"'{runtime_name}' runs on the CPU only, found device 'cuda:0'"):
+        load_runtime(random_model(), runtime_name, device="cuda:0", precision="auto")
+    with pytest.raises(DeviceError, match="needs a GPU"):
+        load_runtime(random_model(), runtime_name, device="auto", precision="fp16")
+
+
+def test_a_frame_of_another_shape_than_the_stride_allows_is_an_inference_error(runtime_name: str) -> None:
+    with pytest.raises(InferenceError, match=f"{runtime_name} failed on cpu: "):
+        loaded(random_model(), runtime_name)(random_frame(72, 96), "rgb")
+
+
+def test_a_closed_runtime_says_so_and_may_be_closed_again(runtime_name: str) -> None:
+    runtime = loaded(random_model(), runtime_name)
+    runtime(random_frame(), "rgb")
+    runtime.close()
+    runtime.close()
+    with pytest.raises(InferenceError, match="closed"):
+        runtime(random_frame(), "rgb")
+
+
+def test_loading_and_closing_many_times_keeps_no_memory(runtime_name: str) -> None:
+    model = random_model(0, dataclasses.replace(SIZES["n"], classes=len(CLASS_NAMES)))
+    picture = Picture(random_frame(240, 320), "rgb")
+
+    def cycle() -> float:
+        detector = load_detector(model, runtime=runtime_name, image_size=320)
+        detector.detect(picture, Selection())
+        detector.close()
+        release_unused_memory()
+        return resident_mb(os.getpid())
+
+    gc.collect()
+    used = [cycle() for _ in range(25)]
+    assert min(used[-5:]) < used[4] + 8, used  # the weights alone are 7.5 MB a time

@@ -1,0 +1,186 @@
+"""Settings from parameter files and assignments, as the node would read them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from support.colcon_workspace import REPOSITORY
+
+from yolov5_lifecycle.offline.detect_bag import wanted_settings
+from yolov5_lifecycle.settings.parameter_file import (
+    ParameterFileError,
+    assigned_value,
+    file_values,
+    names_node,
+)
+from yolov5_lifecycle.settings.settings import Settings
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "parameters.yaml"
+
+
+@pytest.mark.parametrize(
+    ("text", "node", "values"),
+    [
+        pytest.param("/**: {ros__parameters: {image_size: 320}}", "/a/b", {"image_size": 320}, id="any node"),
+        pytest.param("yolov5: {ros__parameters: {device: 0}}", "/yolov5", {"device": "0"}, id="short name"),
+        pytest.param("/a/b: {ros__parameters: {lazy: no}}", "/a/b", {"lazy": False}, id="full name"),
+        pytest.param("a: {b: {ros__parameters: {lazy: true}}}", "/a/b", {"lazy": True}, id="nested name"),
+        pytest.param("/*/b: {ros__parameters: {lazy: true}}", "/a/b", {"lazy": True}, id="one part"),
+        pytest.param("/**/b: {ros__parameters: {lazy: true}}", "/b", {"lazy": True}, id="any parts"),
+        pytest.param("yolov5: {ros__parameters: {}}", "/yolov5", {}, id="nothing"),
+        pytest.param(
+            "/**: {ros__parameters: {lazy: true, image_size: 64}}\nb: {ros__parameters: {lazy: false}}",
+            "/b",
+            {"lazy": False, "image_size": 64},
+            id="later wins",
+        ),
+        pytest.param(
+            "b: {ros__parameters: {use_sim_time: true, qos_overrides: {/clock: {depth: 1}}, wheels: 4}}",
+            "/b",
+            {"wheels": 4},
+            id="ROS's own",
+        ),
+    ],
+)
+def test_a_file_speaks_to_the_nodes_it_names(
+    path: Path, text: str, node: str, values: dict[str, object]
+) -> None:
+    path.write_text(text)
+    assert file_values(path, node) == values
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        pytest.param("front: {ros__parameters: {lazy: true}}", "found those of: /front.", id="another node"),
+        pytest.param("/*: {ros__parameters: {lazy: true}}", "found those of: /*.", id="another depth"),
+        pytest.param("image_size: 320", "line 1: 'image_size' has a value", id="no node"),
+        pytest.param("", "found those of: none.", id="empty"),
+        pytest.param("a: [", "line 2", id="no YAML"),
+        pytest.param("a: \udcff", "invalid|can't decode", id="not UTF-8"),
+        pytest.param('"a"\U00108ff0', r"line 1", id="what cannot be printed"),
+        pytest.param("- a", "line 1: expected names of nodes", id="list"),
+        pytest.param("a", "line 1: expected names of nodes", id="word"),
+        pytest.param("a: &a {ros__parameters: *a}", r"line 1: an alias \(\*a\)", id="alias"),
+        pytest.param("a: {ros__parameters: }", "line 1: a name without a value", id="nothing"),
+        pytest.param("a: {ros__parameters: 5}", "line 1: expected names and values", id="value"),
+        pytest.param("ros__parameters: {a: 1}", "above ros__parameters is no name", id="no name"),
+        pytest.param("yolo-v5: {ros__parameters: {a: 1}}", "'yolo-v5' above", id="bad name"),
+        pytest.param("a: {/b: {ros__parameters: {c: 1}}}", "'a//b' above", id="two slashes"),
+        pytest.param(f"{'/**' * 4}: {{ros__parameters: {{c: 1}}}}", "one is enough", id="wildcards"),
+    ],
+)
+def test_a_file_that_the_node_cannot_use_is_an_error(path: Path, text: str, told: str) -> None:
+    path.write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(ParameterFileError, match=told):
+        file_values(path, "/a/yolov5")
+
+
+def bomb(depth: int) -> str:
+    """Aliases of aliases: 10 to the power of `depth` values."""
+    levels = [f"l{level}: &l{level} [{', '.join([f'*l{level - 1}'] * 10)}]" for level in range(1, depth)]
+    return "\n".join(["l0: &l0 [x]", *levels])
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        pytest.param(bomb(12), "has a value, but there is no", id="aliases of aliases"),
+        pytest.param("a: {ros__parameters: {b: &b [1], c: *b}}", "an alias", id="an alias"),
+        pytest.param("{a: " * 50_000, "a name of|nested more than 32", id="mappings"),
+        pytest.param("a: {ros__parameters: {b: " + "[" * 50_000, "no lists or mappings", id="lists"),
+        pytest.param(
+            "a: {ros__parameters: {" + ", ".join(f"p{number}: 1" for number in range(50_000)) + "}}",
+            "more than 20000 names and values",
+            id="parameters",
+        ),
+        pytest.param("a: {ros__parameters: {b: [" + "1, " * 50_000 + "]}}", "more than 20000", id="numbers"),
+        pytest.param("a: {ros__parameters: {" + "b" * 1000 + ": 1}}", "of more than 500", id="long name"),
+        pytest.param("#" * (1 << 20) + "#", "more than 1048576 bytes", id="large"),
+    ],
+)
+def test_a_file_that_is_too_much_is_refused(path: Path, text: str, told: str) -> None:
+    path.write_text(text)
+    with pytest.raises(ParameterFileError, match=told):
+        file_values(path, "/a")
+
+
+def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path, told in (
+        (pipe, "expected a regular file"),
+        (Path("/dev/zero"), "expected a regular file"),
+        (tmp_path, "Is a directory"),
+        (tmp_path / "none.yaml", "No such file"),
+        (Path("a\0b"), "null character"),
+        (tmp_path / ("x" * 300), "File name too long"),
+    ):
+        with pytest.raises(ParameterFileError, match=told):
+            file_values(path, "/a")
+
+
+@pytest.mark.parametrize(
+    ("assignment", "value"),
+    [
+        pytest.param("confidence_threshold=0.4", ("confidence_threshold", 0.4), id="number"),
+        pytest.param("confidence_threshold=1", ("confidence_threshold", 1.0), id="whole number"),
+        pytest.param("classes=[circle, star]", ("classes", ["circle", "star"]), id="list"),
+        pytest.param("classes=[0, 2]", ("classes", ["0", "2"]), id="list of numbers"),
+        pytest.param('classes=[dog, "2"]', ("classes", ["dog", "2"]), id="names and numbers"),
+        pytest.param("iou_threshold=5e-1", ("iou_threshold", 0.5), id="number of YAML 1.2"),
+        pytest.param("classes=[]", ("classes", []), id="empty list"),
+        pytest.param("device=1", ("device", "1"), id="number for a text"),
+        pytest.param("weights=/a=b.pt", ("weights", "/a=b.pt"), id="equals in the value"),
+        pytest.param("weights=", ("weights", ""), id="empty text"),
+        pytest.param("model_size=n", ("model_size", "n"), id="n"),
+        pytest.param("wheels=4", ("wheels", 4), id="no setting"),
+    ],
+)
+def test_an_assignment_has_the_type_of_its_setting(assignment: str, value: tuple[str, object]) -> None:
+    assert assigned_value(assignment) == value
+
+
+@pytest.mark.parametrize(
+    ("assignment", "told"),
+    [
+        pytest.param("classes=[dog, 2]", r'write \["dog", "2"\]', id="two types"),
+        pytest.param("classes=[1, 2.5]", r"write \[1.0, 2.5\]", id="two kinds of numbers"),
+        pytest.param("classes=[[dog]]", "no lists or mappings", id="nested"),
+        pytest.param("classes={dog: 1}", "expected a value", id="mapping"),
+        pytest.param("classes=*dog", "an alias", id="alias"),
+        pytest.param("classes= #", "found nothing", id="comment"),
+        pytest.param("classes", "expected NAME=VALUE", id="no value"),
+    ],
+)
+def test_an_assignment_that_ros_would_not_read_is_refused(assignment: str, told: str) -> None:
+    with pytest.raises(ParameterFileError, match=told):
+        assigned_value(assignment)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "node", "is_named"),
+    [
+        ("/**", "/a", True), ("/**/b", "/a/c/b", True), ("/a/**/b", "/a/b", True), ("/*/b", "/a/b", True),
+        ("/*", "/a/b", False), ("/a/**/c/**/b", "/a/x/c/y/b", True), ("/a/**/c", "/a/c/b", False),
+        ("/**/**", "/a", True), ("/a/**", "/a", True), ("/a", "/a/b", False), ("/a/b", "/a", False),
+        ("/**" * 1000 + "/z", "/a" * 100, False),
+    ],
+)  # fmt: skip
+def test_a_name_with_wildcards_is_compared(pattern: str, node: str, is_named: bool) -> None:
+    assert names_node(pattern, node) is is_named
+
+
+def test_an_assignment_wins_over_the_file() -> None:
+    demo = REPOSITORY / "config" / "demo.yaml"
+    settings = wanted_settings(demo, ["image_size=640", "classes=[1]"], "/yolov5")
+    assert (settings.image_size, settings.classes, settings.device) == (640, ("1",), "cpu")
+
+
+def test_the_file_with_all_defaults_changes_nothing() -> None:
+    assert wanted_settings(REPOSITORY / "config" / "yolov5.yaml", [], "/anything") == Settings()

@@ -1,0 +1,190 @@
+"""Settings: every rule, every message, one source."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+
+import pytest
+
+from yolov5_lifecycle.settings.field import Change, Setting
+from yolov5_lifecycle.settings.settings import (
+    SETTINGS,
+    SETTINGS_BY_NAME,
+    Settings,
+    SettingsError,
+    unknown_setting,
+    validated,
+)
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        pytest.param({"confidence_threshold": 1.5}, "1.5 is not a number from 0 to 1", id="above-range"),
+        pytest.param({"confidence_threshold": -0.1}, "-0.1 is not a number from 0 to 1", id="below-range"),
+        pytest.param({"confidence_threshold": math.nan}, "nan is not a number", id="nan"),
+        pytest.param({"max_rate": math.inf}, "inf is not a number", id="infinity"),
+        pytest.param({"confidence_threshold": True}, "True is not a number", id="bool-for-number"),
+        pytest.param({"confidence_threshold": "0.5"}, "'0.5' is not a number", id="text-for-number"),
+        pytest.param({"max_detections": 0}, "0 is not an integer from 1", id="no-detections"),
+        pytest.param({"max_detections": 2.5}, "2.5 is not an integer", id="fraction-for-count"),
+        pytest.param({"image_size": True}, "True is not an integer", id="bool-for-count"),
+        pytest.param({"image_size": 650}, "a multiple of 32", id="no-multiple-of-a-stride"),
+        pytest.param({"lazy": 1}, "1 is not true or false", id="number-for-bool"),
+        pytest.param({"model_size": "xl"}, "Did you mean 'x'?", id="misspelt-choice"),
+        pytest.param({"device": "gpu"}, "Did you mean 'cuda'?", id="gpu"),
+        pytest.param({"device": "cuda:one"}, "must be auto, cpu, cuda", id="device-index-in-words"),
+        pytest.param({"weights_sha256": "abc"}, "64 hexadecimal digits", id="short-digest"),
+        pytest.param({"weights_sha256": "g" * 64}, "64 hexadecimal digits", id="no-hex-digest"),
+        pytest.param({"weights_dirs": ("/a", "b")}, "['/a', 'b'] must be absolute", id="relative-folder"),
+        pytest.param({"weights_dirs": ("",)}, "must be absolute", id="nameless-folder"),
+        pytest.param(
+            {"weights_dirs": "/a"}, "'/a' is not a list of at most 100 strings", id="folder-without-list"
+        ),
+        pytest.param({"weights": 3}, "3 is not a string", id="number-for-path"),
+        pytest.param({"classes": ("a", 3)}, "['a', 3] is not a list of at most", id="number-among-classes"),
+        pytest.param({"classes": ("a", 3, 4)}, "['a', 3, 4] is not", id="two-numbers-among-classes"),
+        pytest.param({"autostart": "yes"}, "start it again with another value", id="read-only"),
+        pytest.param({"weights_dirs": ("a",)}, "start it again with another value", id="read-only-folders"),
+        pytest.param({"classes": "star"}, "Did you mean [star]?", id="class-without-list"),
+        pytest.param({"classes": "[2, square]"}, 'Did you mean ["2", square]?', id="index-and-name"),
+        pytest.param({"classes": (1.5,) * 10_000}, "is not a list of at most", id="numbers-instead-of-texts"),
+        pytest.param({"classes": ("a",) * 10_001}, "a list of at most 10000 strings", id="huge-list"),
+        pytest.param({"weights_dir": ""}, "'' is not a string of 1 to 4096 characters", id="empty-folder"),
+        pytest.param({"weights": "a" * 5000}, "a string of at most 4096 characters", id="endless-path"),
+    ],
+)
+def test_a_broken_rule_is_named_with_field_value_and_rule(values: dict[str, object], problem: str) -> None:
+    with pytest.raises(SettingsError) as refusal:
+        validated(values)
+    (found,) = refusal.value.problems
+    assert found.setting == next(iter(values))
+    assert problem in found.message
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["x" * 1_000_000, ("x" * 1_000_000,) * 3, (0.1,) * 1_000_000, ("\n",) * 10_000, 1.5, ()],
+    ids=lambda value: type(value).__name__,
+)
+@pytest.mark.parametrize("name", SETTINGS_BY_NAME)
+def test_a_refusal_is_short_whatever_was_given(name: str, value: object) -> None:
+    with contextlib.suppress(SettingsError):
+        validated({name: value})
+        return
+    with pytest.raises(SettingsError) as refusal:
+        validated({name: value})
+    assert len(str(refusal.value)) < 500
+
+
+def test_an_unknown_name_is_shown_in_one_short_line() -> None:
+    problem = str(unknown_setting("a\n\x1b[31m" + "x" * 1_000_000))
+    assert problem.startswith("a ?[31mxxx")
+    assert len(problem) < 200
+
+
+def test_every_broken_field_is_reported_at_once() -> None:
+    with pytest.raises(SettingsError) as refusal:
+        validated({"confidence_threshold": 2, "model_size": "q", "image_size": 7, "wieghts": "x"})
+    assert [problem.setting for problem in refusal.value.problems] == [
+        "model_size",
+        "image_size",
+        "confidence_threshold",
+        "wieghts",
+    ]
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
+    with pytest.raises(SettingsError, match=r"confidence_treshold: .*Did you mean 'confidence_threshold'"):
+        validated({"confidence_treshold": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("half", "precision"),
+        ("conf_thres", "confidence_threshold"),
+        ("imgsz", "image_size"),
+        ("model", "weights"),
+        ("model_file", "weights"),
+        ("weights_url", "weights"),
+    ],
+)
+def test_a_name_from_elsewhere_is_answered_with_ours(name: str, meant: str) -> None:
+    with pytest.raises(SettingsError, match=rf"{name}: there is no such parameter. Did you mean '{meant}'\?"):
+        validated({name: 1})
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        pytest.param(name, "topics are remapped: -r '~/image_raw:=/camera/image_raw'.", id=name)
+        for name in ("image_topic", "input_topic", "camera_topic", "input_image_topic")
+    ]
+    + [
+        pytest.param(name, "not needed: ~/image is published while it has subscribers.", id=name)
+        for name in ("pub_image", "pub_result_img", "publish_image", "show_result")
+    ],
+)
+def test_what_is_no_parameter_here_is_answered_with_the_way_it_is_done(name: str, told: str) -> None:
+    with pytest.raises(SettingsError) as refusal:
+        validated({name: "x"})
+    assert str(refusal.value) == f"{name}: there is no such parameter: {told}"
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        pytest.param({"device": "cpu", "precision": "fp16"}, "fp16.*device is 'cpu'", id="half-on-cpu"),
+        pytest.param({"model_size": "n6", "image_size": 672}, "multiple of 64.*640 or 704", id="p6-stride"),
+    ],
+)
+def test_settings_that_contradict_each_other_are_refused(values: dict[str, object], problem: str) -> None:
+    with pytest.raises(SettingsError, match=problem):
+        validated(values)
+
+
+def test_every_contradiction_is_reported_at_once() -> None:
+    with pytest.raises(SettingsError) as refusal:
+        validated({"device": "cpu", "precision": "fp16", "model_size": "n6", "image_size": 672})
+    assert [problem.setting for problem in refusal.value.problems] == ["precision", "image_size"]
+
+
+def test_the_stride_of_a_named_weights_file_is_left_to_the_file() -> None:
+    assert validated({"weights": "mine.pt", "model_size": "n6", "image_size": 672}).image_size == 672
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        pytest.param({"device": "0"}, {"device": "cuda:0"}, id="bare-index-is-cuda"),
+        pytest.param(
+            {"confidence_threshold": 1}, {"confidence_threshold": 1.0}, id="whole-number-for-number"
+        ),
+        pytest.param({"classes": ["a"]}, {"classes": ("a",)}, id="list"),
+        pytest.param({"weights_sha256": "AB" * 32}, {"weights_sha256": "ab" * 32}, id="digest-in-capitals"),
+    ],
+)
+def test_what_is_plainly_meant_is_accepted(given: dict[str, object], kept: dict[str, object]) -> None:
+    assert validated(given).model_dump() == Settings().model_dump() | kept
+
+
+def test_differing_names_only_settings_of_the_asked_kind() -> None:
+    changed = validated({"device": "cpu", "confidence_threshold": 0.5})
+    assert Settings().differing(changed, Change.RELOAD) == ["device"]
+    assert Settings().differing(changed, Change.LIVE) == ["confidence_threshold"]
+
+
+def test_the_digest_names_the_configuration() -> None:
+    assert Settings().digest() == validated({}).digest()
+    assert Settings().digest() != validated({"lazy": False}).digest()
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
+def test_every_setting_says_what_a_user_needs(setting: Setting) -> None:
+    assert setting.description.endswith(".")
+    assert setting.allowed
+    assert "None" not in setting.allowed
+    assert (setting.minimum is None) == (setting.maximum is None)
+    assert validated({setting.name: setting.default}) == Settings()

@@ -1,0 +1,105 @@
+"""Calibration files of cameras: what is read, and what is refused with which words."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from support.calibration_file import FILE
+
+from yolov5_lifecycle.sources.calibration import MAX_FILE_BYTES, CalibrationError, read_calibration
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "my camera.yaml"
+    path.write_text(FILE)
+    return path
+
+
+@pytest.mark.parametrize("quoted", [False, True])
+def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
+    calibration = read_calibration(path.as_uri() if quoted else f"file://{path}")
+    assert calibration.size_hw == (480, 640)
+    assert calibration.camera_name == "narrow_stereo"
+    assert list(calibration.camera_matrix.data) == [438.78, 0, 305.59, 0, 437.34, 243.74, 0, 0, 1]
+    assert list(calibration.distortion_coefficients.data) == [-0.3615, 0.1661, 4.8e-05, 1e-05, 0]
+    assert calibration.projection_matrix.data[5] == 393.66
+
+
+def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    marker = tmp_path / "share" / "ament_index" / "resource_index" / "packages" / "my_robot"
+    marker.parent.mkdir(parents=True)
+    marker.touch()
+    (tmp_path / "share" / "my_robot").mkdir()
+    path.rename(tmp_path / "share" / "my_robot" / "lens.yaml")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert read_calibration("package://my_robot/lens.yaml").size_hw == (480, 640)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        pytest.param("image_width: 640", "", "image_width: Field required", id="missing"),
+        pytest.param("image_width: 640", "image_width: 0", "image_width: Input should be greater", id="size"),
+        pytest.param(
+            "plumb_bob", "fisheye", "'plumb_bob', 'rational_polynomial' or 'equidistant'", id="model"
+        ),
+        pytest.param(
+            "0, 0, 1]\ndist", "0, 0]\ndist", "camera_matrix: expected 3 x 3 values in data, found 8", id="8"
+        ),
+        pytest.param(
+            "438.78", ".nan", "camera_matrix.data.0: Input should be a finite number", id="no number"
+        ),
+        pytest.param("438.78", "0", "expected focal lengths above 0", id="not calibrated"),
+        pytest.param("438.78", "[[]]", "camera_matrix.data.0: Input should be a valid number", id="list"),
+        pytest.param(
+            "rows: 3\n  cols: 4",
+            "rows: 4\n  cols: 3",
+            "projection_matrix: expected 3 x 4, found 4 x 3",
+            id="shape",
+        ),
+        pytest.param(
+            "plumb_bob", "equidistant", "expected 4 for equidistant, found 5", id="number of coefficients"
+        ),
+        pytest.param("438.78", "&a 438.78, *a", "found an alias", id="alias"),
+        pytest.param(FILE, "", "found no names and values", id="empty"),
+        pytest.param(FILE, "[" * 60_000, "camera_calibration writes", id="nested"),
+        pytest.param(FILE, " " * MAX_FILE_BYTES + FILE, f"more than {MAX_FILE_BYTES} bytes", id="too large"),
+        pytest.param(FILE, "\x1b[31m: {", "camera_calibration writes", id="control characters"),
+    ],
+)
+def test_what_is_wrong_is_told(path: Path, old: str, new: str, told: str) -> None:
+    assert old in FILE
+    path.write_text(FILE.replace(old, new, 1))
+    with pytest.raises(CalibrationError) as raised:
+        read_calibration(f"file://{path}")
+    assert str(raised.value).startswith(f"{path}: ")
+    assert told in str(raised.value)
+    assert str(raised.value).isprintable()
+    assert len(str(raised.value)) < 2000
+
+
+@pytest.mark.parametrize(
+    ("url", "told"),
+    [
+        pytest.param("lens.yaml", "expected file:///PATH", id="path"),
+        pytest.param("file://lens.yaml", "expected file:///PATH", id="relative"),
+        pytest.param("http://host/lens.yaml", "expected file:///PATH", id="web"),
+        pytest.param("package://no_such/lens.yaml", "no package 'no_such'", id="package"),
+        pytest.param("file:///no/such.yaml", "No such file", id="no file"),
+        pytest.param("file:///dev/zero", "found no regular file", id="device"),
+        pytest.param("file:///", "irectory", id="folder"),
+        pytest.param("file:///a%00b", "null", id="null character"),
+    ],
+)
+def test_a_url_that_leads_nowhere_is_told(url: str, told: str) -> None:
+    with pytest.raises(CalibrationError, match=told):
+        read_calibration(url)
+
+
+def test_a_pipe_does_not_hang(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(CalibrationError, match="found no regular file"):
+        read_calibration(f"file://{tmp_path / 'pipe'}")

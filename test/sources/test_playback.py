@@ -1,0 +1,134 @@
+"""Playing pictures: when each is shown, and what becomes of a source that ends, fails or hangs."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.sources.playback import Playback
+from yolov5_lifecycle.sources.source import PictureSource, SourceFrame
+from yolov5_lifecycle.sources.source_error import SourceError
+
+PATIENCE_S = 60.0
+
+
+def frame(number: int) -> SourceFrame:
+    return SourceFrame(Picture(np.full((1, 1, 3), number % 256, np.uint8), "rgb"))
+
+
+def numbers(frames: list[SourceFrame]) -> list[int]:
+    return [int(shown.picture.pixels[0, 0, 0]) for shown in frames]
+
+
+@contextmanager
+def playback(
+    open_source: Callable[[], PictureSource],
+    show: Callable[[SourceFrame], None] = lambda _: None,
+    *,
+    rate_hz: float = 0.0,
+    is_awaited: Callable[[], bool] = lambda: True,
+) -> Iterator[Playback]:
+    playing = Playback(open_source, show, rate_hz=rate_hz, is_awaited=is_awaited)
+    yield playing
+    assert playing.stop(PATIENCE_S)
+
+
+def wait_for_end(playing: Playback) -> None:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not playing.is_finished:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("own_hz", "asked_hz", "at_least_s"),
+    [
+        pytest.param(20.0, 0.0, 0.15, id="its own rate"),
+        pytest.param(1.0, 20.0, 0.15, id="another rate"),
+    ],
+)
+def test_frames_are_shown_in_order_and_no_faster_than_asked(
+    own_hz: float, asked_hz: float, at_least_s: float
+) -> None:
+    shown: list[SourceFrame] = []
+    begun_s = time.monotonic()
+    source = PictureSource(map(frame, range(4)), own_hz)
+    with playback(lambda: source, shown.append, rate_hz=asked_hz) as playing:
+        wait_for_end(playing)
+    assert numbers(shown) == [0, 1, 2, 3]
+    assert time.monotonic() - begun_s >= at_least_s
+    assert playing.failure == ""
+
+
+@pytest.mark.parametrize(("rate_hz", "is_every_one_shown"), [(0.0, True), (20.0, False)])
+def test_a_device_is_read_at_its_own_pace_and_what_is_too_much_is_dropped(
+    rate_hz: float, is_every_one_shown: bool
+) -> None:
+    shown: list[SourceFrame] = []
+    enough = threading.Event()
+
+    def show(frame: SourceFrame) -> None:
+        shown.append(frame)
+        if len(shown) == 3:
+            enough.set()
+
+    device = PictureSource(map(frame, itertools.count()), rate_hz=None)
+    with playback(lambda: device, show, rate_hz=rate_hz):
+        assert enough.wait(PATIENCE_S)
+    assert (numbers(shown[:3]) == [0, 1, 2]) is is_every_one_shown
+
+
+def test_nothing_is_shown_before_it_is_awaited() -> None:
+    awaited, shown = threading.Event(), threading.Event()
+    source = PictureSource(map(frame, range(1)), 1000.0)
+    with playback(lambda: source, lambda _: shown.set(), is_awaited=awaited.is_set) as playing:
+        assert not shown.wait(0.1)
+        awaited.set()
+        wait_for_end(playing)
+    assert shown.is_set()
+
+
+def test_playback_that_nobody_awaits_can_be_stopped() -> None:
+    source = PictureSource(map(frame, range(1)), 1000.0)
+    with playback(lambda: source, is_awaited=lambda: False) as playing:
+        assert not playing.is_finished
+
+
+def test_a_source_that_hangs_is_left_behind() -> None:
+    is_mended = threading.Event()
+
+    def hang() -> PictureSource:
+        is_mended.wait(PATIENCE_S)
+        return PictureSource(map(frame, range(1)), 1000.0)
+
+    shown: list[SourceFrame] = []
+    with playback(hang, shown.append) as playing:
+        assert not playing.stop(0.1)
+        is_mended.set()
+    assert shown == []
+
+
+def failing() -> Iterator[SourceFrame]:
+    yield frame(0)
+    raise SourceError("unplugged")
+
+
+@pytest.mark.parametrize(
+    ("show", "told"),
+    [
+        pytest.param(lambda _: None, "unplugged", id="source"),
+        pytest.param(lambda _: 1 / 0, "Traceback.*ZeroDivisionError.*", id="anything else"),
+    ],
+)
+def test_a_failure_ends_the_playback_and_is_told(show: Callable[[SourceFrame], None], told: str) -> None:
+    with playback(lambda: PictureSource(failing(), 1000.0), show) as playing:
+        wait_for_end(playing)
+    assert re.fullmatch(told, playing.failure, re.DOTALL)

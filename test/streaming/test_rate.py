@@ -1,0 +1,75 @@
+"""Rates and latencies."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from yolov5_lifecycle.streaming.rate import LatencyWindow, RateLimit
+
+
+@pytest.mark.parametrize("limit_hz", [1.0, 7.0, 10.0, 20.0, 29.0])
+def test_a_stream_is_thinned_to_the_limit_within_two_percent(limit_hz: float) -> None:
+    limit = RateLimit()
+    admitted = sum(limit.admits(1000 + index / 30, limit_hz) for index in range(30 * 100))
+    assert admitted / 100 == pytest.approx(limit_hz, rel=0.02)
+
+
+def test_a_slower_stream_passes_whole() -> None:
+    limit = RateLimit()
+    assert all(limit.admits(index / 5, 10.0) for index in range(100))
+
+
+def test_zero_is_no_limit() -> None:
+    limit = RateLimit()
+    assert all(limit.admits(0.0, 0.0) for _ in range(10))
+
+
+def test_a_pause_does_not_save_up_a_burst() -> None:
+    limit = RateLimit()
+    limit.admits(0.0, 10.0)
+    admitted = sum(limit.admits(100 + index / 1000, 10.0) for index in range(100))
+    assert admitted <= 2
+
+
+def test_an_empty_window_has_no_latency() -> None:
+    summary = LatencyWindow().summary(5.0)
+    assert summary.rate_hz == 0
+    assert math.isnan(summary.median_ms)
+    assert math.isnan(summary.p95_ms)
+
+
+def test_the_window_summarises_recent_events_only() -> None:
+    window = LatencyWindow(window_s=10.0, begin_s=0.0)
+    window.add(0.0, 1e6)
+    for index in range(1, 101):
+        window.add(100.0, float(index))
+    summary = window.summary(105.0)
+    assert summary.rate_hz == pytest.approx(10.0)
+    assert summary.median_ms == pytest.approx(50.5)
+    assert summary.p95_ms == pytest.approx(96.0)
+
+
+@pytest.mark.parametrize(
+    "now_s",
+    [
+        pytest.param(101.0, id="after a second"),
+        pytest.param(102.5, id="before the window is full"),
+        pytest.param(105.0, id="when it is full"),
+        pytest.param(200.0, id="ever after"),
+    ],
+)
+def test_the_rate_is_right_from_the_beginning(now_s: float) -> None:
+    window = LatencyWindow(begin_s=100.0)
+    for index in range(30 * 100):
+        at_s = 100 + (index + 0.5) / 30
+        if at_s <= now_s:
+            window.add(at_s, 1.0)
+    assert window.summary(now_s).rate_hz == pytest.approx(30.0, rel=0.01)
+
+
+def test_a_look_in_the_moment_of_the_first_event_gives_a_number() -> None:
+    window = LatencyWindow(begin_s=100.0)
+    window.add(100.0, 1.0)
+    assert math.isfinite(window.summary(100.0).rate_hz)

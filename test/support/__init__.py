@@ -1,0 +1,1 @@
+"""What several test files, the soak and the fuzzer share."""

@@ -1,0 +1,184 @@
+"""Files as YOLOv5 writes them, made of our own network: pickled objects of classes that exist nowhere."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sys
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+from typing import Any
+
+import torch
+from torch import nn
+
+from support.random_model import CLASS_NAMES, random_network
+from yolov5_lifecycle.models import network as own
+from yolov5_lifecycle.models.architecture import Architecture, Layer
+
+SMALL = Architecture(
+    depth_multiple=0.33,
+    width_multiple=0.125,
+    classes=len(CLASS_NAMES),
+    anchors_px=(((10, 13), (16, 30)), ((30, 61), (62, 45))),
+    strides=(4, 8),
+    layers=(
+        Layer((-1,), 1, "Conv", (64, 6, 2)),
+        Layer((-1,), 1, "Conv", (64, 3, 2)),
+        Layer((-1,), 3, "C3", (64,)),
+        Layer((-1,), 1, "Conv", (64, 3, 2)),
+        Layer((-1,), 1, "SPPF", (64, 5)),
+        Layer((-1,), 1, "Upsample"),
+        Layer((-1, 2), 1, "Concat"),
+        Layer((-1,), 1, "C3", (64, 0)),
+        Layer((7, 4), 1, "Detect"),
+    ),
+)
+"""One layer of each kind: quick to write and to read."""
+_CLASSES: dict[str, type] = {}
+_OFFICIAL_NAMES: dict[type, str] = {
+    own.Conv: "models.common.Conv",
+    own.Bottleneck: "models.common.Bottleneck",
+    own.C3: "models.common.C3",
+    own.SPPF: "models.common.SPPF",
+    own.Concat: "models.common.Concat",
+    own.Detect: "models.yolo.Detect",
+}
+_OWN_ATTRIBUTES = {"architecture", "strides", "outputs", "anchors_per_cell", "shortcut"}
+
+
+def foreign(name: str, **attributes: object) -> Any:
+    """An object that is pickled as one of the class `name`, whether that class exists or not."""
+    if name not in _CLASSES:
+        module, _, qualname = name.rpartition(".")
+        _CLASSES[name] = type(qualname, (), {"__module__": module, "__qualname__": qualname})
+    made = _CLASSES[name]()
+    vars(made).update(attributes)
+    return made
+
+
+def saved(checkpoint: object) -> bytes:
+    """`checkpoint` as torch.save writes it."""
+    file = io.BytesIO()
+    with _importable(_CLASSES):
+        torch.save(checkpoint, file)
+    return file.getvalue()
+
+
+@contextlib.contextmanager
+def _importable(classes: dict[str, type]) -> Iterator[None]:
+    """pickle writes a class only if it can be imported: here it can, for a moment."""
+    made: dict[str, ModuleType] = {}
+    for name, cls in classes.items():
+        parts = name.split(".")
+        for end in range(1, len(parts)):
+            module = ".".join(parts[:end])
+            made.setdefault(module, ModuleType(module))
+        setattr(made[".".join(parts[:-1])], parts[-1], cls)
+    assert not made.keys() & sys.modules.keys(), "only classes of packages that are not installed"
+    sys.modules.update(made)
+    try:
+        yield
+    finally:
+        for module in made:
+            del sys.modules[module]
+
+
+def official_model(
+    architecture: Architecture = SMALL,
+    names: object = CLASS_NAMES,
+    *,
+    seed: int = 0,
+    kind: str = "models.yolo.DetectionModel",
+    half: bool = True,
+) -> Any:
+    """The whole pickled model: `vars(model)["_modules"]["model"]` are its layers, the last is the head."""
+    network = random_network(seed, architecture)
+    model = _official(network.half() if half else network, kind)
+    layers = vars(model)["_modules"]["model"]
+    vars(layers)["_modules"] = {
+        key: _placed(child, layer, int(key))
+        for (key, child), layer in zip(vars(layers)["_modules"].items(), architecture.layers, strict=True)
+    }
+    vars(head(model)).update(nc=architecture.classes, no=architecture.classes + 5)
+    vars(model).update(
+        names=list(names) if isinstance(names, tuple) else names,
+        nc=architecture.classes,
+        stride=torch.tensor(architecture.strides, dtype=torch.float32),
+        yaml=official_yaml(architecture),
+        hyp={"lr0": 0.01, "anchor_t": 4.0},
+        inplace=True,
+        save=[4, 6, 10, 14, 17, 20, 23],
+        class_weights=torch.ones(architecture.classes),
+    )
+    return model
+
+
+def layers_of(model: Any) -> dict[str, Any]:
+    found: dict[str, Any] = vars(vars(model)["_modules"]["model"])["_modules"]
+    return found
+
+
+def head(model: Any) -> Any:
+    return list(layers_of(model).values())[-1]
+
+
+def stripped(model: Any) -> dict[str, Any]:
+    """What YOLOv5 leaves after a training: strip_optimizer's dict."""
+    return {
+        "epoch": -1, "best_fitness": None, "model": model, "ema": None, "updates": None,
+        "optimizer": None, "opt": None, "git": None, "date": "2024-01-02T03:04:05",
+    }  # fmt: skip
+
+
+def official_yaml(architecture: Architecture) -> dict[str, Any]:
+    rows = [_row(layer) for layer in architecture.layers]
+    backbone = 1 + next(index for index, row in enumerate(rows) if row[2] == "SPPF")
+    return {
+        "nc": architecture.classes,
+        "depth_multiple": architecture.depth_multiple,
+        "width_multiple": architecture.width_multiple,
+        "anchors": [[side for anchor in level for side in anchor] for level in architecture.anchors_px],
+        "backbone": rows[:backbone],
+        "head": rows[backbone:],
+        "ch": 3,
+    }
+
+
+def _row(layer: Layer) -> list[Any]:
+    special: dict[str, Sequence[object]] = {
+        "Upsample": ["None", 2, "nearest"],
+        "Concat": [1],
+        "Detect": ["nc", "anchors"],
+        "C3": [*layer.args[:1], *map(bool, layer.args[1:])],
+    }
+    arguments = special.get(layer.kind, list(layer.args))
+    sources = layer.sources[0] if len(layer.sources) == 1 else list(layer.sources)
+    return [sources, layer.repeats, f"nn.{layer.kind}" if layer.kind == "Upsample" else layer.kind, arguments]
+
+
+def _official(module: nn.Module, name: str = "") -> Any:
+    """The module with the project's classes replaced by YOLOv5's; torch's own stay what they are."""
+    children = {key: _official(child) for key, child in vars(module)["_modules"].items()}
+    name = name or _OFFICIAL_NAMES.get(type(module), "")
+    if name:
+        state = {key: value for key, value in vars(module).items() if key not in _OWN_ATTRIBUTES}
+        if isinstance(module, own.Concat):
+            state["d"] = 1
+        if isinstance(module, own.Bottleneck):
+            state["add"] = module.shortcut
+        return foreign(name, **state | {"_modules": children})
+    if type(module) is nn.ModuleList and any(
+        "models." in type(child).__module__ for child in children.values()
+    ):
+        name = "torch.nn.modules.container.Sequential"
+    copy = type(module).__new__(nn.Sequential if name else type(module))
+    vars(copy).update(vars(module) | {"_modules": children})
+    return copy
+
+
+def _placed(module: Any, layer: Layer, index: int) -> Any:
+    """What YOLOv5 adds to each layer: number, sources, name of the class."""
+    sources = layer.sources[0] if len(layer.sources) == 1 else list(layer.sources)
+    vars(module).update(i=index, f=sources, type=f"models.common.{layer.kind}", np=1)
+    return module

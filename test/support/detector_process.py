@@ -1,0 +1,203 @@
+"""The installed `detector` as a process of its own, and everything a client needs to try it."""
+
+from __future__ import annotations
+
+import os
+import sys
+import textwrap
+import time
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParameters
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from vision_msgs.msg import Detection2DArray, LabelInfo
+
+from yolov5_lifecycle.images.encodings import encoded
+from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
+from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
+from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.messages import image_message
+from yolov5_lifecycle.settings.field import Change
+from yolov5_lifecycle.settings.settings import SETTINGS
+from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
+from yolov5_lifecycle.streaming.frame_balance import Outcome
+
+NODE = "/yolov5"
+WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"
+PARAMETERS: dict[str, object] = {"weights": WEIGHTS, "image_size": 320, "device": "cpu"}
+SEED = 8
+SCENE = Scene(SEED, (240, 320))
+MOST_PENDING = 2
+"""Frames under way: one waits, one is in work."""
+_ANSWER_S = 2.0
+_STEPS = {
+    ("unconfigured", "inactive"): "configure",
+    ("unconfigured", "active"): "configure",
+    ("inactive", "unconfigured"): "cleanup",
+    ("inactive", "active"): "activate",
+    ("active", "unconfigured"): "deactivate",
+    ("active", "inactive"): "deactivate",
+}
+
+
+class DetectorProcess:
+    """The process, the node in it, and what was received from it so far. Made by `detector_process`."""
+
+    def __init__(self, process: ChildProcess, observer: Observer, domain: int) -> None:
+        self.process = process
+        self.observer = observer
+        self.domain = domain
+        self.node = RemoteLifecycleNode(observer, NODE)
+        self.detections: list[Detection2DArray] = []
+        self._diagnostics: list[DiagnosticArray] = []
+        observer.create_subscription(Detection2DArray, f"{NODE}/detections", self.detections.append, 10)
+        observer.create_subscription(DiagnosticArray, "/diagnostics", self._diagnostics.append, 10)
+        self._raw_transitions = observer.create_client(ChangeState, f"{NODE}/change_state")
+        self._raw_parameters = observer.create_client(SetParameters, f"{NODE}/set_parameters")
+        self._images: Any = None
+        self.node.wait_until_reachable()
+
+    def transition(self, label: str = "", transition_id: int = 0) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition_id, label=label))
+        return bool(self.observer.call(self._raw_transitions, request).success)
+
+    def bring_to(self, state: str) -> None:
+        """Walk there one transition at a time."""
+        while (now := self.node.state()) != state:
+            step = _STEPS[now, state]
+            assert self.transition(step), f"{step} was refused:\n{self.process.output}"
+
+    def set_one_by_one(self, messages: Sequence[Any]) -> list[Any]:
+        return list(
+            self.observer.call(self._raw_parameters, SetParameters.Request(parameters=messages)).results
+        )
+
+    def status(self) -> dict[str, str]:
+        """The values of the first diagnostics made from now on, their `message` and `level` (as `OK`)."""
+        begun_ns = time.time_ns()
+
+        def is_new() -> bool:
+            return bool(self._diagnostics) and stamp_ns(self._diagnostics[-1].header) > begun_ns
+
+        self.observer.wait_for(is_new, "diagnostics")
+        (status,) = self._diagnostics[-1].status
+        return {value.key: value.value for value in status.values} | {
+            "message": status.message,
+            "level": ("OK", "WARN", "ERROR", "STALE")[ord(status.level)],
+        }
+
+    def publish(self, image: Image) -> None:
+        """Send an image once the node listens."""
+        if self._images is None:
+            self._images = self.observer.create_publisher(Image, f"{NODE}/image_raw", 1)
+        self.observer.wait_for(lambda: self._images.get_subscription_count() > 0, "the node to subscribe")
+        self._images.publish(image)
+
+    def detect(self, image: Image) -> Detection2DArray:
+        """What the node finds in `image`, sent until it is answered."""
+
+        def answers() -> list[Detection2DArray]:
+            return [message for message in self.detections if message.header == image.header]
+
+        sent_s = float("-inf")
+
+        def is_answered() -> bool:
+            nonlocal sent_s
+            if time.monotonic() - sent_s > _ANSWER_S:
+                self.publish(image)
+                sent_s = time.monotonic()
+            return bool(answers())
+
+        self.observer.wait_for(is_answered, "the detections of an image")
+        return answers()[0]
+
+    def look(self, index: int = 0) -> Sighting:
+        """What the node finds in picture number `index` of the scene, sent now."""
+        return Sighting.now(self.detect(scene_image(index)))
+
+    def late_label_info(self) -> LabelInfo:
+        """What a subscriber gets that comes after the message was sent."""
+        received: list[LabelInfo] = []
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        subscription = self.observer.create_subscription(
+            LabelInfo, f"{NODE}/label_info", received.append, latched
+        )
+        self.observer.wait_for(lambda: bool(received), "label_info")
+        self.observer.destroy_subscription(subscription)
+        return received[-1]
+
+    def reset(self) -> None:
+        """Unconfigured, with every parameter as it was at the start."""
+        self.bring_to("unconfigured")
+        defaults = {s.name: s.default for s in SETTINGS if s.change is not Change.READ_ONLY}
+        assert self.node.set_parameters(**defaults | PARAMETERS) == ""
+        self.detections.clear()
+
+
+@contextmanager
+def detector_process(*arguments: str) -> Iterator[DetectorProcess]:
+    """A detector in a domain of its own, started with these words behind --ros-args."""
+    with (
+        own_domain() as domain,
+        ChildProcess(
+            "detector", [entry_point("detector"), "--ros-args", *arguments], environment(domain)
+        ) as process,
+        closing(Observer("client", domain=domain, check=process.check_running)) as observer,
+    ):
+        yield DetectorProcess(process, observer, domain)
+
+
+def environment(domain: int) -> dict[str, str]:
+    """For a process of this package's in `domain`."""
+    return {"AMENT_PREFIX_PATH": sys.prefix} | isolated(os.environ, domain)
+
+
+def as_arguments(parameters: Mapping[str, object]) -> list[str]:
+    return [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+
+
+def parameter_file(folder: Path, text: str) -> list[str]:
+    """Arguments that name a file with `text`, the lines below ros__parameters."""
+    path = folder / "parameters.yaml"
+    path.write_text(f"yolov5:\n  ros__parameters:\n{textwrap.indent(text, '    ')}\n")
+    return ["--params-file", str(path)]
+
+
+def scene_image(index: int = 0, *, encoding: str = "rgb8", padding: int = 0, scene: Scene = SCENE) -> Image:
+    """Picture number `index` of the scene, stamped now; every row is followed by `padding` bytes."""
+    pixels = encoded(Picture(scene.frame(index)[0], "rgb"), encoding)
+    seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
+    header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id="lens")
+    message = image_message(pixels, encoding, header)
+    rows = pixels.reshape(pixels.shape[0], -1)
+    padded = np.pad(rows, ((0, 0), (0, padding)), constant_values=255)
+    message.step = padded.shape[1]
+    message.data = array("B", padded.tobytes())
+    return message
+
+
+def scene_truth(index: int = 0, *, scene: Scene = SCENE) -> Sighting:
+    """What that picture shows."""
+    truth = scene.frame(index)[1]
+    names = tuple(CLASS_NAMES[class_id] for class_id in truth.class_ids)
+    return Sighting(0, 0.0, names, (1.0,) * len(names), truth.boxes_xyxy.astype(np.float64))
+
+
+def is_balanced(status: Mapping[str, str]) -> bool:
+    """Whether every frame received is in exactly one count, and no more are under way than can be."""
+    ends = [*(outcome.value for outcome in Outcome), "pending"]
+    counts = [int(status[f"frames {end}"]) for end in ends]
+    return int(status["frames received"]) == sum(counts) and 0 <= counts[-1] <= MOST_PENDING

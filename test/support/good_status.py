@@ -1,0 +1,40 @@
+"""The status of a node that detects as it should."""
+
+from __future__ import annotations
+
+from rclpy.qos import ReliabilityPolicy
+
+from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
+from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
+from yolov5_lifecycle.ros.detector.status import Status
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.empty_frames import EmptyRun
+from yolov5_lifecycle.streaming.frame_balance import FrameCounter
+from yolov5_lifecycle.streaming.rate import LatencySummary
+
+LARGE = 921_600
+TOPIC = TopicStatus(
+    name="/yolov5/image_raw", reliabilities=(ReliabilityPolicy.BEST_EFFORT,), gids=frozenset({b"camera"})
+)
+GOOD_INPUT = InputStatus(
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    silent_s=0.1,
+    recent=RecentImages(window_s=5.0, received=150, lost=1, max_bytes=LARGE),
+)
+GOOD = Status(
+    state="active",
+    problem="",
+    balance=FrameCounter().balance(),
+    settings=Settings(),
+    topic=TOPIC,
+    model=None,
+    input=GOOD_INPUT,
+    lost=3,
+    overtaken=7,
+    latency=LatencySummary(29.9, 21.0, 30.5),
+    empty=EmptyRun(0.9),
+    busy_s=0.02,
+    recently_rejected="",
+    abandoned_threads=0,
+    resident_mb=350.4,
+)

@@ -1,0 +1,183 @@
+"""Files named .pt that are something else, or archives that torch.save did not write."""
+
+from __future__ import annotations
+
+import functools
+import io
+import itertools
+import struct
+import tarfile
+import zipfile
+from collections.abc import Callable, Mapping
+
+from support.checkpoint_builder import official_model, saved, stripped
+from support.pickle_assembler import archive, mapping
+
+_PICKLE = "archive/data.pkl"
+
+
+@functools.cache
+def valid() -> bytes:
+    return saved(stripped(official_model()))
+
+
+def with_pickle(pickle: bytes) -> bytes:
+    """The valid archive with another data.pkl; the archive is whole, so that the pickle is looked at."""
+    file = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(valid())) as old,
+        zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as new,
+    ):
+        for name in old.namelist():
+            new.writestr(name, pickle if name == _PICKLE else old.read(name))
+    return file.getvalue()
+
+
+@functools.cache
+def valid_pickle() -> bytes:
+    """The data.pkl of the valid archive."""
+    with zipfile.ZipFile(io.BytesIO(valid())) as archive:
+        return archive.read(_PICKLE)
+
+
+def tar() -> bytes:
+    file = io.BytesIO()
+    with tarfile.open(fileobj=file, mode="w") as packed:
+        packed.addfile(tarfile.TarInfo("storages"))
+    return file.getvalue()
+
+
+def one_bit_flipped() -> bytes:
+    data = bytearray(valid())
+    data[len(data) // 2] ^= 0x10
+    return bytes(data)
+
+
+def with_flag(flag: int) -> bytes:
+    """All records of an archive marked with a general purpose flag, in both places."""
+    data = bytearray(archive(mapping({})))
+    for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        place = data.find(signature)
+        while place >= 0:
+            data[place + offset] |= flag
+            place = data.find(signature, place + 1)
+    return bytes(data)
+
+
+def overlapping(count: int) -> bytes:
+    """An archive whose directory names the bytes of one record `count` times."""
+    content = bytes(1 << 20)
+    pieces = archive(mapping({}), storages=[content])
+    with zipfile.ZipFile(io.BytesIO(pieces)) as zipped:
+        record, end = zipped.getinfo("archive/data/0"), zipped.start_dir
+    directory = b"".join(
+        struct.pack(
+            "<4s6H3L5H2L",
+            b"PK\x01\x02",
+            20,
+            20,
+            0,
+            0,
+            0,
+            33,
+            record.CRC,
+            len(content),
+            len(content),
+            len(name),
+            0,
+            0,
+            0,
+            0,
+            0,
+            record.header_offset,
+        )
+        + name
+        for name in (f"archive/data/{index}".encode() for index in range(count))
+    )
+    ending = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, count, count, len(directory), end, 0)
+    return pieces[:end] + directory + ending
+
+
+def without_duplicates_warning(names: tuple[str, ...]) -> bytes:
+    """An archive with records of these names, whatever zipfile thinks of them."""
+    stubs = [f"{index:0{len(name)}d}" for index, name in enumerate(names)]
+    data = archive(mapping({}), more=[(stub, b"x") for stub in stubs])
+    for stub, name in zip(stubs, names, strict=True):
+        data = data.replace(stub.encode(), name.encode())
+    return data
+
+
+def other_zip() -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as zipped:
+        zipped.writestr("word/document.xml", "<xml/>")
+    return file.getvalue()
+
+
+def torchscript() -> bytes:
+    """Its code is compressed."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as zipped:
+        zipped.writestr("model/data.pkl", b"\x80\x02}.")
+        zipped.writestr("model/code/__torch__.py", "pass" * 100, compress_type=zipfile.ZIP_DEFLATED)
+        zipped.writestr("model/constants.pkl", b"\x80\x02).")
+    return file.getvalue()
+
+
+def two_endings() -> bytes:
+    """The directory that zipfile finds is another one than that which the end of the file points to."""
+    data = archive(mapping({}))
+    size, start = struct.unpack("<2L", data[-10:-2])
+    return data[:-22] + data[start : start + size] + data[-22:]
+
+
+FOREIGN_FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
+    "empty": (lambda: b"", "the file is empty"),
+    "one byte": (lambda: b"P", "begins with b'P'"),
+    "only zeros": (lambda: bytes(1000), "all zeros"),
+    "HTML page": (lambda: b"<!DOCTYPE html><html>Not Found</html>", "an HTML page"),
+    "HTML page after blanks": (lambda: b"\n  <HTML>", "an HTML page"),
+    "Git LFS pointer": (lambda: b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+    "bare pickle": (lambda: b"\x80\x02cos\nsystem\n(X\x04\x00\x00\x00truetR.", "a bare pickle"),
+    "pickle of protocol 0": (lambda: b"cos\nsystem\n(S'true'\ntR.", "begins with b'cos\\n'"),
+    "torch before 1.6": (lambda: b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.", "torch before 1.6"),
+    "tar of old torch": (tar, "a tar archive"),
+    "ONNX": (lambda: b"\x08\x07\x12\x07pytorch", "ONNX"),
+    "gzip": (lambda: b"\x1f\x8b\x08\x00", "a gzip file"),
+    "7-Zip": (lambda: b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive"),
+    "text": (lambda: b"hello", "begins with b'hell'"),
+}
+
+ARCHIVES: Mapping[str, tuple[Callable[[], bytes], str]] = {
+    "first half of a file": (lambda: valid()[: len(valid()) // 2], "cut short"),
+    "all but the last byte": (lambda: valid()[:-1], "cut short"),
+    "one bit flipped": (one_bit_flipped, "Bad CRC-32"),
+    "four bytes of an archive": (lambda: b"PK\x03\x04", "cut short"),
+    "compressed": (lambda: archive(mapping({}), compression=zipfile.ZIP_DEFLATED), "is compressed"),
+    "compressed 64 MiB": (
+        lambda: archive(mapping({}), storages=[bytes(64 << 20)], compression=zipfile.ZIP_DEFLATED),
+        "is compressed",
+    ),
+    "bzip2": (lambda: archive(mapping({}), compression=zipfile.ZIP_BZIP2), "is compressed"),
+    "encrypted": (lambda: with_flag(1), "is encrypted"),
+    "overlapping records": (lambda: overlapping(1000), "overlap"),
+    "25,000 records": (
+        lambda: archive(mapping({}), storages=list(itertools.repeat(b"", 25_000))),
+        "has 25003 records",
+    ),
+    "60,000 records": (lambda: overlapping(60_000), "has 60000 records"),
+    "two records of one name": (
+        lambda: without_duplicates_warning(("archive/data/7", "archive/data/7")),
+        "two records of one name",
+    ),
+    "name that leaves the archive": (
+        lambda: archive(mapping({}), more=[("archive/../../etc/evil", b"x")]),
+        "leaves the archive",
+    ),
+    "absolute name": (lambda: archive(mapping({}), more=[("/etc/evil", b"x")]), "leaves the archive"),
+    "two folders": (lambda: archive(mapping({}), more=[("other/data.pkl", b"x")]), "another zip archive"),
+    "TorchScript": (lambda: archive(mapping({}), more=[("archive/constants.pkl", b"x")]), "TorchScript"),
+    "TorchScript as torch.jit.save writes it": (torchscript, "this is a TorchScript archive"),
+    "another zip": (other_zip, "'word/document.xml'"),
+    "a directory twice": (two_endings, "damaged or cut short"),
+}

@@ -1,0 +1,393 @@
+"""Checkpoints whose pickle wants more than to hold data: gadgets, bombs, impossible tensors."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+
+from support import pickle_assembler as asm
+from support.pickle_assembler import (
+    archive,
+    call,
+    get,
+    instance,
+    items,
+    mapping,
+    model,
+    name,
+    number,
+    put,
+    text,
+)
+
+MARKER = "hostile_marker"
+"""A module that a test puts on the path; importing it leaves a trace."""
+
+FOREIGN = "which no YOLOv5 checkpoint needs: do not trust"
+
+
+def float_number(value: float) -> bytes:
+    return b"G" + struct.pack(">d", value)
+
+
+def gadget(module: str, function: str, *arguments: bytes) -> bytes:
+    return archive(mapping({"model": call(name(module, function), *arguments)}))
+
+
+SHELL = text(f"{MARKER}=1; touch {MARKER}")
+CODE = text(f"open('{MARKER}', 'w')")
+
+GADGETS: Mapping[str, tuple[Callable[[], bytes], str]] = {
+    "os.system": (lambda: gadget("os", "system", SHELL), "'os.system'"),
+    "posix.system": (lambda: gadget("posix", "system", SHELL), "'posix.system'"),
+    "eval": (lambda: gadget("builtins", "eval", CODE), "'builtins.eval'"),
+    "eval of Python 2": (lambda: gadget("__builtin__", "eval", CODE), "'__builtin__.eval'"),
+    "exec": (lambda: gadget("builtins", "exec", CODE), "'builtins.exec'"),
+    "getattr": (lambda: gadget("builtins", "getattr", name("os", "system"), text("x")), "'os.system'"),
+    "getattr of a class that is known": (
+        lambda: gadget("builtins", "getattr", name("models.yolo", "Detect"), text("__subclasses__")),
+        "calls 'builtins.getattr'",
+    ),
+    "getattr of an object": (
+        lambda: gadget("__builtin__", "getattr", instance("models.common", "Conv", {}), text("__class__")),
+        "calls '__builtin__.getattr'",
+    ),
+    "getattr of another class": (
+        lambda: gadget("__builtin__", "getattr", name("models.common", "Conv"), text("forward")),
+        "calls '__builtin__.getattr'",
+    ),
+    "getattr of a text": (
+        lambda: gadget("__builtin__", "getattr", text("x"), text("forward_fuse")),
+        "calls '__builtin__.getattr'",
+    ),
+    "getattr of three": (
+        lambda: gadget("__builtin__", "getattr", name("models.yolo", "Detect"), text("forward"), text("x")),
+        "calls '__builtin__.getattr'",
+    ),
+    "getattr of nothing": (lambda: gadget("__builtin__", "getattr"), "calls '__builtin__.getattr'"),
+    "a method that is called": (
+        lambda: archive(
+            call(name("__builtin__", "getattr"), name("models.yolo", "Detect"), text("forward"))
+            + items()
+            + asm.REDUCE
+        ),
+        "calls 'method'",
+    ),
+    "something foreign beside DataParallel": (
+        lambda: archive(
+            asm.EMPTY_LIST
+            + name("torch.nn.parallel", "DataParallel")
+            + asm.APPEND
+            + name("os", "system")
+            + asm.APPEND
+        ),
+        "do not trust",
+    ),
+    "subprocess": (lambda: gadget("subprocess", "Popen", SHELL), "'subprocess.Popen'"),
+    "import of a module": (lambda: gadget(MARKER, "anything"), f"'{MARKER}.anything'"),
+    "import by function": (
+        lambda: gadget("importlib", "import_module", text(MARKER)),
+        "'importlib.import_module'",
+    ),
+    "run of a module": (lambda: gadget("runpy", "_run_code", CODE), "'runpy._run_code'"),
+    "unpickling again": (lambda: gadget("_pickle", "loads", text("x")), "'_pickle.loads'"),
+    "numpy.load": (lambda: gadget("numpy", "load", text("/etc/passwd")), "'numpy.load'"),
+    "torch.load": (lambda: gadget("torch", "load", text("/etc/passwd")), "'torch.load'"),
+    "torch.hub.load": (lambda: gadget("torch.hub", "load", text("evil/repo")), "'torch.hub.load'"),
+    "torch tensor of a size": (
+        lambda: gadget("torch", "FloatTensor", number(1 << 40)),
+        "'torch.FloatTensor'",
+    ),
+    "bytearray of a size": (lambda: gadget("builtins", "bytearray", number(1 << 34)), "'builtins.bytearray'"),
+    "open": (lambda: gadget("io", "open", text(MARKER), text("w")), "'io.open'"),
+    "webbrowser": (lambda: gadget("webbrowser", "open", text("http://localhost")), "'webbrowser.open'"),
+    "functools.partial": (
+        lambda: gadget("functools", "partial", name("os", "system")),
+        "'functools.partial'",
+    ),
+    "our own code": (
+        lambda: gadget("yolov5_lifecycle.process.memory", "release_unused_memory"),
+        "'yolov5_lifecycle.process.memory.release_unused_memory'",
+    ),
+    "a name that looks like a layer": (lambda: gadget("models.yolo os", "system", SHELL), FOREIGN),
+    "protocol 4": (
+        lambda: archive(text("os") + text("system") + b"\x93" + items(SHELL) + asm.REDUCE, start=b"\x80\x04"),
+        "protocol",
+    ),
+    "a name made of texts": (lambda: archive(text("os") + text("system") + b"\x93"), "STACK_GLOBAL"),
+    "INST of Python 1": (lambda: archive(b"(" + SHELL + b"ios\nsystem\n"), "INST"),
+    "extension code": (lambda: archive(b"\x82\x01"), "EXT1"),
+    "persistent text": (lambda: archive(b"Pos.system\n"), "PERSID"),
+}
+
+
+def laughing(value: Callable[[bytes], bytes]) -> bytes:
+    """A checkpoint with a billion laughs where `value` puts them; the tuples lie in an unused list before."""
+    levels = [asm.EMPTY_TUPLE + put(0)]
+    levels += [asm.MARK + get(level) * 50 + asm.TUPLE + put(level + 1) for level in range(12)]
+    unused = asm.EMPTY_LIST + b"".join(level + asm.APPEND for level in levels)
+    return archive(mapping({"unused": unused}) + value(get(12)))
+
+
+def storage_called(key: bytes) -> bytes:
+    return items(text("storage"), name("torch", "FloatStorage"), key, text("cpu"), number(4)) + asm.PERSID
+
+
+def doubled(times: int) -> bytes:
+    encoded = call(name("_codecs", "encode"), text("x" * 200), text("latin1"))
+    for _ in range(times):
+        encoded = call(name("_codecs", "encode"), encoded, text("hex"))
+    return archive(mapping({"model": encoded}))
+
+
+def many(item: bytes, count: int) -> bytes:
+    """A list of `count` times `item`, after a list of 10,000 texts of two letters, number 1 in the memo."""
+    long_list = (
+        asm.EMPTY_LIST
+        + put(1)
+        + asm.MARK
+        + b"".join(text(f"{chr(1000 + index)}x") for index in range(10_000))
+        + b"e"
+    )
+    return archive(asm.EMPTY_LIST + long_list + asm.APPEND + asm.MARK + item * count + b"e")
+
+
+def nested_modules(depth: int) -> bytes:
+    tree = instance("models.common", "Conv", {})
+    for _ in range(depth):
+        tree = instance("models.common", "Conv", {"_modules": mapping({"m": tree})})
+    return archive(mapping({"model": tree}))
+
+
+def self_containing() -> bytes:
+    inside = name("models.yolo", "Model") + asm.EMPTY_TUPLE + asm.NEWOBJ + put(7)
+    return archive(mapping({"model": inside + mapping({"_modules": mapping({"m": get(7)})}) + asm.BUILD}))
+
+
+def all_in_all_modules(levels: int) -> bytes:
+    """Each module contains the one before it twice: 2 ** levels paths."""
+    tree = instance("models.common", "Conv", {}) + put(0)
+    for level in range(levels):
+        twice = mapping({"a": get(level), "b": get(level)})
+        tree += instance("models.common", "Conv", {"_modules": twice}) + put(level + 1)
+    unused = asm.EMPTY_LIST + asm.MARK + tree + b"e"
+    return archive(mapping({"unused": unused, "model": get(levels)}))
+
+
+BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
+    "billion laughs as a key": (lambda: laughing(lambda laughs: laughs + b"Ns"), "keys that are neither"),
+    "billion laughs as an item of a set": (
+        lambda: laughing(
+            lambda laughs: (
+                text("model")
+                + call(name("__builtin__", "set"), asm.EMPTY_LIST + laughs + asm.APPEND)
+                + asm.SETITEM
+            )
+        ),
+        "calls '__builtin__.set'",
+    ),
+    "billion laughs as the model": (
+        lambda: laughing(lambda laughs: text("model") + laughs + asm.SETITEM),
+        "expected a YOLOv5 model",
+    ),
+    "billion laughs as the storage": (
+        lambda: laughing(lambda laughs: text("model") + storage_called(laughs) + asm.SETITEM),
+        "refers to a storage",
+    ),
+    "a text doubled 40 times": (lambda: doubled(40), "calls '_codecs.encode'"),
+    "a set made of a long list, often": (
+        lambda: many(call(name("__builtin__", "set"), get(1)), 20_000),
+        "calls '__builtin__.set'",
+    ),
+    "a dict made of a long list, often": (
+        lambda: many(call(name("collections", "OrderedDict"), get(1)), 20_000),
+        "calls 'collections.OrderedDict'",
+    ),
+    "a million lists": (lambda: archive(asm.EMPTY_LIST * 1_100_000), "more than 1000000 operations"),
+    "too many objects": (
+        lambda: archive(
+            asm.EMPTY_LIST
+            + name("models.common", "Conv")
+            + put(0)
+            + b"a"
+            + asm.MARK
+            + (get(0) + asm.EMPTY_TUPLE + asm.NEWOBJ) * 110_000
+            + b"e"
+        ),
+        "more than 100000 objects",
+    ),
+    "lists, 20,000 deep": (
+        lambda: archive(asm.EMPTY_LIST * 20_000 + asm.APPEND * 19_999),
+        "expected a dict with the entry 'model'",
+    ),
+    "tuples, 20,000 deep": (lambda: archive(asm.EMPTY_TUPLE + b"\x85" * 20_000), "expected a dict"),
+    "modules, 1,000 deep": (lambda: nested_modules(1_000), "contains itself"),
+    "a module that contains itself": (self_containing, "contains itself"),
+    "2 ** 60 modules": (lambda: all_in_all_modules(60), "more than 10000 modules"),
+    "a number of 2,000 bits": (
+        lambda: archive(mapping({"model": number(1 << 2000)})),
+        "expected a YOLOv5 model",
+    ),
+    "a pickle of 5 MB": (lambda: archive(text("x" * 5_000_000)), "at most 4194304 are read"),
+    "a pickle without an end": (lambda: archive(b"(" * 1000), "is damaged"),
+    "a pickle cut short": (lambda: archive(b"X\xff\xff\xff\x7fabc"), "cut short"),
+    "an empty pickle": (lambda: archive(b"", start=b""), "damaged"),
+    "a name with an escape": (lambda: archive(name("models.y\\x6flo", "Model")), FOREIGN),
+    "a name that is no text": (lambda: archive(b"cmodels.\xff\nModel\n"), "holds a text that is none"),
+    "a text that is none": (lambda: archive(b"X\x02\x00\x00\x00\xff\xff"), "holds a text that is none"),
+    "a memo that was never written": (lambda: archive(get(5)), "damaged"),
+    "an item set in a set": (
+        lambda: archive(call(name("__builtin__", "set"), asm.EMPTY_LIST) + text("a") + text("b") + b"s"),
+        "changes a set",
+    ),
+    "an item set in a tensor": (
+        lambda: archive(asm.tensor() + number(0) + number(9) + b"s"),
+        "changes a tensor",
+    ),
+    "a tensor that is built again": (
+        lambda: archive(asm.tensor() + items(number(1), number(2)) + asm.BUILD),
+        "changes a tensor",
+    ),
+    "a text that is called": (lambda: archive(text("os.system") + items(SHELL) + b"R"), "calls something"),
+    "a dict whose methods are hidden": (
+        lambda: archive(
+            mapping(
+                {
+                    "model": instance(
+                        "models.yolo",
+                        "Model",
+                        {
+                            "_modules": call(name("collections", "OrderedDict"))
+                            + mapping({"items": number(5)})
+                            + asm.BUILD,
+                        },
+                    )
+                }
+            )
+        ),
+        "without layers",
+    ),
+    "a class in the place of a module": (
+        lambda: archive(
+            mapping(
+                {
+                    "model": instance(
+                        "models.yolo",
+                        "Model",
+                        {
+                            "_modules": mapping({"model": name("models.yolo", "Detect")}),
+                        },
+                    )
+                }
+            )
+        ),
+        "expected modules below",
+    ),
+    "a class in the place of the checkpoint": (
+        lambda: archive(name("models.yolo", "Detect")),
+        "expected a dict with the entry 'model'",
+    ),
+    "a function in the place of a class": (
+        lambda: archive(name("torch._utils", "_rebuild_tensor_v2") + items() + b"\x81"),
+        "makes a new 'torch._utils._rebuild_tensor_v2'",
+    ),
+    "a memo entry number of 4 billion": (
+        lambda: archive(mapping({"model": text("x") + put(2**32 - 1)})),
+        "expected a YOLOv5 model",
+    ),
+    "an item without a value": (
+        lambda: archive(asm.EMPTY_DICT + asm.MARK + text("a") + b"u"),
+        "cannot be read",
+    ),
+    "a new dict of a class": (
+        lambda: archive(name("collections", "OrderedDict") + asm.EMPTY_TUPLE + b"\x81"),
+        "makes a new 'collections.OrderedDict'",
+    ),
+}
+
+TENSORS: Mapping[str, tuple[Callable[[], bytes], str]] = {
+    "4 Ti numbers in 16 bytes": (lambda: archive(model(asm.tensor((1 << 42,)))), "tensors claim"),
+    "1 Gi numbers in 16 bytes": (lambda: archive(model(asm.tensor((1 << 30,)))), "tensors claim"),
+    "more numbers than fit a size": (
+        lambda: archive(model(asm.tensor((1 << 62, 1 << 62), (1, 1)))),
+        "cannot be read",
+    ),
+    "stride 0": (lambda: archive(model(asm.tensor((1 << 40,), (0,)))), "has the strides"),
+    "negative stride": (lambda: archive(model(asm.tensor((4,), (-1,)))), "cannot be read"),
+    "a size that no number of bytes has": (
+        lambda: archive(model(asm.tensor((0, 1 << 61, 1 << 61), (1, 1, 1)))),
+        "a tensor has the shape",
+    ),
+    "negative size": (lambda: archive(model(asm.tensor((-4,)))), "cannot be read"),
+    "a size that is a text": (
+        lambda: archive(model(call(name("torch._utils", "_rebuild_tensor_v2"), text("x")))),
+        "cannot be read",
+    ),
+    "a storage of 1 Ti numbers": (
+        lambda: archive(model(asm.tensor(stored=asm.storage(1 << 40)))),
+        "claims 4398046511104 bytes, but has 16",
+    ),
+    "a storage of no numbers": (lambda: archive(model(asm.tensor(stored=asm.storage(0)))), "number 3 of 0"),
+    "a storage of fewer numbers than it has": (
+        lambda: archive(model(asm.tensor((2,), stored=asm.storage(2)))),
+        "claims 8 bytes, but has 16",
+    ),
+    "a storage of half a number": (
+        lambda: archive(mapping({"model": call(name("torch._utils", "_rebuild_tensor_v2"), items(
+            text("storage"), name("torch", "FloatStorage"), text("0"), text("cpu"), float_number(0.5)
+        ) + asm.PERSID)})),
+        "a tensor has the size 0.5",
+    ),
+    "an offset behind the end": (
+        lambda: archive(model(call(name("torch._utils", "_rebuild_tensor_v2"), asm.storage(),
+                                   number(4), items(number(1)), items(number(1))))),
+        "number 4 of 4",
+    ),
+    "an offset before the beginning": (
+        lambda: archive(model(call(name("torch._utils", "_rebuild_tensor_v2"), asm.storage(),
+                                   number(-1), items(number(1)), items(number(1))))),
+        "a tensor has the size -1",
+    ),
+    "more strides than sizes": (lambda: archive(model(asm.tensor((4,), (1, 1)))), "has the strides [1, 1]"),
+    "17 dimensions": (lambda: archive(model(asm.tensor((1,) * 17, (1,) * 17))), "has the strides"),
+    "a tensor of a list in place of a storage": (
+        lambda: archive(model(asm.tensor(stored=asm.EMPTY_LIST))),
+        "cannot be read",
+    ),
+    "66 MiB that no layer uses": (
+        lambda: archive(model(asm.tensor()), storages=(bytes(16), bytes(66 << 20))),
+        "bytes that belong to no layer",
+    ),
+    "a storage that is not there": (
+        lambda: archive(model(asm.tensor(stored=asm.storage(key="../../version")))),
+        "the storage '../../version' is missing",
+    ),
+    "tensors that share one storage": (
+        lambda: archive(
+            mapping({"model": instance("models.yolo", "Model", {"_parameters": mapping({
+                f"weight{index}": asm.tensor((1 << 20,), stored=asm.storage(1 << 20)) for index in range(50)
+            })})}),
+            storages=[bytes(4 << 20)],
+        ),
+        "tensors claim",
+    ),
+    "bytes as weights": (
+        lambda: archive(model(asm.tensor(stored=asm.storage(16, kind="ByteStorage")))),
+        "holds torch.uint8",
+    ),
+    "complex weights": (
+        lambda: archive(model(asm.tensor(stored=asm.storage(2, kind="ComplexFloatStorage")))),
+        "'torch.ComplexFloatStorage'",
+    ),
+    "a parameter that is a text": (lambda: archive(model(text("x"))), "expected tensors"),
+    "parameters that are a list": (
+        lambda: archive(mapping({"model": instance("models.yolo", "Model", {"_parameters": b"]"})})),
+        "expected a dict as _parameters",
+    ),
+    "modules that are texts": (
+        lambda: archive(
+            mapping({"model": instance("models.yolo", "Model", {"_modules": mapping({"model": text("x")})})})
+        ),
+        "expected modules",
+    ),
+}  # fmt: skip

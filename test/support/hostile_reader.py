@@ -1,0 +1,64 @@
+"""Reads hostile weights files in a process of its own, and writes what came of it as one JSON line a file.
+
+`python hostile_reader.py VALID FOLDER`: first a valid file, for what torch does only once and takes memory
+for; then each file of FOLDER, in order of their names.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import time
+import warnings
+from pathlib import Path
+
+from benchmark.process_memory import forget_peak, peak_resident_mb, resident_mb
+from yolov5_lifecycle.checkpoints.locate import load_weights
+
+MEMORY_BYTES = 3 << 30
+SUSPECT = (
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+    "os.fork",
+    "subprocess.Popen",
+    "socket.",
+    "shutil.",
+    "os.remove",
+)
+
+
+def read(path: Path) -> dict[str, object]:
+    forget_peak()
+    before_mb, begin = resident_mb(os.getpid()), time.perf_counter()
+    try:
+        load_weights(path)
+        outcome, message = "accepted", ""
+    except BaseException as error:  # noqa: BLE001 - what it is, the test decides
+        outcome, message = type(error).__name__, str(error)
+    return {
+        "name": path.name,
+        "outcome": outcome,
+        "message": message,
+        "seconds": time.perf_counter() - begin,
+        "grown_mb": peak_resident_mb(os.getpid()) - before_mb,
+    }
+
+
+def main(valid: Path, folder: Path) -> None:
+    events: list[str] = []
+    warnings.simplefilter("error")
+    load_weights(valid)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    sys.addaudithook(lambda event, _: events.append(event) if event.startswith(SUSPECT) else None)
+    for path in sorted(folder.iterdir()):
+        answer = read(path)
+        sys.stdout.write(json.dumps(answer | {"events": list(events)}) + "\n")
+        sys.stdout.flush()
+        events.clear()
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))

@@ -1,0 +1,65 @@
+"""README, docs/ and what is in them."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from support.colcon_workspace import REPOSITORY
+
+README = REPOSITORY / "README.md"
+REFERENCE = REPOSITORY / "docs" / "reference.md"
+TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
+IMAGES = REPOSITORY / "docs" / "images.md"
+LAUNCH = REPOSITORY / "docs" / "launch.md"
+TUTORIAL = REPOSITORY / "docs" / "tutorial.md"
+MIGRATION = REPOSITORY / "docs" / "migration.md"
+PAGES = [
+    README,
+    *(REPOSITORY / name for name in ("CONTRIBUTING.md", "SECURITY.md")),
+    *sorted((REPOSITORY / "docs").glob("*.md")),
+]
+every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The fenced blocks of `language`."""
+    return re.findall(rf"^ *```{language}\n(.*?)^ *```", page.read_text(), re.MULTILINE | re.DOTALL)
+
+
+def spans(page: Path) -> list[str]:
+    """What stands between single backticks, outside of fenced blocks."""
+    prose = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose)]
+
+
+def typed(page: Path) -> list[str]:
+    """The lines of the console blocks, without the output of a command that is marked with $."""
+    lines = []
+    for block in blocks(page, "console"):
+        marked = [line.removeprefix("$ ") for line in block.splitlines() if line.startswith("$ ")]
+        lines += marked or block.splitlines()
+    return lines
+
+
+def table(page: Path, heading: str) -> list[list[str]]:
+    """The cells of the first table below `heading`, its head left out."""
+    section = page.read_text().partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+    rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("|")]
+    assert rows, f"no table below {heading}"
+    return rows[2:]
+
+
+def declared_arguments(launch_file: str) -> dict[str, str]:
+    """Name and default, as far as that is written out, of every launch argument."""
+    calls = [
+        node
+        for node in ast.walk(ast.parse((REPOSITORY / "launch" / launch_file).read_text()))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "DeclareLaunchArgument"
+    ]
+    return {
+        ast.literal_eval(call.args[0]): getattr(call.keywords[0].value, "value", "a file") for call in calls
+    }

@@ -1,0 +1,38 @@
+"""PNG files put together chunk by chunk."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+def chunk(name: bytes, data: bytes = b"") -> bytes:
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+
+def header(height: int, width: int, *, bits: int = 8, colour: int = 2, interlaced: bool = False) -> bytes:
+    return chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, interlaced))
+
+
+def pixels(height: int, width: int) -> bytes:
+    """The data of a black image of 8 bits in colour."""
+    return chunk(b"IDAT", zlib.compress(bytes(height * (1 + 3 * width))))
+
+
+def image(height: int, width: int, *, before: bytes = b"", after: bytes = b"") -> bytes:
+    """A whole file, with more chunks before or after the data of its pixels."""
+    data = header(height, width) + before + pixels(height, width) + after
+    return SIGNATURE + data + chunk(b"IEND")
+
+
+def text_bomb(texts: int, mb: int = 7) -> bytes:
+    """Chunks of compressed texts, a thousandth of the size that they have for libpng."""
+    return chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(mb * 1_000_000))) * texts
+
+
+def animation(height: int, width: int) -> bytes:
+    """The chunks that make the pixels behind them the first of two frames of that size."""
+    control = struct.pack(">IIIIIHHBB", 0, width, height, 0, 0, 1, 1, 0, 0)
+    return chunk(b"acTL", struct.pack(">II", 2, 0)) + chunk(b"fcTL", control)

@@ -1,0 +1,47 @@
+"""A small network with random weights, for tests."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+from torch import nn
+
+from yolov5_lifecycle.models.architecture import SIZES, Architecture
+from yolov5_lifecycle.models.model import Model, blueprint
+from yolov5_lifecycle.models.network import Network
+
+CLASS_NAMES = ("cat", "dog", "cow")
+_GAIN = 2.3  # as they are initialised, weights let a picture fade away from layer to layer
+TINY: Architecture = dataclasses.replace(SIZES["n"], width_multiple=0.125, classes=len(CLASS_NAMES))
+
+
+def random_network(seed: int, architecture: Architecture = TINY) -> Network:
+    """A network in evaluation mode, whose predictions depend on what it sees as much as after a training."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = Network(architecture).eval()
+        for module in network.modules():
+            if isinstance(module, nn.BatchNorm2d):
+                module.running_mean = 0.2 * torch.randn(module.num_features)
+                module.running_var = 0.5 + torch.rand(module.num_features)
+                nn.init.uniform_(module.weight, 0.5, 1.5)
+                nn.init.normal_(module.bias, std=0.2)
+            if isinstance(module, nn.Conv2d):
+                module.weight.data *= _GAIN
+    return network
+
+
+def random_model(seed: int = 0, architecture: Architecture = TINY) -> Model:
+    return Model(architecture, CLASS_NAMES, random_network(seed, architecture).state_dict())
+
+
+def blank_model(architecture: Architecture) -> Model:
+    """A model of any size in no time: every weight is the same, and no picture shows it anything."""
+    state = {
+        key: torch.full_like(tensor, 1 / 1024 if tensor.is_floating_point() else 0, device="cpu")
+        for key, tensor in blueprint(architecture).state_dict().items()
+    }
+    strides = torch.tensor(architecture.strides).view(-1, 1, 1)
+    state[f"model.{len(architecture.layers) - 1}.anchors"] = torch.tensor(architecture.anchors_px) / strides
+    return Model(architecture, tuple(f"class {index}" for index in range(architecture.classes)), state)

@@ -1,0 +1,61 @@
+"""The detector's `main` with models that behave as its first argument says, and tell when they are closed."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from support.served_node import Preparations
+from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.ros.detector.process import main
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
+
+
+def lose_device() -> NDArray[np.float32]:
+    raise DeviceLostError("the GPU fell off the bus")
+
+
+def hang() -> NDArray[np.float32]:
+    print("hanging", flush=True)  # noqa: T201 - the test reads it
+    time.sleep(60)
+    raise AssertionError("nobody waits that long")
+
+
+def tell_of_closing() -> None:
+    print("model closed", flush=True)  # noqa: T201 - the test reads it
+
+
+def prepare_slowly() -> PreparedModel:
+    print("loading slowly", flush=True)  # noqa: T201 - the test reads it
+    time.sleep(60)
+    raise AssertionError("nobody waits that long")
+
+
+FINALIZED_S = 3600.0
+"""Longer than any test waits: only a signal ends a finalized process."""
+FAULTS = {"lose_device": lose_device, "hang": hang, "hang_at_most_never": hang}
+PREPARATIONS = Preparations()
+
+
+def prepare(settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
+    fault = sys.argv[1]
+    if fault == "load_slowly" or (fault == "reload_slowly" and PREPARATIONS.runtimes):
+        return prepare_slowly()
+    model = PREPARATIONS(settings, source_hw)
+    PREPARATIONS.running.on_close = tell_of_closing
+    PREPARATIONS.running.run = FAULTS.get(fault, PREPARATIONS.running.run)
+    return model
+
+
+if __name__ == "__main__":
+    main(
+        ["detector", *sys.argv[2:]],
+        prepare=prepare,
+        finalized_s=FINALIZED_S,
+        max_abandoned_threads=0 if sys.argv[1] == "hang_at_most_never" else MAX_ABANDONED_THREADS,
+    )

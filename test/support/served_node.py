@@ -1,0 +1,306 @@
+"""The real node over the real middleware in this process, with a runtime of the test's, and a client."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+from array import array
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from numpy.typing import NDArray
+from rcl_interfaces.msg import Log
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
+from sensor_msgs.msg import Image
+from vision_msgs.msg import Detection2DArray, LabelInfo
+
+from support.scripted_runtime import ScriptedRuntime
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
+from yolov5_lifecycle.ros.detector.node import DetectorNode
+from yolov5_lifecycle.ros.parameters import Validate
+from yolov5_lifecycle.settings.settings import Settings, validated
+
+PATIENCE_S = 20.0
+CLASS_NAMES = ("cat", "dog")
+
+
+_SERVICES = {
+    "change_state": ChangeState,
+    "get_state": GetState,
+    "describe_parameters": DescribeParameters,
+    "get_parameter_types": GetParameterTypes,
+    "get_parameters": GetParameters,
+    "list_parameters": ListParameters,
+    "set_parameters": SetParameters,
+    "set_parameters_atomically": SetParametersAtomically,
+}
+
+
+def prediction(class_name: str, score: float) -> NDArray[np.float32]:
+    """One raw row: a box of 20 x 10 network pixels around (32, 32)."""
+    row = np.zeros((1, 5 + len(CLASS_NAMES)), np.float32)
+    row[0, :5] = (32, 32, 20, 10, 1.0)
+    row[0, 5 + CLASS_NAMES.index(class_name)] = score
+    return row
+
+
+class Preparations:
+    """Stands in for `prepare_model`: hands out scripted detectors; `refusal` and `gate` control it."""
+
+    def __init__(self) -> None:
+        self.refusal = ""
+        self.refusal_type: type[Exception] = ValueError
+        self.on_refusal: Callable[[], None] = lambda: None
+        self.gate = threading.Event()
+        self.gate.set()
+        self.begun = threading.Semaphore(0)
+        self.sources_hw: list[tuple[int, int]] = []
+        self.class_names = CLASS_NAMES
+        self.runtimes: list[ScriptedRuntime] = []
+
+    def __call__(self, settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
+        self.sources_hw.append(source_hw)
+        self.begun.release()
+        assert self.gate.wait(PATIENCE_S)
+        if refusal := self.refusal:
+            self.on_refusal()
+            raise self.refusal_type(refusal)
+        runtime = ScriptedRuntime(lambda: prediction("cat", 0.9))
+        self.runtimes.append(runtime)
+        detector = Detector(runtime, class_names=self.class_names, image_size=settings.image_size, stride=32)
+        return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64)
+
+    @property
+    def running(self) -> ScriptedRuntime:
+        return self.runtimes[-1]
+
+
+class ServedNode:
+    """A `DetectorNode` spun in a thread, and what a client needs to try it; a context manager."""
+
+    def __init__(
+        self,
+        prepare: Prepare,
+        *,
+        parameters: Sequence[str] = (),
+        arguments: Sequence[str] = (),
+        validate: Validate = validated,
+    ) -> None:
+        """`parameters` are `name:=value`; `arguments` are further words of the command line."""
+        # Nodes of earlier tests hold themselves in cycles, and with them their place in the ROS graph.
+        gc.collect()
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, args=[])
+        assignments = [word for parameter in parameters for word in ("-p", parameter)]
+        words = [*arguments, *(["--ros-args", *assignments] if assignments else [])]
+        self.node = DetectorNode(
+            prepare=prepare, validate=validate, context=self._context, cli_args=words, arguments=words
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._stopping = False
+        self._thread = threading.Thread(target=self._serve)
+        self.client = rclpy.create_node("client", context=self._context)
+        self._client_executor = SingleThreadedExecutor(context=self._context)
+        self._client_executor.add_node(self.client)
+        self.escaped: list[Exception] = []
+        self.detections: list[Detection2DArray] = []
+        self.diagnostics: list[DiagnosticArray] = []
+        self.log: list[str] = []
+        self._sent = 0
+        # Made before the node is served: endpoints of one participant that two threads make at the same time
+        # do not always find each other.
+        self._services = {
+            name: self.client.create_client(service_type, f"/yolov5/{name}")
+            for name, service_type in _SERVICES.items()
+        }
+        self.images = self.client.create_publisher(Image, "/yolov5/image_raw", 1)
+        self.client.create_subscription(Detection2DArray, "/yolov5/detections", self.detections.append, 10)
+        self.client.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
+        kept = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.client.create_subscription(Log, "/rosout", lambda message: self.log.append(message.msg), kept)
+
+    def __enter__(self) -> ServedNode:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stopping = True
+        self._thread.join(PATIENCE_S)
+        self.node.close()
+        self.client.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def _serve(self) -> None:
+        while not self._stopping:
+            self._serve_once()
+
+    def _serve_once(self) -> None:
+        try:
+            self._executor.spin_once(timeout_sec=0.05)
+        except Exception as error:  # noqa: BLE001 - whatever escapes is what the tests look for
+            self.escaped.append(error)
+
+    def wait_for(self, condition: Callable[[], bool], what: str) -> None:
+        """Spin the client until `condition`, or fail after a while."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline_s, f"timed out waiting for {what}"
+            self._client_executor.spin_once(timeout_sec=0.02)
+
+    def wait_for_log(self, text: str) -> None:
+        """Wait until the node has said `text`."""
+        self.wait_for(lambda: any(text in said for said in self.log), f"the word {text!r} in the log")
+
+    def begin(self, service: str, request: Any) -> Any:
+        """Send a request; the future of its response."""
+        client = self._services[service]
+        self.wait_for(client.service_is_ready, f"the service {service}")
+        return client.call_async(request)
+
+    def call(self, service: str, request: Any) -> Any:
+        future = self.begin(service, request)
+        self.wait_for(future.done, f"an answer of {service}")
+        return future.result()
+
+    def begin_transition(self, label: str, transition_id: int = 0) -> Any:
+        transition = Transition(id=transition_id, label=label)
+        return self.begin("change_state", ChangeState.Request(transition=transition))
+
+    def transition(self, label: str, transition_id: int = 0) -> bool:
+        future = self.begin_transition(label, transition_id)
+        self.wait_for(future.done, f"the answer to {label}")
+        return bool(future.result().success)
+
+    def bring_to(self, state: str) -> None:
+        """Walk from unconfigured to `state`."""
+        path = {
+            "unconfigured": [],
+            "inactive": ["configure"],
+            "active": ["configure", "activate"],
+            "finalized": ["shutdown"],
+        }
+        for label in path[state]:
+            assert self.transition(label), label
+        assert self.state() == state
+
+    def state(self) -> str:
+        return str(self.call("get_state", GetState.Request()).current_state.label)
+
+    def begin_set(self, **values: Any) -> Any:
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        return self.begin("set_parameters_atomically", request)
+
+    def set(self, **values: Any) -> tuple[bool, str]:
+        """Set all together; whether it was done, and the reason if not."""
+        return self.set_messages(
+            [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        )
+
+    def set_messages(self, messages: Sequence[Any]) -> tuple[bool, str]:
+        """Like `set`, with parameters as they are sent."""
+        request = SetParametersAtomically.Request(parameters=list(messages))
+        result = self.call("set_parameters_atomically", request).result
+        return result.successful, result.reason
+
+    def set_one_by_one(self, messages: Sequence[Any]) -> list[Any]:
+        request = SetParameters.Request(parameters=list(messages))
+        return list(self.call("set_parameters", request).results)
+
+    def get(self, name: str) -> Any:
+        (value,) = self.call("get_parameters", GetParameters.Request(names=[name])).values
+        return Parameter.from_parameter_msg(ParameterMessage(name=name, value=value)).value
+
+    def publish(self, message: Image | None = None) -> None:
+        """Send one image once the node listens."""
+        self.wait_for(lambda: self.images.get_subscription_count() > 0, "the node to subscribe")
+        self.images.publish(message or image())
+
+    def send_until(self, condition: Callable[[], bool], what: str) -> None:
+        """Send images until `condition`, or fail after a while."""
+
+        def is_done() -> bool:
+            self.images.publish(image())
+            return condition()
+
+        self.wait_for(is_done, what)
+
+    def detect(self) -> Detection2DArray:
+        """Send images until one of them is detected; what was found in it."""
+        first_sec = self._sent + 1
+
+        def is_detected() -> bool:
+            self._sent += 1
+            message = image()
+            message.header.stamp.sec = self._sent
+            self.images.publish(message)
+            return bool(self.detections) and self.detections[-1].header.stamp.sec >= first_sec
+
+        self.wait_for(is_detected, "a detection")
+        return self.detections[-1]
+
+    def label_info(self) -> LabelInfo:
+        """What a late subscriber to the latched topic gets."""
+        received: list[LabelInfo] = []
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        subscription = self.client.create_subscription(
+            LabelInfo, "/yolov5/label_info", received.append, latched
+        )
+        self.wait_for(lambda: bool(received), "label_info")
+        self.client.destroy_subscription(subscription)
+        return received[-1]
+
+    def status(self) -> Any:
+        """The next diagnostic status of the node, made after this call."""
+        asked = self.client.get_clock().now()
+
+        def is_answered() -> bool:
+            return bool(self.diagnostics) and Time.from_msg(self.diagnostics[-1].header.stamp) > asked
+
+        self.wait_for(is_answered, "diagnostics")
+        return self.diagnostics[-1].status[0]
+
+    def values(self) -> dict[str, str]:
+        """The values of the next diagnostic status."""
+        return {item.key: item.value for item in self.status().values}
+
+    def counts(self) -> dict[str, int]:
+        """Frames by what became of them, from the next diagnostic status."""
+        prefix = "frames "
+        return {
+            key.removeprefix(prefix): int(value)
+            for key, value in self.values().items()
+            if key.startswith(prefix) and key not in ("frames lost", "frames overtaken")
+        }
+
+
+def image(height: int = 48, width: int = 64, encoding: str = "rgb8") -> Image:
+    """A grey picture."""
+    message = Image(height=height, width=width, encoding=encoding, step=width * 3)
+    message.data = array("B", bytes([114]) * (height * width * 3))
+    return message
+
+
+def class_ids_of(detections: Detection2DArray) -> list[str]:
+    return [detection.results[0].hypothesis.class_id for detection in detections.detections]

@@ -1,0 +1,116 @@
+"""A camera on one machine, the detector on another; the cable between them is pulled and plugged in again.
+
+Run as a program by test_across_machines.py, alone in its namespaces and with the rights of root there, which
+`unshare --map-root-user --net --mount` gives to anybody. The environment says how the two find each other.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from support.detector_process import NODE, PARAMETERS, SEED, DetectorProcess, as_arguments, is_balanced
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.observer import Observer
+
+CABLE = "cable"
+ADDRESSES = ("10.77.0.1", "10.77.0.2")
+DOMAIN = 1  # nobody else is in this network
+PATIENCE_S = 120.0  # a busy machine takes its time
+LEASE = Path(__file__).with_name("short_lease.xml")
+CAMERA_PARAMETERS = {
+    "width": 320,
+    "height": 240,
+    "seed": SEED,
+    "rate": 5.0,
+}  # a busy machine loses none of them
+DETECTOR_PARAMETERS = PARAMETERS | {"runtime": "torch"}  # `auto` would first measure them all
+
+Machine = list[str]
+"""The words in front of a command that let it run there."""
+HERE: Machine = []
+
+
+def run(machine: Machine, command: str) -> str:
+    """What the command says; raises CalledProcessError."""
+    return subprocess.run([*machine, *command.split()], check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+@contextmanager
+def machine_beyond_a_cable() -> Iterator[Machine]:
+    """Namespaces beside those of this process, as long as the block."""
+    command = ["unshare", "--net", "--mount", "sh", "-c", "echo there && exec cat"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "there\n"
+        there = ["nsenter", f"--target={holder.pid}", "--net", "--mount"]
+        run(HERE, f"ip link add {CABLE} type veth peer name {CABLE} netns {holder.pid}")
+        for machine, address in ((HERE, ADDRESSES[0]), (there, ADDRESSES[1])):
+            run(machine, "mount -t tmpfs none /dev/shm")  # nothing but the cable may carry images
+            run(machine, "ip link set lo up")
+            run(machine, f"ip address add {address}/24 dev {CABLE}")
+            run(machine, f"ip link set {CABLE} up")
+        # Fast DDS never uses an interface that did not run when the process started.
+        while not all("state UP" in run(machine, f"ip link show {CABLE}") for machine in (HERE, there)):
+            pass
+        yield there
+
+
+@contextmanager
+def camera_and_detector(there: Machine) -> Iterator[DetectorProcess]:
+    """A camera there that is forgotten soon, and the detector here."""
+    remap = ["--ros-args", "-r", f"image_raw:={NODE}/image_raw"]
+    camera_command = [*there, entry_point("camera"), *remap, *as_arguments(CAMERA_PARAMETERS)]
+    detector_command = [entry_point("detector"), "--ros-args", *as_arguments(DETECTOR_PARAMETERS)]
+    profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(LEASE)}
+    with (
+        ChildProcess("camera", camera_command, os.environ | profile) as camera,
+        ChildProcess("detector", detector_command, os.environ) as process,
+    ):
+        process.wait_for_output("unconfigured", PATIENCE_S)
+        with closing(Observer("client", domain=DOMAIN, check=process.check_running)) as observer:
+            yield DetectorProcess(process, observer, DOMAIN)
+        assert [each.stop(signal.SIGINT, timeout_s=PATIENCE_S) for each in (camera, process)] == [0, 0]
+
+
+def wait_for_frames(detector: DetectorProcess, number: int) -> None:
+    """Wait for the detections of so many images that are yet to come."""
+    wanted = len(detector.detections) + number
+    detector.observer.wait_for(
+        lambda: len(detector.detections) >= wanted, f"detections of {number} images", timeout_s=PATIENCE_S
+    )
+
+
+def status_that_tells(detector: DetectorProcess, text: str) -> dict[str, str]:
+    """The next diagnostics with `text` in their message; their frame balance is exact."""
+    seen: list[dict[str, str]] = []
+
+    def is_told() -> bool:
+        seen.append(detector.status())
+        assert is_balanced(seen[-1]), seen[-1]
+        return text in seen[-1]["message"]
+
+    detector.observer.wait_for(is_told, f"diagnostics that tell '{text}'", timeout_s=PATIENCE_S)
+    return seen[-1]
+
+
+def main() -> None:
+    with machine_beyond_a_cable() as there, camera_and_detector(there) as detector:
+        detector.bring_to("active")
+        wait_for_frames(detector, 5)
+        status_that_tells(detector, "detecting")
+        run(HERE, f"ip link set {CABLE} down")
+        status_that_tells(detector, "although the topic has a publisher")
+        cut_off = status_that_tells(detector, "no publisher of images on /yolov5/image_raw")
+        run(HERE, f"ip link set {CABLE} up")
+        wait_for_frames(detector, 5)
+        restored = status_that_tells(detector, "detecting")
+        assert int(restored["frames detected"]) >= int(cut_off["frames detected"]) + 5, restored
+
+
+if __name__ == "__main__":
+    main()

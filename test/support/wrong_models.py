@@ -1,0 +1,246 @@
+"""Checkpoints as YOLOv5 writes them, of models that cannot be used, each wrong in one thing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from torch import nn
+
+from support.checkpoint_builder import foreign, head, layers_of, official_model, saved, stripped
+
+NAN, INFINITY = math.nan, math.inf
+
+
+def changed(change: Callable[[Any], object], **options: Any) -> Callable[[], bytes]:
+    """The small official model after `change`."""
+
+    def make() -> bytes:
+        model = official_model(**options)
+        change(model)
+        return saved(stripped(model))
+
+    return make
+
+
+def yaml(**entries: object) -> Callable[[], bytes]:
+    return changed(lambda model: model.yaml.update(entries))
+
+
+def row(index: int, *cells: object) -> Callable[[], bytes]:
+    """Row `index` of the yaml's backbone is [from, number, module, arguments] = `cells`."""
+    return changed(lambda model: model.yaml["backbone"].__setitem__(index, list(cells)))
+
+
+def own(**attributes: object) -> Callable[[], bytes]:
+    return changed(lambda model: vars(model).update(attributes))
+
+
+def of_head(**attributes: object) -> Callable[[], bytes]:
+    return changed(lambda model: vars(head(model)).update(attributes))
+
+
+def tensor(key: str, change: Callable[[torch.Tensor], object]) -> Callable[[], bytes]:
+    """The parameter or buffer `key` of the first convolution after `change`, in place."""
+    return changed(lambda model: change(_first(model)[key].data))
+
+
+def _first(model: Any) -> dict[str, Any]:
+    inside = vars(layers_of(model)["0"])["_modules"]
+    return {**dict(inside["conv"].named_parameters()), **inside["bn"].state_dict(keep_vars=True)}
+
+
+def first_layer(kind: str, **more: object) -> Callable[[], bytes]:
+    """More `_modules` or `_parameters` in the first layer."""
+    return changed(lambda model: vars(layers_of(model)["0"])[kind].update(more))
+
+
+def anchors(values: object) -> Callable[[], bytes]:
+    """Anchors in grid cells."""
+    return changed(lambda model: vars(head(model))["_buffers"].update(anchors=torch.tensor(values)))
+
+
+def head_named(name: str) -> Callable[[], bytes]:
+    def rename(model: Any) -> None:
+        layers_of(model)[str(len(layers_of(model)) - 1)] = foreign(name, **vars(head(model)))
+
+    return changed(rename)
+
+
+def layer_named(name: str) -> Callable[[], bytes]:
+    def rename(model: Any) -> None:
+        layers_of(model)["2"] = foreign(name, **vars(layers_of(model)["2"]))
+
+    return changed(rename)
+
+
+def recursive_yaml() -> bytes:
+    model = official_model()
+    model.yaml["backbone"].append(model.yaml["backbone"])
+    return saved(stripped(model))
+
+
+def pickled_method(owner: object, method: str) -> Any:
+    """An object that is pickled as the call getattr(owner, method), as pickle writes a method."""
+    return type("Method", (), {"__reduce__": lambda _: (getattr, (owner, method))})()
+
+
+def segmentation() -> bytes:
+    """YOLOv5-seg keeps the forward of Detect, which it overrides, as an attribute of its head."""
+    model = official_model(kind="models.yolo.SegmentationModel")
+    detect = type(head(model))
+    segment = foreign(
+        "models.yolo.Segment", **vars(head(model)), nm=32, detect=pickled_method(detect, "forward")
+    )
+    vars(segment)["no"] = 5 + 3 + 32
+    layers_of(model)[str(len(layers_of(model)) - 1)] = segment
+    return saved(stripped(model))
+
+
+def fuse_all(model: Any) -> None:
+    """As YOLOv5's model.fuse(): no bn, a bias, and forward is another method of the same object."""
+    for layer in layers_of(model).values():
+        if type(layer).__name__ == "Conv":
+            inside = vars(layer)["_modules"]
+            del inside["bn"]
+            inside["conv"].bias = nn.Parameter(torch.zeros(inside["conv"].out_channels))
+            vars(layer)["forward"] = pickled_method(layer, "forward_fuse")
+
+
+def data_parallel() -> bytes:
+    wrapper = nn.DataParallel.__new__(nn.DataParallel)
+    vars(wrapper).update(_modules={"module": official_model()}, src_device_obj=torch.device("cpu"))
+    return saved({"model": wrapper})
+
+
+def auto_shape() -> bytes:
+    return saved({"model": foreign("models.common.AutoShape", _modules={"model": official_model()})})
+
+
+def state_dict() -> dict[str, torch.Tensor]:
+    return nn.Conv2d(3, 4, 1).state_dict()
+
+
+def fused(model: Any) -> None:
+    inside = vars(layers_of(model)["0"])["_modules"]
+    del inside["bn"]
+    inside["conv"].bias = nn.Parameter(torch.zeros(8))
+
+
+MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
+    "list": (lambda: saved([1, 2]), "expected a dict with the entry 'model', found [1, 2]"),
+    "text": (lambda: saved("yolov5n"), "found 'yolov5n'"),
+    "empty dict": (lambda: saved({}), "found None"),
+    "dict in place of the model": (lambda: saved({"model": {"a": 1}}), "expected a YOLOv5 model under"),
+    "bare state dict": (lambda: saved(state_dict()), "a bare state dict"),
+    "state dict as the model": (lambda: saved({"model": state_dict()}), "a bare state dict"),
+    "bare module": (lambda: saved(official_model()), "a bare module"),
+    "bare torch module": (lambda: saved(nn.Conv2d(3, 4, 1)), "a bare module"),
+    "model without layers": (
+        lambda: saved({"model": foreign("models.yolo.Model", _modules={})}),
+        "without layers",
+    ),
+    "ultralytics model": (
+        lambda: saved({"model": foreign("ultralytics.nn.tasks.DetectionModel")}),
+        "belongs to the ultralytics package",
+    ),
+    "segmentation": (segmentation, "is a 'Segment', the head of a segmentation model"),
+    "classification": (
+        head_named("models.common.Classify"),
+        "is a 'Classify', the head of a classification model",
+    ),
+    "NMS added for an export": (head_named("models.common.NMS"), "which YOLOv5 before 6.0 added"),
+    "DataParallel": (data_parallel, "saved inside DataParallel"),
+    "AutoShape": (auto_shape, "saved inside AutoShape"),
+    "YOLOv3": (row(1, -1, 1, "Bottleneck", [64]), "is a 'Bottleneck', as in a YOLOv3 model"),
+    "YOLOv3-tiny": (row(1, -1, 1, "nn.MaxPool2d", [2, 2, 0]), "is a 'MaxPool2d', as in a YOLOv3 model"),
+    "grey images": (yaml(ch=1), "reads images of 1 channels"),
+    "channels as a list": (yaml(ch=[3]), "reads images of [3] channels"),
+    "never trained": (
+        anchors([[[0.0, 0.25], [0.5, 0.75]], [[0.0, 0.125], [0.25, 0.375]]]),
+        "was never trained: its anchors are still the placeholders",
+    ),
+    "YOLOv7": (head_named("models.yolo.IDetect"), "another project, named YOLOv7"),
+    "unknown head": (head_named("models.custom.MyHead"), "'MyHead', not supported"),
+    "unknown block": (layer_named("models.custom.MyBlock"), "is a 'MyBlock', expected C3"),
+    "Focus of before 6.0": (row(0, -1, 1, "Focus", [64, 3]), "of YOLOv5 before 6.0"),
+    "unknown row": (row(0, -1, 1, "os.system", ["true"]), "'os.system', not supported"),
+    "ghost convolution": (row(0, -1, 1, "GhostConv", [64, 3]), "variant of YOLOv5's building blocks"),
+    "other activation": (
+        first_layer("_modules", act=nn.LeakyReLU(0.1)),
+        "is a 'LeakyReLU': the model was trained with another activation",
+    ),
+    "fused": (changed(fuse_all), "saved after fuse()"),
+    "without one normalisation": (changed(fused), "saved after fuse()"),
+    "other epsilon": (
+        changed(lambda model: setattr(vars(layers_of(model)["0"])["_modules"]["bn"], "eps", 1e-5)),
+        "model.0.bn.eps is 1e-05, expected 0.001",
+    ),
+    "other wiring": (
+        changed(lambda model: vars(layers_of(model)["6"]).update(f=[-1, 1])),
+        "reads other layers",
+    ),
+    "no classes": (of_head(nc=0), "the number of classes"),
+    "a million classes": (of_head(nc=1_000_000), "the number of classes"),
+    "classes as a text": (of_head(nc="3"), "expected an integer from 1 to 10000, found '3'"),
+    "classes as a truth value": (of_head(nc=True), "the number of classes"),
+    "more outputs than classes": (of_head(no=40), "gives 40 numbers a box"),
+    "other number of classes": (of_head(nc=4, no=9), "expected names of 4 classes"),
+    "two names": (own(names=["cat", "dog"]), "expected names of 3 classes, found 2 names"),
+    "no names": (own(names=None), "expected names of 3 classes"),
+    "names that are numbers": (own(names=[0, 1, 2]), "printable characters, found 0"),
+    "empty name": (own(names=["cat", "", "cow"]), "printable characters, found ''"),
+    "name with a line break": (own(names=["cat", "d\nog", "cow"]), r"found 'd\nog'"),
+    "name that colours a terminal": (own(names=["cat", "\x1b[31m", "cow"]), r"found '\x1b[31m'"),
+    "name of half a character": (own(names=["cat", "\ud800", "cow"]), r"found '\ud800'"),
+    "name of 201 characters": (own(names=["cat", "x" * 201, "cow"]), "1 to 200 printable"),
+    "names of other numbers": (own(names={1: "cat", 2: "dog", 3: "cow"}), "numbered from 0 to 2"),
+    "no strides": (own(stride=None), "expected the strides of 1 to 8 levels"),
+    "strides as a list": (own(stride=[4, 8]), "expected the strides of 1 to 8 levels"),
+    "too many strides": (own(stride=torch.ones(9)), "expected the strides of 1 to 8 levels"),
+    "half a stride": (own(stride=torch.tensor([4.5, 8])), "expected strides from 1 to 1024"),
+    "stride NaN": (own(stride=torch.tensor([NAN, 8])), "expected strides from 1 to 1024"),
+    "stride zero": (own(stride=torch.tensor([0.0, 8])), "expected strides from 1 to 1024"),
+    "other strides": (own(stride=torch.tensor([8.0, 16])), "but its layers make"),
+    "one stride": (own(stride=torch.tensor([8.0])), "found the shape (2, 2, 2)"),
+    "strides that repeat one number": (own(stride=torch.ones(1).expand(8)), "found the shape (2, 2, 2)"),
+    "no anchors": (changed(lambda model: vars(head(model))["_buffers"].clear()), "expected anchors"),
+    "flat anchors": (anchors([[1.0, 2], [3, 4]]), "expected anchors (width, height) for 2 levels"),
+    "anchor NaN": (anchors([[[NAN, 2.0], [3, 4]], [[1, 2], [3, 4]]]), "anchors"),
+    "anchor zero": (anchors([[[0.0, 2], [3, 4]], [[1, 2], [3, 4]]]), "anchors of positive width"),
+    "three anchors for a head of two": (anchors([[[1.0, 2]] * 3] * 2), "model.8.m.0.weight has the shape"),
+    "weight NaN": (tensor("weight", lambda weight: weight.view(-1)[0].fill_(NAN)), "not finite"),
+    "weight infinite": (tensor("weight", lambda weight: weight.view(-1)[0].fill_(INFINITY)), "not finite"),
+    "negative variance": (tensor("running_var", lambda variance: variance.fill_(-1)), "negative variances"),
+    "surplus tensor": (
+        first_layer("_parameters", extra=nn.Parameter(torch.ones(1))),
+        "'model.0.extra' belongs to no layer",
+    ),
+    "surplus module": (
+        first_layer("_modules", extra=nn.Identity()),
+        "is no part of YOLOv5",
+    ),
+    "yaml missing": (own(yaml=None), "expected a dict as the model's yaml"),
+    "yaml without a backbone": (yaml(backbone=None), "expected a list of layers as backbone"),
+    "yaml without layers": (yaml(backbone=[], head=[]), "expected 1 to 200 layers, found 0"),
+    "yaml of 201 layers": (yaml(backbone=[[-1, 1, "Conv", [64]]] * 201), "found 2"),
+    "yaml that contains itself": (recursive_yaml, "as layer 5, found"),
+    "yaml of another width": (yaml(width_multiple=0.25), "expected"),
+    "width multiple NaN": (yaml(width_multiple=NAN), "width_multiple from 0.01 to 10, found nan"),
+    "depth multiple of a million": (yaml(depth_multiple=1e6), "depth_multiple from 0.01 to 10"),
+    "depth multiple as a text": (yaml(depth_multiple="1"), "depth_multiple from 0.01 to 10, found '1'"),
+    "row of three": (row(0, -1, 1, "Conv"), "[from, number, module, arguments] as layer 0"),
+    "row that reads a later layer": (row(1, 5, 1, "Conv", [64, 3, 2]), "the input of layer 1"),
+    "row that reads nothing": (row(1, [], 1, "Conv", [64, 3, 2]), "reads 0 layers"),
+    "channels of a million": (row(0, -1, 1, "Conv", [1_000_000, 6, 2]), "the channels of layer 0"),
+    "negative channels": (row(0, -1, 1, "Conv", [-64, 6, 2]), "the channels of layer 0"),
+    "a million repeats": (row(2, -1, 1_000_000, "C3", [64]), "the number of layer 2"),
+    "repeated convolution": (row(1, -1, 9, "Conv", [64, 3, 2]), "is repeated 3 times"),
+    "even window": (row(4, -1, 1, "SPPF", [64, 4]), "has the arguments [64, 4]"),
+    "kernel of 99": (row(0, -1, 1, "Conv", [64, 99, 2]), "the kernel of layer 0"),
+    "even kernel": (row(0, -1, 1, "Conv", [64, 4, 1]), "not supported"),
+    "odd shortcut": (row(2, -1, 3, "C3", [64, "False"]), "not supported"),
+    "two heads": (row(4, -1, 1, "Detect", []), "expected one Detect layer, the last, found 2"),
+}

@@ -1,0 +1,134 @@
+"""Files and folders in the making are removed once their owner is dead, and never before."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+from support.colcon_workspace import REPOSITORY
+
+from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.unfinished import (
+    FOLDER_PREFIX,
+    hold,
+    remove_abandoned,
+    remove_abandoned_folders,
+    temporary_folder,
+)
+
+OWNER = """
+import sys
+from yolov5_lifecycle.unfinished import temporary_folder
+with temporary_folder() as folder:
+    (folder / "optimized.onnx").write_bytes(bytes(1000))
+    print(folder, flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder for temporary files."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+def abandoned(folder: Path, name: str) -> Path:
+    path = folder / f"{FOLDER_PREFIX}{name}"
+    path.mkdir()
+    (path / "optimized.onnx").write_bytes(b"x")
+    return path
+
+
+def test_the_folder_of_a_killed_process_is_removed_and_that_of_a_living_one_is_not(folder: Path) -> None:
+    owner = subprocess.Popen(
+        [sys.executable, "-c", OWNER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"TMPDIR": str(folder), "PYTHONPATH": str(REPOSITORY)},
+    )
+    with owner:
+        assert owner.stdout is not None
+        held = Path(owner.stdout.readline().strip())
+        remove_abandoned_folders()
+        assert [path.name for path in held.iterdir()] == ["optimized.onnx"]
+        owner.send_signal(signal.SIGKILL)
+        owner.wait()
+        assert held.exists()
+        remove_abandoned_folders()
+        assert not held.exists()
+    assert list(folder.iterdir()) == []
+
+
+def test_a_folder_is_not_removed_while_another_thread_works_in_it(folder: Path) -> None:
+    with temporary_folder() as held:
+        remove_abandoned_folders()
+        assert held.is_dir()
+    assert list(folder.iterdir()) == []
+
+
+def test_an_error_in_the_folder_is_passed_on_and_the_folder_removed(folder: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="nothing"), temporary_folder() as held:
+        (held / "nothing").stat()
+    assert list(folder.iterdir()) == []
+
+
+def test_other_things_of_that_name_are_left_alone(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    precious = tmp_path_factory.mktemp("precious") / "file"
+    precious.write_bytes(b"x")
+    (folder / f"{FOLDER_PREFIX}link").symlink_to(precious.parent)
+    os.mkfifo(folder / f"{FOLDER_PREFIX}fifo")
+    (abandoned(folder, "deep") / "folder").mkdir()
+    (folder / "other").mkdir()
+    inside = abandoned(folder, "with-a-link")
+    (inside / "link").symlink_to(precious)
+    remove_abandoned_folders()
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "other", *(FOLDER_PREFIX + name for name in ("deep", "fifo", "link")),
+    ]  # fmt: skip
+    assert precious.read_bytes() == b"x"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
+def test_the_folder_of_another_user_is_left_alone(folder: Path) -> None:
+    other = abandoned(folder, "other")
+    os.chown(other, 65534, 65534)
+    remove_abandoned_folders()
+    assert other.is_dir()
+
+
+def test_a_machine_without_a_folder_for_temporary_files_has_nothing_to_remove(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
+    remove_abandoned_folders()
+    with pytest.raises(FileNotFoundError), temporary_folder():
+        pass
+
+
+def test_a_file_is_held_by_one_alone_and_only_where_it_still_is(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    with path.open("wb") as first, path.open("rb") as second:
+        assert hold(first.fileno(), path)
+        assert not hold(second.fileno(), path)
+    with path.open("rb") as third:
+        path.rename(tmp_path / "elsewhere")
+        assert not hold(third.fileno(), path)
+        path.touch()
+        assert not hold(third.fileno(), path), "another file has its name now"
+
+
+def test_a_file_is_whole_while_others_remove_what_is_abandoned(tmp_path: Path) -> None:
+    write_whole(tmp_path / "file", b"1", b"2")
+    (tmp_path / ".old.part").touch()
+    remove_abandoned(tmp_path, prefix=".", suffix=".part")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("file", b"12")]
+    assert (tmp_path / "file").stat().st_mode & 0o777 == 0o644

@@ -1,0 +1,70 @@
+"""Atomic file output: a file is either complete or absent."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from yolov5_lifecycle.unfinished import hold
+
+UNFINISHED_PREFIX, UNFINISHED_SUFFIX = ".", ".part"
+_ATTEMPTS = 20
+
+
+def write_whole(path: Path, *parts: bytes, is_durable: bool = True) -> None:
+    """Atomically replace the file at `path` with the concatenated `parts`; readable by all users.
+
+    If not `is_durable`, a power failure may leave a damaged file. A killed process leaves a file `.*.part`
+    beside it, which is locked while the process lives. Raises OSError.
+    """
+    descriptor, unfinished = _new_file(path.parent)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.writelines(parts)
+            file.flush()
+            if is_durable:
+                os.fsync(descriptor)
+            os.fchmod(descriptor, 0o644)
+            unfinished.replace(path)  # before closing the descriptor releases the lock
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _new_file(folder: Path) -> tuple[int, Path]:
+    """A locked file with a new name in `folder`."""
+    for _ in range(_ATTEMPTS):
+        descriptor, name = tempfile.mkstemp(dir=folder, prefix=UNFINISHED_PREFIX, suffix=UNFINISHED_SUFFIX)
+        if hold(descriptor, Path(name)):
+            return descriptor, Path(name)
+        os.close(descriptor)
+        Path(name).unlink(missing_ok=True)
+    raise FileNotFoundError(f"Other processes keep removing new files from {folder}.")
+
+
+class OutputError(ValueError):
+    """Output that cannot be written to the requested path; the message has the cause and a remedy."""
+
+
+@contextmanager
+def whole_output(path: Path) -> Iterator[Path]:
+    """Temporary path for a file or folder, which is renamed to `path` when the block succeeds.
+
+    Until then, and on failure, nothing exists at `path`. Raises OutputError if `path` already exists.
+    """
+    _check_free(path)
+    if not path.parent.is_dir():
+        raise OutputError(f"{path.parent}: there is no such folder; make it first.")
+    with TemporaryDirectory(prefix=".unfinished-", dir=path.parent) as folder:
+        unfinished = Path(folder, path.name)
+        yield unfinished
+        _check_free(path)
+        unfinished.rename(path)
+
+
+def _check_free(path: Path) -> None:
+    if os.path.lexists(path):
+        raise OutputError(f"{path} exists and is not replaced: choose another name or remove it.")

@@ -1,0 +1,1 @@
+"""Weights files: location, validation and loading, without executing anything in them."""

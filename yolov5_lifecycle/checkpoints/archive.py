@@ -1,0 +1,127 @@
+"""The zip archive written by torch.save, with its records validated before they are read."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+
+from yolov5_lifecycle.models.model import WeightsError, first_line, shown
+
+MAX_RECORDS = 20_000
+MAX_PICKLE_BYTES = 4 << 20
+"""data.pkl of yolov5n has 83 kB, that of an x6 training checkpoint with optimizer about 1 MB."""
+
+PICKLE = "data.pkl"
+_DIRECTORY_ENTRY = b"PK\x01\x02"
+_FOREIGN_FILES = {
+    b"version https://git-lfs": "a Git LFS pointer; run `git lfs pull`",
+    b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19": "a checkpoint saved by torch before 1.6; save it again",
+    b"\x80": "a bare pickle, which could run anything; do not trust it",
+    b"\x08": "what looks like an ONNX model; use the .pt that it was exported from",
+    b"\x1f\x8b": "a gzip file; unpack it first",
+    b"Rar!": "a RAR archive; unpack it first",
+    b"7z\xbc\xaf": "a 7-Zip archive; unpack it first",
+}
+
+
+class Archive:
+    """Records of a checkpoint with validated names and sizes. Created by `read_archive`."""
+
+    def __init__(self, archive: zipfile.ZipFile, folder: str) -> None:
+        self._archive = archive
+        self._folder = folder
+
+    def has(self, name: str) -> bool:
+        """Whether there is a record named `name`."""
+        return f"{self._folder}/{name}" in self._archive.NameToInfo
+
+    def storage_bytes(self, key: str) -> int:
+        """The size of the storage `key`; raises WeightsError if there is no such storage."""
+        if not self.has(f"data/{key}"):
+            raise WeightsError(f"the storage {shown(key)} is missing: copy or download the file again")
+        return self._archive.getinfo(f"{self._folder}/data/{key}").file_size
+
+    def storage(self, key: str) -> bytes:
+        """The bytes of the storage `key`, checked against their CRC; raises WeightsError."""
+        return self.record(f"data/{key}")
+
+    def record(self, name: str) -> bytes:
+        """The bytes of a record, checked against their CRC; raises WeightsError."""
+        try:
+            return self._archive.read(f"{self._folder}/{name}")
+        except Exception as error:  # noqa: BLE001 - any error of a hostile archive means rejection
+            raise _damaged(error) from None
+
+
+def read_archive(data: bytes) -> Archive:
+    """The archive in the bytes of a checkpoint; no record content is read yet.
+
+    Rejects compressed records: torch never compresses. Raises WeightsError.
+    """
+    if not data.startswith(b"PK\x03\x04"):
+        raise WeightsError(f"expected a PyTorch checkpoint (a zip archive), {_foreign(data)}")
+    # Count entries first: zipfile creates an object for each, and a file has room for 46 million.
+    if (entries := data.count(_DIRECTORY_ENTRY)) > 2 * MAX_RECORDS:
+        raise WeightsError(f"the archive has {entries} records, at most {MAX_RECORDS} are read")
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+        folder = _check_records(archive.infolist(), len(data))
+    except WeightsError:
+        raise
+    except Exception as error:  # noqa: BLE001 - any error of a hostile archive means rejection
+        raise _damaged(error) from None
+    return Archive(archive, folder)
+
+
+def _damaged(error: Exception) -> WeightsError:
+    return WeightsError(
+        f"the archive is damaged or cut short ({first_line(error)}): copy or download it again"
+    )
+
+
+def _foreign(data: bytes) -> str:
+    if not data:
+        return "the file is empty"
+    if data.count(0) == len(data):
+        return "the file is all zeros: copy or download it again"
+    if data[:512].lstrip().lower().startswith((b"<!doctype", b"<html", b"<?xml")):
+        return "found an HTML page: the download went wrong"
+    for signature, kind in _FOREIGN_FILES.items():
+        if data.startswith(signature):
+            return f"found {kind}"
+    if data[257:262] == b"ustar":
+        return "found a tar archive, as torch before 1.6 wrote; save the model again with a newer torch"
+    return f"found something that begins with {data[:4]!r}"
+
+
+def _check_records(records: list[zipfile.ZipInfo], file_bytes: int) -> str:
+    """The top-level folder of all records."""
+    sizes = {record.filename: record.file_size for record in records}
+    if len(records) > MAX_RECORDS:
+        raise WeightsError(f"the archive has {len(records)} records, at most {MAX_RECORDS} are read")
+    if len(sizes) != len(records):
+        raise WeightsError("the archive has two records of one name")
+    if any(name.endswith("/constants.pkl") for name in sizes):  # first: torch.jit compresses some records
+        raise WeightsError("this is a TorchScript archive: use the .pt that it was exported from")
+    for record in records:
+        _check_record(record)
+    if sum(sizes.values()) > file_bytes:
+        raise WeightsError("the records of the archive overlap: they claim more bytes than the file has")
+    folders = sorted({name.partition("/")[0] for name in sizes})
+    if len(folders) != 1 or f"{folders[0]}/{PICKLE}" not in sizes:
+        raise WeightsError(
+            f"expected a PyTorch checkpoint, found another zip archive, with {shown(list(sizes)[:3])}"
+        )
+    if (size := sizes[f"{folders[0]}/{PICKLE}"]) > MAX_PICKLE_BYTES:
+        raise WeightsError(f"{PICKLE} has {size} bytes, at most {MAX_PICKLE_BYTES} are read")
+    return folders[0]
+
+
+def _check_record(record: zipfile.ZipInfo) -> None:
+    name = shown(record.filename)
+    if record.filename.startswith("/") or {"..", "."} & set(record.filename.replace("\\", "/").split("/")):
+        raise WeightsError(f"the record name {name} leaves the archive")
+    if record.flag_bits & 1:
+        raise WeightsError(f"the record {name} is encrypted, as torch never does")
+    if record.compress_type != zipfile.ZIP_STORED or record.file_size != record.compress_size:
+        raise WeightsError(f"the record {name} is compressed, as torch.save never does")

@@ -1,0 +1,168 @@
+"""Finding and loading weights files."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import shlex
+import stat
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from yolov5_lifecycle.checkpoints.allowed_folders import confined
+from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
+from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
+from yolov5_lifecycle.models.model import Model, UncheckedError, WeightsError, shown
+
+MAX_FILE_BYTES = 2 << 30
+_IRREGULAR = "expected a regular file, found a folder, pipe or device"
+_READERS: dict[str, Callable[[bytes], Model]] = {
+    ".safetensors": read_safetensors,
+    ".pt": read_checkpoint,
+    ".pth": read_checkpoint,
+}
+
+
+_EXPORTS = {
+    ".onnx": "an ONNX export",
+    ".torchscript": "a TorchScript export",
+    ".engine": "a TensorRT export",
+    ".trt": "a TensorRT export",
+    ".tflite": "a TensorFlow Lite export",
+    ".pb": "a TensorFlow export",
+    ".mlmodel": "a Core ML export",
+    ".xml": "an OpenVINO export",
+    ".bin": "an OpenVINO export",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class WeightsFile:
+    """A weights file: its path, the digest of the loaded bytes, and the model."""
+
+    path: Path
+    sha256: str
+    model: Model
+
+
+def find_weights(
+    *, weights: str, weights_dir: Path, model_size: str, weights_dirs: Sequence[Path] = ()
+) -> Path:
+    """Path of the file `weights`, or of `model_size` in `weights_dir`: .safetensors before .pt.
+
+    Expands a leading ~. Raises WeightsError if there is no such file or if it is outside `weights_dirs`,
+    unless those are empty.
+    """
+    located = functools.partial(confined, folders=weights_dirs) if weights_dirs else expanded
+    if weights:
+        return located(Path(weights))
+    folder = located(weights_dir)
+    tried = [folder / f"yolov5{model_size}{suffix}" for suffix in (".safetensors", ".pt")]
+    for path in tried:
+        if os.path.lexists(path):
+            return located(path)
+    raise WeightsError(
+        f"no weights for model_size '{model_size}': neither {tried[0]} nor {tried[1]} is there. "
+        f"`fetch_weights {model_size} --dir {shlex.quote(str(folder))}` downloads the official ones; "
+        "in a workspace with `ros2 run yolov5_lifecycle` before it. Or set the parameter `weights` to a path."
+    )
+
+
+def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
+    """Read the file at `path` once and load its model; with `sha256`, only if its bytes have that digest.
+
+    The path in the result has its links resolved. Raises WeightsError with the path in its message,
+    UncheckedError if the failure does not depend on the content of the file.
+    """
+    try:
+        reader = _reader(path)
+        data = _read_once(path)
+        digest = _checked_digest(data, sha256) if sha256 else ""
+        model = reader(data)
+        return WeightsFile(Path(os.path.realpath(path)), digest or hashlib.sha256(data).hexdigest(), model)
+    except (WeightsError, MemoryError, RuntimeError) as error:
+        if is_out_of_memory(error):
+            refusal: WeightsError = UncheckedError("there is not enough memory to read it; free some")
+        elif isinstance(error, WeightsError):
+            refusal = error
+        else:
+            raise
+    # The memory of the failed attempt is only released here.
+    raise type(refusal)(f"{path}: {refusal}.")
+
+
+def expanded(path: Path) -> Path:
+    """`path` with a leading ~ expanded; raises WeightsError if there is no such home folder."""
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        raise WeightsError(f"{path}: there is no such home folder; write the path in full.") from None
+
+
+def is_out_of_memory(error: BaseException | None) -> bool:
+    """Whether memory ran out in the chain of `error`; torch only reports it in a RuntimeError's message.
+
+    Messages of other exceptions are ignored: they may quote the file.
+    """
+    while error is not None:
+        is_told_by_torch = isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+        if isinstance(error, MemoryError) or is_told_by_torch:
+            return True
+        error = error.__context__
+    return False
+
+
+def _reader(path: Path) -> Callable[[bytes], Model]:
+    if "\0" in str(path):
+        raise WeightsError("a path holds no NUL character: correct it")
+    if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises if a parent folder cannot be read
+        raise WeightsError(f"{_IRREGULAR}: name the file itself")
+    suffix = path.suffix.lower()
+    if suffix in _EXPORTS:
+        raise WeightsError(
+            f"a file that ends in {suffix} is {_EXPORTS[suffix]}: use the .pt that it was exported from"
+        )
+    reader = _READERS.get(suffix)
+    if reader is None:
+        raise WeightsError(f"expected a file that ends in {', '.join(_READERS)}, found {shown(path.suffix)}")
+    return reader
+
+
+def _read_once(path: Path) -> bytes:
+    """All bytes of a regular file, read once: the bytes checked are the bytes used."""
+    try:
+        with open(path, "rb", opener=_open_without_waiting) as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise WeightsError(_IRREGULAR)
+            if status.st_size > MAX_FILE_BYTES:
+                raise WeightsError(f"the file has {status.st_size} bytes; at most {MAX_FILE_BYTES} are read")
+            data = file.read(status.st_size + 1)
+            has_changed = os.fstat(file.fileno()).st_mtime_ns != status.st_mtime_ns
+    except FileNotFoundError:
+        hint = "check the path for a missing '/' or a typo"
+        if "$" in str(path):
+            hint = "variables as in $HOME are not replaced here: write ~ or the path in full"
+        raise WeightsError(f"there is no such file: {hint}") from None
+    except OSError as error:
+        raise UncheckedError(f"the file cannot be read ({error.strerror})") from None
+    if has_changed or len(data) != status.st_size:
+        raise UncheckedError("the file changed while it was read: try again when it is complete")
+    return data
+
+
+def _checked_digest(data: bytes, sha256: str) -> str:
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != sha256.lower():
+        raise WeightsError(
+            f"its sha256 is {digest}, expected {sha256.lower()}: this is another file; "
+            "get the one that is meant, or correct the digest"
+        )
+    return digest
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    """Open without blocking on a pipe that has no writer."""
+    return os.open(path, flags | os.O_NONBLOCK)

@@ -1,0 +1,220 @@
+"""Abstract interpreter for pickles that builds no objects, so that only harmless ones are unpickled.
+
+An unpickler with an allowlist of names can still be made to exhaust memory or time: nested tuples as a
+key take forever to hash, and `_codecs.encode(data, "hex")` doubles its input.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Union
+
+from yolov5_lifecycle.checkpoints.pickle_opcodes import Operation, operations
+from yolov5_lifecycle.checkpoints.pickled_names import (
+    ENCODE,
+    GET_ATTRIBUTE,
+    ORDERED_DICT,
+    SETS,
+    STORAGES,
+    TENSOR_MAKERS,
+)
+from yolov5_lifecycle.models.model import WeightsError, first_line, shown
+
+MAX_CALLS = 100_000
+"""yolov5n makes 4,000 calls, an x6 with its EMA and its optimizer about ten times as many."""
+_MAX_ITEMS = 64
+
+_SCALARS = ("NONE", "NEWFALSE", "NEWTRUE", "BININT", "BININT1", "BININT2", "BINFLOAT", "LONG1")
+_CONTAINERS = {"EMPTY_LIST": "list", "EMPTY_DICT": "dict"}
+_TUPLES = {"EMPTY_TUPLE": 0, "TUPLE1": 1, "TUPLE2": 2, "TUPLE3": 3}
+
+
+def check_program(pickle: bytes, stubs: Iterable[str]) -> None:
+    """Raise WeightsError unless `pickle` only holds data; it may create objects of classes `stubs`."""
+    program = _Program(frozenset(stubs))
+    try:
+        for operation in operations(pickle):
+            program.step(operation)
+    except LookupError as error:
+        raise WeightsError(f"its pickle is damaged ({first_line(error)})") from None
+
+
+class _Thing:
+    """Abstract value: its kind (list, dict, class, object ...), item count and whether all are plain."""
+
+    __slots__ = ("is_plain", "kind", "size")
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self.size = 0
+        self.is_plain = True
+
+    def fill(self, items: Sequence[_Value]) -> None:
+        self.size += len(items)
+        self.is_plain = self.is_plain and all(map(_is_plain, items))
+
+
+_Value = Union[_Thing, str, tuple["_Value", ...]]  # noqa: UP007 - `|` does not accept a forward reference
+_SCALAR = _Thing("number")
+
+
+def _is_plain(value: _Value) -> bool:
+    return value is _SCALAR or isinstance(value, str)
+
+
+class _Program:
+    """The stack machine of pickle protocol 2, operating on kinds instead of values."""
+
+    def __init__(self, stubs: frozenset[str]) -> None:
+        self._stubs = stubs
+        self._stack: list[_Value] = []
+        self._below: list[list[_Value]] = []
+        self._memo: dict[int, _Value] = {}
+        self._calls = 0
+        self._actions: Mapping[str, Callable[[], None]] = {
+            "PROTO": lambda: None,
+            "MARK": self._mark,
+            "TUPLE": lambda: self._push(tuple(self._pop_to_mark())),
+            "APPEND": lambda: self._fill_list(self._pop(1)),
+            "APPENDS": lambda: self._fill_list(self._pop_to_mark()),
+            "SETITEM": lambda: self._fill_dict(self._pop(2)),
+            "SETITEMS": lambda: self._fill_dict(self._pop_to_mark()),
+            "NEWOBJ": self._new,
+            "REDUCE": self._call,
+            "BUILD": self._build,
+            "BINPERSID": self._storage,
+            "STOP": lambda: self._pop(1).clear(),
+        }
+
+    def step(self, operation: Operation) -> None:
+        name = operation.name
+        if name in _SCALARS:
+            self._push(_SCALAR)
+        elif name in ("BINUNICODE", "SHORT_BINSTRING"):
+            self._push(operation.text)
+        elif name == "GLOBAL":
+            self._push(_Thing(operation.text))
+        elif name in _CONTAINERS:
+            self._push(_Thing(_CONTAINERS[name]))
+        elif name in _TUPLES:
+            self._push(tuple(self._pop(_TUPLES[name])))
+        elif name in ("BINPUT", "LONG_BINPUT"):
+            self._memo[operation.number] = self._stack[-1]
+        elif name in ("BINGET", "LONG_BINGET"):
+            self._push(self._memo[operation.number])
+        else:
+            self._actions[name]()
+
+    def _mark(self) -> None:
+        self._below.append(self._stack)
+        self._stack = []
+
+    def _push(self, value: _Value) -> None:
+        self._stack.append(value)
+
+    def _pop(self, count: int) -> list[_Value]:
+        start = len(self._stack) - count
+        if start < 0:
+            raise IndexError("nothing on the stack")
+        popped = self._stack[start:]
+        del self._stack[start:]
+        return popped
+
+    def _pop_to_mark(self) -> list[_Value]:
+        popped, self._stack = self._stack, self._below.pop()
+        return popped
+
+    def _top(self, *kinds: str) -> _Thing:
+        top = self._stack[-1]
+        if not isinstance(top, _Thing) or top.kind not in kinds:
+            raise WeightsError(f"its pickle changes a {_kind(top)}, as torch.save never does")
+        return top
+
+    def _fill_list(self, items: Sequence[_Value]) -> None:
+        self._top("list").fill(items)
+
+    def _fill_dict(self, items: Sequence[_Value]) -> None:
+        if not all(map(_is_plain, items[::2])):
+            raise WeightsError("its pickle has a dict with keys that are neither text nor numbers")
+        self._top("dict").fill(items)
+
+    def _new(self) -> None:
+        cls, _ = self._called()
+        if cls not in self._stubs:
+            raise WeightsError(f"its pickle makes a new {shown(cls)}, as torch.save never does")
+        self._push(_Thing("object"))
+
+    def _call(self) -> None:
+        name, arguments = self._called()
+        kind = self._result(name, arguments)
+        if kind is None:
+            raise WeightsError(
+                f"its pickle calls {shown(name)} in a way that no YOLOv5 checkpoint needs: do not trust it"
+            )
+        self._push(_Thing(kind))
+
+    def _called(self) -> tuple[str, tuple[_Value, ...]]:
+        self._calls += 1
+        if self._calls > MAX_CALLS:
+            raise WeightsError(f"its pickle makes more than {MAX_CALLS} objects")
+        function, arguments = self._pop(2)
+        if not isinstance(function, _Thing) or not isinstance(arguments, tuple):
+            raise WeightsError("its pickle calls something that is no function")
+        return function.kind, arguments
+
+    def _result(self, name: str, arguments: tuple[_Value, ...]) -> str | None:
+        """The kind of object that a call returns; None if the call is forbidden."""
+        if name in self._stubs:
+            return "object"
+        if name in TENSOR_MAKERS and len(arguments) <= 8:
+            return "tensor"
+        if name == ORDERED_DICT and not arguments:
+            return "dict"
+        if name == ENCODE and len(arguments) == 2 and isinstance(arguments[0], str):
+            return "bytes" if arguments[1] == "latin1" else None
+        if name in GET_ATTRIBUTE and _is_known_method(*arguments):
+            return "method"
+        if name in SETS and len(arguments) == 1 and _is_short_plain_list(arguments[0]):
+            return "set"
+        return None
+
+    def _build(self) -> None:
+        (state,) = self._pop(1)
+        target = self._top("object", "dict")
+        # torch copies this state, so it must be as small as the `_metadata` of a state dict.
+        if target.kind == "dict" and not (isinstance(state, _Thing) and state.size <= _MAX_ITEMS):
+            raise WeightsError("its pickle gives a dict attributes, as torch.save never does")
+
+    def _storage(self) -> None:
+        (pid,) = self._pop(1)
+        if not isinstance(pid, tuple) or len(pid) != 5 or not _is_storage(*pid):
+            raise WeightsError("its pickle refers to a storage in a way that torch.save never does")
+        self._push(_Thing("storage"))
+
+
+def _kind(value: _Value) -> str:
+    return value.kind[:80] if isinstance(value, _Thing) else type(value).__name__
+
+
+def _is_short_plain_list(value: _Value) -> bool:
+    return isinstance(value, _Thing) and value.kind == "list" and value.is_plain and value.size <= _MAX_ITEMS
+
+
+def _is_known_method(owner: _Value = "", method: _Value = "", *more: _Value) -> bool:
+    """Whether it is `forward` of the class Detect or `forward_fuse` of an object; neither is resolved."""
+    if more or not isinstance(owner, _Thing):
+        return False
+    if owner.kind == "object":
+        return method == "forward_fuse"
+    return owner.kind.removeprefix("yolov5.") == "models.yolo.Detect" and method == "forward"
+
+
+def _is_storage(marker: _Value, kind: _Value, key: _Value, location: _Value, elements: _Value) -> bool:
+    return (
+        marker == "storage"
+        and isinstance(kind, _Thing)
+        and kind.kind in STORAGES
+        and isinstance(key, str)
+        and isinstance(location, str)
+        and elements is _SCALAR
+    )

@@ -1,0 +1,89 @@
+"""The classes and functions named in a checkpoint's pickle."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import torch
+
+from yolov5_lifecycle.checkpoints.pickle_opcodes import operations
+from yolov5_lifecycle.models.model import WeightsError, shown
+
+TENSOR_MAKERS = frozenset({"torch._utils._rebuild_parameter", "torch._utils._rebuild_tensor_v2"})
+SETS = frozenset({"__builtin__.set", "builtins.set"})
+ORDERED_DICT = "collections.OrderedDict"
+ENCODE = "_codecs.encode"
+GET_ATTRIBUTE = frozenset({"__builtin__.getattr", "builtins.getattr"})
+"""Pickles methods. Segmentation models hold one of a class, fused models one of each Conv."""
+STORAGES: Mapping[str, torch.dtype] = MappingProxyType(
+    {
+        "torch.FloatStorage": torch.float32,
+        "torch.HalfStorage": torch.float16,
+        "torch.BFloat16Storage": torch.bfloat16,
+        "torch.DoubleStorage": torch.float64,
+        "torch.LongStorage": torch.int64,
+        "torch.IntStorage": torch.int32,
+        "torch.ShortStorage": torch.int16,
+        "torch.CharStorage": torch.int8,
+        "torch.ByteStorage": torch.uint8,
+        "torch.BoolStorage": torch.bool,
+    }
+)
+# torch.load allows more names, but its bytearray and torch.FloatTensor allocate whatever the file claims.
+_TORCH_NAMES = TENSOR_MAKERS | frozenset(STORAGES) | SETS | GET_ATTRIBUTE | {ORDERED_DICT, ENCODE}
+_WRAPPER_PREFIXES = ("torch.nn.parallel.", "torch.distributed.", "torch.device")
+_STUB_PREFIXES = ("models.", "utils.", "yolov5.models.", "yolov5.utils.", "torch.nn.modules.")
+# Contents of training checkpoints besides the model (optimizer, date, paths); never used.
+_STUB_NAMES = frozenset(
+    {
+        "numpy.core.multiarray._reconstruct",
+        "numpy.core.multiarray.scalar",
+        "numpy._core.multiarray._reconstruct",
+        "numpy._core.multiarray.scalar",
+        "numpy.ndarray",
+        "numpy.dtype",
+        "pathlib.PosixPath",
+        "pathlib.WindowsPath",
+        "pathlib.PurePosixPath",
+        "pathlib._local.PosixPath",
+        "pathlib._local.WindowsPath",
+        "datetime.datetime",
+        "argparse.Namespace",
+    }
+)
+
+
+def stub_names(pickle: bytes) -> list[str]:
+    """The names in `pickle` that torch does not define.
+
+    Raises WeightsError if one of them does not belong to YOLOv5.
+    """
+    names = {operation.text for operation in operations(pickle) if operation.name == "GLOBAL"}
+    _refuse_foreign(names)
+    return sorted(names - _TORCH_NAMES)
+
+
+def _refuse_foreign(names: set[str]) -> None:
+    if any(name.startswith("ultralytics.") for name in names):
+        raise WeightsError(
+            "this model belongs to the ultralytics package (YOLOv8 or later, or a YOLOv5 'u' model); "
+            "expected a checkpoint trained by YOLOv5 itself (v6 or v7): train with that, or take an official "
+            "one with `fetch_weights n`"
+        )
+    known = _TORCH_NAMES | _STUB_NAMES
+    foreign = sorted(
+        name
+        for name in names - known
+        if not (name.startswith(_STUB_PREFIXES) and re.fullmatch(r"[\w.]+", name))
+    )
+    if foreign and all(name.startswith(_WRAPPER_PREFIXES) for name in foreign):
+        raise WeightsError(
+            "the model was saved inside DataParallel or DistributedDataParallel, which are around it while "
+            "it is trained on several GPUs: save `model.module` instead, as YOLOv5's train.py does"
+        )
+    if foreign:
+        more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
+        named = ", ".join(shown(name) for name in foreign[:3])
+        raise WeightsError(f"it names {named}{more}, which no YOLOv5 checkpoint needs: do not trust it")

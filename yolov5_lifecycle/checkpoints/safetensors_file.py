@@ -1,0 +1,183 @@
+"""Models in .safetensors files: tensors, with architecture and class names as metadata."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import load, save
+
+from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.checkpoints.yaml_architecture import (
+    MAX_ANCHORS,
+    MAX_LEVELS,
+    MAX_STRIDE,
+    architecture_of,
+)
+from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture
+from yolov5_lifecycle.models.model import (
+    MAX_CLASSES,
+    Model,
+    WeightsError,
+    blueprint,
+    check_class_names,
+    check_fit,
+    checked_model,
+    first_line,
+    shown,
+    whole_number,
+)
+
+FORMAT = "yolov5_lifecycle 1"
+MAX_HEADER_BYTES = 16 << 20
+_DTYPES = {
+    "F16": torch.float16,
+    "BF16": torch.bfloat16,
+    "F32": torch.float32,
+    "F64": torch.float64,
+    "I32": torch.int32,
+    "I64": torch.int64,
+}
+
+
+def write_safetensors(model: Model, path: Path) -> None:
+    """Write `model` to `path` atomically; floats are stored as fp16 where that is lossless."""
+    tensors = {key: _smallest(tensor) for key, tensor in model.state_dict.items()}
+    metadata = {
+        "format": FORMAT,
+        "architecture": json.dumps(_described(model.architecture)),
+        "class_names": json.dumps(model.class_names),
+    }
+    write_whole(path, _repeatable(save(tensors, metadata=metadata)))
+
+
+def _repeatable(data: bytes) -> bytes:
+    """The same file with sorted metadata: safetensors shuffles it, but equal models need equal digests."""
+    end = 8 + struct.unpack("<Q", data[:8])[0]
+    header = json.loads(data[8:end])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return struct.pack("<Q", len(text)) + text + data[end:]
+
+
+def _described(architecture: Architecture) -> dict[str, Any]:
+    """The architecture as JSON, with integral floats and booleans normalized to integers."""
+    return asdict(architecture) | {
+        "anchors_px": [[list(map(float, anchor)) for anchor in level] for level in architecture.anchors_px],
+        "layers": [
+            [layer.sources, layer.repeats, layer.kind, list(map(int, layer.args))]
+            for layer in architecture.layers
+        ],
+    }
+
+
+def read_safetensors(data: bytes) -> Model:
+    """The model in the bytes of a file written by `write_safetensors`; raises WeightsError."""
+    header = _header(data)
+    metadata = header.pop("__metadata__", None)
+    if not isinstance(metadata, dict) or metadata.get("format") != FORMAT:
+        raise WeightsError(
+            "this .safetensors file was not made by this package, so it does not tell the architecture: "
+            "convert the original .pt with `convert IN.pt OUT.safetensors`"
+        )
+    architecture = _architecture(_json(metadata, "architecture"))
+    class_names = check_class_names(_json(metadata, "class_names"), architecture.classes)
+    check_fit(blueprint(architecture).state_dict(), _claimed(header))
+    return checked_model(architecture, class_names, _tensors(data))
+
+
+def _header(data: bytes) -> dict[str, Any]:
+    if len(data) < 8:
+        raise WeightsError(f"expected a .safetensors file, found {len(data)} bytes")
+    (header_bytes,) = struct.unpack("<Q", data[:8])
+    if header_bytes > min(MAX_HEADER_BYTES, len(data) - 8):
+        raise WeightsError("this is no .safetensors file, or it is cut short: its header does not fit")
+    try:
+        header = json.loads(data[8 : 8 + header_bytes])
+    except (ValueError, RecursionError):
+        raise WeightsError("this is no .safetensors file: its header is no JSON") from None
+    if not isinstance(header, dict):
+        raise WeightsError(f"this is no .safetensors file: its header is {shown(header)}")
+    return header
+
+
+def _claimed(header: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """Meta tensors of the dtypes and shapes in the header, without data."""
+    claimed = {}
+    for key, entry in header.items():
+        dtype = entry.get("dtype") if isinstance(entry, dict) else None
+        if not isinstance(dtype, str) or dtype not in _DTYPES:
+            raise WeightsError(
+                f"the tensor {shown(key)} holds {shown(dtype)}, expected one of {', '.join(_DTYPES)}"
+            )
+        shape = entry.get("shape")
+        try:
+            claimed[key] = torch.empty(shape, dtype=_DTYPES[dtype], device="meta")
+        except (TypeError, ValueError, RuntimeError, OverflowError):
+            raise WeightsError(
+                f"the tensor {shown(key)} has the shape {shown(shape)}: copy it again"
+            ) from None
+    return claimed
+
+
+def _tensors(data: bytes) -> Mapping[str, torch.Tensor]:
+    try:
+        return load(data)
+    except Exception as error:  # noqa: BLE001 - any error of a hostile file means rejection
+        raise WeightsError(
+            f"the file is damaged, or cut short ({first_line(error)}): copy it again"
+        ) from None
+
+
+def _smallest(tensor: torch.Tensor) -> torch.Tensor:
+    half = tensor.half() if tensor.dtype is torch.float32 else tensor
+    return half if torch.equal(half.to(tensor.dtype), tensor) else tensor
+
+
+def _json(metadata: Mapping[str, Any], key: str) -> Any:
+    try:
+        return json.loads(metadata.get(key, ""))
+    except (TypeError, ValueError, RecursionError):
+        raise WeightsError(
+            f"the metadata entry {key} is missing or damaged: convert the original .pt again"
+        ) from None
+
+
+def _architecture(described: Any) -> Architecture:
+    """An Architecture from its JSON, validated like the yaml of a checkpoint."""
+    try:
+        rows = [
+            [sources, repeats, kind, _yaml_arguments(kind, args)]
+            for sources, repeats, kind, args in described["layers"]
+        ]
+        strides = tuple(
+            whole_number(stride, "a stride", 1, MAX_STRIDE)
+            for stride in described["strides"][: MAX_LEVELS + 1]
+        )
+        anchors_px: AnchorsPx = tuple(
+            tuple((float(width), float(height)) for width, height in level)
+            for level in described["anchors_px"]
+        )
+        classes = whole_number(described["classes"], "the number of classes", 1, MAX_CLASSES)
+    except WeightsError:
+        raise
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise WeightsError(f"the metadata entry architecture is damaged ({first_line(error)})") from None
+    counts = {len(level) for level in anchors_px}
+    if not 1 <= len(anchors_px) == len(strides) <= MAX_LEVELS or len(counts) != 1:
+        raise WeightsError("expected a stride and equally many anchors for each of 1 to 8 levels")
+    whole_number(counts.pop(), "the anchors of a level", 1, MAX_ANCHORS)
+    yaml = described | {"backbone": rows, "head": []}
+    return architecture_of(yaml, classes=classes, anchors_px=anchors_px, strides=strides)
+
+
+def _yaml_arguments(kind: str, args: list[Any]) -> list[Any]:
+    """The arguments of the yaml row of a `Layer` that has none of its own, else `args`."""
+    implied: dict[str, list[Any]] = {"Upsample": [None, 2, "nearest"], "Concat": [1]}
+    return implied.get(kind, args)

@@ -1,0 +1,1 @@
+"""Command-line tools other than the nodes, and their shared code."""

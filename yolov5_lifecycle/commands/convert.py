@@ -1,0 +1,67 @@
+"""Command `convert IN.pt OUT.safetensors`: convert a YOLOv5 checkpoint to a file that holds only data."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
+from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.commands.command_parser import CommandParser
+from yolov5_lifecycle.models.model import Model, WeightsError
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.process.standard_streams import complain, write_output
+
+_MAX_PATH = 4096
+
+
+def convert(source: Path, target: Path, *, overwrite: bool) -> WeightsFile:
+    """Convert the model in `source` to `target` and return it as read back from `target`.
+
+    Raises WeightsError, and OSError if `target` cannot be written.
+    """
+    if target.suffix != ".safetensors":
+        raise WeightsError(f"{target}: expected a name that ends in .safetensors.")
+    if os.path.lexists(target) and not overwrite:
+        raise WeightsError(f"{target} exists; give --force to replace it.")
+    if not target.parent.is_dir():
+        raise WeightsError(f"{target.parent}: there is no such folder; make it first.")
+    write_safetensors(load_weights(source).model, target)
+    return load_weights(target)
+
+
+def report(written: WeightsFile) -> str:
+    """Summary of the file for the user, one fact per line."""
+    names = written.model.class_names
+    return (
+        f"{in_one_line(str(written.path), _MAX_PATH)}\n"
+        f"classes     {len(names)}: {', '.join(names)}\n"
+        f"parameters  {_parameters(written.model):,}\n"
+        f"sha256      {written.sha256}\n"
+    )
+
+
+def _parameters(model: Model) -> int:
+    with torch.device("meta"):
+        return sum(parameter.numel() for parameter in Network(model.architecture).parameters())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = CommandParser(
+        "convert",
+        description="Convert a YOLOv5 checkpoint (v6 or v7) to .safetensors, without running what is in it.",
+    )
+    parser.add_argument("source", type=Path, metavar="IN.pt")
+    parser.add_argument("target", type=Path, metavar="OUT.safetensors")
+    parser.add_argument("--force", action="store_true", help="replace OUT.safetensors if it is there")
+    arguments = parser.parse_args(argv)
+    try:
+        written = convert(arguments.source, arguments.target, overwrite=arguments.force)
+    except (WeightsError, OSError) as error:
+        complain("convert", error)
+        return 1
+    return write_output("convert", report(written))

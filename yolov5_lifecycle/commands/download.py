@@ -1,0 +1,133 @@
+"""Resumable HTTP download of one file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from http.client import HTTPException, HTTPMessage, HTTPResponse
+from typing import IO, Any, BinaryIO
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+from urllib.request import HTTPRedirectHandler, Request, build_opener
+
+from yolov5_lifecycle.printable import in_one_line
+
+_CHUNK_BYTES = 1 << 14
+_PARTIAL_CONTENT = 206
+_RANGE_NOT_SATISFIABLE = 416
+_MAX_SHOWN = 200
+_AGAIN = "give the command again, it goes on from there"
+
+Progress = Callable[[int, "int | None"], object]
+"""Called with the bytes received so far and the total, None unless the server sends it."""
+
+
+class DownloadError(RuntimeError):
+    """A failed download; the message is one printable line with the URL, the cause and a remedy."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(in_one_line(message))
+
+
+def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progress: Progress) -> None:
+    """Append the missing rest of the file at `url` to `file`, opened with "ab".
+
+    Bytes received before an error stay in `file`, for the next call. Raises DownloadError if the server or
+    connection fails, no data arrives for `stall_s` seconds or more than `max_bytes` do, and OSError if `file`
+    cannot be written.
+    """
+    with _answer(url, file.tell(), stall_s) as response:
+        start = _start_byte(response, url)
+        if start > file.tell():
+            raise DownloadError(f"{url}: asked from byte {file.tell()} on, got byte {start} on; try a mirror")
+        file.truncate(start)
+        total = None if response.length is None else start + response.length
+        _check_size(url, total or 0, max_bytes)
+        while chunk := _next_chunk(response, url, file.tell(), stall_s):
+            file.write(chunk)
+            _check_size(url, file.tell(), max_bytes)
+            progress(file.tell(), total)
+    if total is not None and file.tell() != total:
+        raise DownloadError(f"{url}: the connection ended after {file.tell()} of {total} bytes; {_AGAIN}")
+
+
+class SafeRedirects(HTTPRedirectHandler):
+    """Redirect handler that rejects redirects from https to any other scheme."""
+
+    def redirect_request(
+        self, req: Request, fp: IO[bytes], code: int, msg: str, headers: HTTPMessage, newurl: str
+    ) -> Request | None:
+        if urlsplit(newurl).scheme not in {"https", req.type}:
+            fp.close()
+            raise DownloadError(
+                f"{req.full_url}: refused to follow its redirect to {_short(newurl)}; try a mirror"
+            )
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
+
+
+def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
+    if not url.startswith(("https://", "http://")):
+        raise DownloadError(f"{url}: expected an address that begins with https:// or http://")
+    try:
+        request = Request(url, headers={"Range": f"bytes={start}-"} if start else {})
+        response: HTTPResponse = build_opener(SafeRedirects).open(request, timeout=stall_s)
+    except HTTPError as error:
+        error.close()
+        if error.code == _RANGE_NOT_SATISFIABLE and start:
+            return _answer(url, 0, stall_s)
+        raise DownloadError(
+            f"{url}: the server answers {error.code} {_short(error.reason)}; check it"
+        ) from None
+    except (OSError, HTTPException, ValueError, OverflowError) as error:  # OverflowError: port above 65535
+        reason = _short(getattr(error, "reason", error)) or type(error).__name__
+        raise DownloadError(f"{url}: no answer ({reason}); check the address and the network") from None
+    response.fp = _SizedReads(response.fp)  # type: ignore[assignment]
+    return response
+
+
+class _SizedReads:
+    """Stream wrapper that rejects reads of size -1: a chunk with that size would be read without limit."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def read(self, size: int = -1) -> bytes:
+        if size < 0:
+            raise HTTPException("a chunk of negative size")
+        return self._stream.read(size)
+
+
+def _short(foreign: object) -> str:
+    return str(foreign)[:_MAX_SHOWN]
+
+
+def _start_byte(response: HTTPResponse, url: str) -> int:
+    """Offset of the first byte in the response: 0 unless the server sends the requested range."""
+    if response.status != _PARTIAL_CONTENT:
+        return 0
+    content_range = response.headers.get("Content-Range", "")
+    found = re.match(r"bytes (\d{1,18})-", content_range, re.ASCII)
+    if found is None:
+        raise DownloadError(
+            f"{url}: expected the range of a part as `bytes 100-200/300`, found {_short(content_range)!r}; "
+            "try a mirror"
+        )
+    return int(found[1])
+
+
+def _check_size(url: str, size_bytes: int, max_bytes: int) -> None:
+    if size_bytes > max_bytes:
+        raise DownloadError(f"{url}: {size_bytes} bytes or more, at most {max_bytes} are taken; check it")
+
+
+def _next_chunk(response: HTTPResponse, url: str, done_bytes: int, stall_s: float) -> bytes:
+    try:
+        return response.read(_CHUNK_BYTES)
+    except TimeoutError:
+        reason = f"nothing came for {stall_s:g} s"
+    except (OSError, HTTPException, ValueError, OverflowError) as error:
+        reason = f"the connection broke ({type(error).__name__})"
+    raise DownloadError(f"{url}: {reason}, after {done_bytes} bytes; {_AGAIN}")

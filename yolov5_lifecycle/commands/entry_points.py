@@ -1,0 +1,78 @@
+"""Entry points of the commands other than the nodes: prepare the process, then import and run the command."""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import sys
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NoReturn
+
+from yolov5_lifecycle.commands.version import version_line
+from yolov5_lifecycle.process.environment import prepare_environment
+from yolov5_lifecycle.process.standard_streams import (
+    EXIT_NOBODY_READS,
+    complain,
+    flush_output,
+    open_standard_streams,
+    write_output,
+)
+from yolov5_lifecycle.process.termination import end_at_once, on_termination
+from yolov5_lifecycle.process.thread_limit import compute_threads, thread_problem
+
+MODULES: Mapping[str, str] = MappingProxyType(
+    {
+        "convert": "yolov5_lifecycle.commands.convert",
+        "demo": "yolov5_lifecycle.ros.demo.command",
+        "detect_bag": "yolov5_lifecycle.offline.detect_bag",
+        "fetch_weights": "yolov5_lifecycle.commands.fetch_weights",
+    }
+)
+"""The module of each command; its `main` takes the arguments and returns the exit code."""
+_EXIT_INTERRUPTED = 128 + signal.SIGINT
+
+
+def convert() -> NoReturn:
+    _run("convert")
+
+
+def demo() -> NoReturn:
+    _run("demo")
+
+
+def detect_bag() -> NoReturn:
+    _run("detect_bag")
+
+
+def fetch_weights() -> NoReturn:
+    _run("fetch_weights")
+
+
+def _run(command: str) -> NoReturn:
+    """Run `main` of the command's module and exit with its code, whatever the state of standard streams.
+
+    A signal during the imports ends the process at once; a later one unwinds the command, so that it removes
+    unfinished files. The exit code is then 128 plus the signal number.
+    """
+    open_standard_streams()
+    end_at_once()
+    prepare_environment()
+    if sys.argv[1:] == ["--version"]:
+        sys.exit(write_output(command, f"{version_line(command)}\n"))
+    if problem := thread_problem(2 * compute_threads()):
+        complain(command, problem)
+        sys.exit(1)
+    main = importlib.import_module(MODULES[command]).main
+    on_termination(lambda number: sys.exit(128 + number))
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        code = main()
+    except BrokenPipeError:
+        code = EXIT_NOBODY_READS
+    except KeyboardInterrupt:
+        complain(command, "interrupted")
+        code = _EXIT_INTERRUPTED
+    except SystemExit as end:
+        code = end.code
+    sys.exit(flush_output(command, code))

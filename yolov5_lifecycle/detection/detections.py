@@ -1,0 +1,79 @@
+"""Detections of one image, as arrays and as objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """Detections of one image as parallel arrays, one row per object, highest score first.
+
+    Raises ValueError on construction when an array has another shape, dtype or range than documented here.
+    """
+
+    boxes_xyxy: NDArray[np.float32]
+    """(n, 4) finite corners in pixels, x1 <= x2 and y1 <= y2; the producer defines the coordinates."""
+    scores: NDArray[np.float32]
+    """(n,) in [0, 1]."""
+    class_ids: NDArray[np.int64]
+    """(n,) indices into the model's class names."""
+    best_missed: float = 0.0
+    """Without detections: the highest score below the threshold, 0 if none was worth reporting."""
+
+    def __post_init__(self) -> None:
+        count = len(self.scores)
+        _check("boxes_xyxy", self.boxes_xyxy, (count, 4), np.float32)
+        _check("scores", self.scores, (count,), np.float32)
+        _check("class_ids", self.class_ids, (count,), np.int64)
+        if not np.isfinite(self.boxes_xyxy).all():
+            raise ValueError("boxes_xyxy must be finite, found NaN or infinity.")
+        if (self.boxes_xyxy[:, :2] > self.boxes_xyxy[:, 2:]).any():
+            raise ValueError("boxes_xyxy must have x1 <= x2 and y1 <= y2, found corners exchanged.")
+        if not ((self.scores >= 0) & (self.scores <= 1)).all():
+            raise ValueError(f"scores must be in [0, 1], found {self.scores.min()} to {self.scores.max()}.")
+        if (self.scores[1:] > self.scores[:-1]).any():
+            raise ValueError("scores must come best first, found a better one after a worse one.")
+        if (self.class_ids < 0).any():
+            raise ValueError(f"class_ids must not be negative, found {self.class_ids.min()}.")
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+
+def _check(column: str, values: NDArray[np.generic], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+    if values.shape != shape or values.dtype != dtype:
+        expected = f"{np.dtype(dtype)} of shape {shape}"
+        raise ValueError(f"{column} must be {expected}, found {values.dtype} of shape {values.shape}.")
+
+
+@dataclass(frozen=True)
+class FoundObject:
+    """One detection: class name, score in [0, 1] and box in image pixels."""
+
+    class_name: str
+    score: float
+    box_xyxy: tuple[float, float, float, float]
+
+    @property
+    def centre_xy(self) -> tuple[float, float]:
+        x1, y1, x2, y2 = self.box_xyxy
+        return (x1 + x2) / 2, (y1 + y2) / 2
+
+    @property
+    def size_xy(self) -> tuple[float, float]:
+        """Width and height."""
+        x1, y1, x2, y2 = self.box_xyxy
+        return x2 - x1, y2 - y1
+
+
+def found_objects(detections: Detections, class_names: Sequence[str]) -> list[FoundObject]:
+    """The rows of `detections` as objects with class names, highest score first."""
+    rows = zip(
+        detections.class_ids.tolist(), detections.scores.tolist(), detections.boxes_xyxy.tolist(), strict=True
+    )
+    return [FoundObject(class_names[class_id], score, tuple(box)) for class_id, score, box in rows]

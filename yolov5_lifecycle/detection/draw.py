@@ -1,0 +1,117 @@
+"""Drawing of boxes and labels on an image."""
+
+from __future__ import annotations
+
+import colorsys
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.images.image import Order, Picture
+
+Colour = tuple[int, int, int]
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_MAX_NAME_LETTERS = 40
+_GOLDEN_RATIO = 0.618034  # its multiples spread evenly over the hue circle for any number of classes
+
+
+def annotate(picture: Picture, detections: Detections, class_names: Sequence[str]) -> NDArray[np.uint8]:
+    """A copy (H, W, 3) of the image, same channel order, with boxes and labels such as "dog 0.87".
+
+    Line width and font size scale with the image; a label that does not fit is truncated. Non-ASCII
+    characters lose their accents or become question marks. Higher scores are drawn over lower ones.
+    """
+    canvas = np.array(picture.pixels, order="C")
+    pen = _Pen.for_picture(picture.size_hw)
+    corners = _corners_inside(detections.boxes_xyxy, picture.size_hw)
+    rows = list(zip(corners, detections.scores.tolist(), detections.class_ids.tolist(), strict=True))[::-1]
+    for (x1, y1, x2, y2), _, class_id in rows:
+        cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, picture.order), pen.line_px)
+    for (x1, y1, _, _), score, class_id in rows:
+        colour = class_colour(class_id, picture.order)
+        label = pen.label(printable(class_names[class_id]), score, canvas.shape[1])
+        _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, picture.order))
+    return canvas
+
+
+def class_colour(class_id: int, order: Order) -> Colour:
+    """A vivid colour, fixed per class and distinct from those of adjacent class ids."""
+    hue = class_id * _GOLDEN_RATIO % 1
+    saturation, value = (0.9, 0.6)[class_id // 5 % 2], (1.0, 0.75)[class_id // 10 % 2]
+    red, green, blue = (round(255 * channel) for channel in colorsys.hsv_to_rgb(hue, saturation, value))
+    return (red, green, blue) if order == "rgb" else (blue, green, red)
+
+
+def text_colour(background: Colour, order: Order) -> Colour:
+    """Black or white, whichever contrasts more (WCAG 2: equal contrast at relative luminance 0.179)."""
+    linear = [((channel / 255 + 0.055) / 1.055) ** 2.4 for channel in background]
+    red, green, blue = linear if order == "rgb" else reversed(linear)
+    return (0, 0, 0) if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.179 else (255, 255, 255)
+
+
+def printable(text: str) -> str:
+    """`text` in printable ASCII, the characters of OpenCV's Hershey fonts."""
+    plain = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
+    return "".join(letter if " " <= letter <= "~" else "?" for letter in plain)
+
+
+@dataclass(frozen=True)
+class _Pen:
+    """Line width, margin and font size for an image."""
+
+    line_px: int
+    margin_px: int
+    font_scale: float
+    text_thickness: int
+
+    @classmethod
+    def for_picture(cls, size_hw: tuple[int, int]) -> _Pen:
+        side = min(size_hw)
+        line_px = max(round(side / 240), 1)
+        return cls(line_px, line_px + 1, max(side / 900, 0.4), max(round(side / 480), 1))
+
+    def text_size(self, text: str) -> tuple[int, int, int]:
+        """Width of `text`, height above and height below its baseline in pixels."""
+        (width, above), below = cv2.getTextSize(text, _FONT, self.font_scale, self.text_thickness)
+        return width, above, below
+
+    def label(self, name: str, score: float, max_width: int) -> str:
+        """Name and score, the name truncated to fit `max_width`; empty when nothing fits."""
+        whole = [name] if len(name) <= _MAX_NAME_LETTERS else []
+        cut = [name[:length] + ".." for length in range(min(len(name), _MAX_NAME_LETTERS) - 1, 0, -1)]
+        labels = (f"{short} {score:.2f}" for short in [*whole, *cut])
+        return next(
+            (text for text in labels if self.text_size(text)[0] + 2 * self.margin_px <= max_width), ""
+        )
+
+
+def _draw_label(
+    canvas: NDArray[np.uint8], text: str, corner_xy: tuple[int, int], pen: _Pen, colour: Colour, ink: Colour
+) -> None:
+    """Draw `text` above a box's upper left corner, or below it where there is no room above."""
+    height, width, _ = canvas.shape
+    text_width, above, below = pen.text_size(text)
+    label_width, label_height = text_width + 2 * pen.margin_px, above + below + 2 * pen.margin_px
+    if not text or label_height > height:
+        return
+    left, bottom = min(corner_xy[0], width - label_width), corner_xy[1]
+    if bottom < label_height:
+        bottom = min(bottom + label_height, height)
+    top = bottom - label_height
+    cv2.rectangle(canvas, (left, top), (left + label_width - 1, bottom - 1), colour, cv2.FILLED)
+    origin = (left + pen.margin_px, top + pen.margin_px + above)
+    cv2.putText(canvas, text, origin, _FONT, pen.font_scale, ink, pen.text_thickness, cv2.LINE_AA)
+
+
+def _corners_inside(boxes_xyxy: NDArray[np.float32], size_hw: tuple[int, int]) -> list[list[int]]:
+    """Corners rounded to integer pixels and clipped to the last row and column of the image."""
+    height, width = size_hw
+    last_xyxy = np.array((width, height, width, height)) - 1
+    corners: list[list[int]] = np.clip(np.rint(boxes_xyxy), 0, last_xyxy).astype(int).tolist()
+    return corners

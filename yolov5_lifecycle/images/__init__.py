@@ -1,0 +1,1 @@
+"""Decoding of raw and compressed images to pixels (H, W, 3)."""

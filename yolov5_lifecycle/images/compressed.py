@@ -1,0 +1,143 @@
+"""Decoding and encoding of compressed images: JPEG, PNG and image files."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.images.encodings import decode_raw, encoded
+from yolov5_lifecycle.images.image import ImageError, Picture, bytes_of, check_size
+from yolov5_lifecycle.images.jpeg_structure import is_jpeg, jpeg_size_hw
+from yolov5_lifecycle.images.png_structure import is_png, png_structure
+from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
+
+JPEG_QUALITY = 80
+"""Out of 100: half the bytes of OpenCV's default 95; text and thin lines stay clean."""
+
+_VALUES: dict[str, type[np.unsignedinteger[Any]]] = {
+    "16UC1": np.uint16,
+    **dict.fromkeys(("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8"), np.uint8),
+}
+"""Encodings whose PNG holds raw sensor values rather than a viewable image, and their dtype."""
+
+
+def decode_compressed(data: Any, *, format_text: str = "") -> Picture:
+    """Decode a JPEG or PNG file; `data` as for `decode_raw`.
+
+    `format_text` is the message's `format`, such as "rgb8; jpeg compressed bgr8"; empty and unknown values
+    select the file's own colours. A PNG of 16UC1 or of a Bayer mosaic is decoded like in `decode_raw`. Of
+    other 16-bit files the high byte is kept; transparency is dropped. CMYK is converted by OpenCV.
+
+    EXIF rotation is ignored: pixels are returned as stored.
+
+    Raises ImageError for another format, an image larger than MAX_COMPRESSED_PX, one that exceeds the
+    decoding limits of `jpeg_size_hw` and `png_structure`, or one that does not decode to its header's size.
+    """
+    if "compressedDepth" in format_text:
+        raise ImageError(
+            f"Format {format_text[:40]!r} is of the transport compressedDepth, which is not supported; "
+            "subscribe to the raw 16UC1 image instead, or publish it through the transport compressed."
+        )
+    file = _checked(bytes_of(data))
+    encoding = format_text.partition(";")[0].strip()
+    if encoding in _VALUES and is_png(file.data):
+        return _decode_values(file, encoding)
+    pixels = _decoded(file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    # "compressed rgb": the encoder swapped red and blue; image_transport swaps them back the same way.
+    return Picture(pixels, "rgb" if "compressed rgb" in format_text else "bgr")
+
+
+def decode_image_file(data: NDArray[np.uint8]) -> Picture:
+    """Decode an image file (N,) of any format that OpenCV supports, rotated as its EXIF data specify.
+
+    JPEG and PNG are checked as in `decode_compressed`; for other formats OpenCV's own pixel limit applies,
+    which `prepare_environment` sets. Raises ImageError when it is larger or cannot be decoded.
+    """
+    if is_jpeg(data) or is_png(data):
+        return Picture(_decoded(_checked(data), cv2.IMREAD_COLOR), "bgr")
+    return Picture(_opencv_pixels(data, cv2.IMREAD_COLOR), "bgr")
+
+
+def encode_jpeg(picture: Picture, encoding: Literal["bgr8", "mono8"] = "bgr8") -> NDArray[np.uint8]:
+    """Encode an image as a JPEG file (N,), in colour or greyscale.
+
+    Raises ImageError when OpenCV cannot encode it.
+    """
+    try:
+        is_encoded, data = cv2.imencode(
+            ".jpg", encoded(picture, encoding), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
+        )
+    except cv2.error as error:
+        raise ImageError(f"OpenCV cannot compress the picture: {error.err}.") from None
+    if not is_encoded:
+        raise ImageError("OpenCV cannot compress the picture.")
+    return np.asarray(data, np.uint8).reshape(-1)
+
+
+@dataclass(frozen=True, eq=False)
+class _CheckedFile:
+    """A JPEG or PNG file (N,) and its height and width in pixels, which decoding must match."""
+
+    data: NDArray[np.uint8]
+    size_hw: tuple[int, int]
+
+
+def _checked(buffer: NDArray[np.uint8]) -> _CheckedFile:
+    """The file, if decoding it takes bounded memory and time; else ImageError."""
+    if is_png(buffer):
+        png = png_structure(buffer)
+        file = _CheckedFile(png.pixels_alone, png.size_hw)
+    elif is_jpeg(buffer):
+        file = _CheckedFile(buffer, jpeg_size_hw(buffer))
+    else:
+        start = buffer[:8].tobytes().hex()
+        raise ImageError(f"Expected a JPEG or PNG, found {buffer.size} bytes that begin with {start}.")
+    height, width = file.size_hw
+    check_size(height, width)
+    if height * width > MAX_COMPRESSED_PX:
+        raise ImageError(
+            f"A compressed image may have {MAX_COMPRESSED_PX} pixels, this one claims {height} x {width}."
+        )
+    return file
+
+
+def _decode_values(file: _CheckedFile, encoding: str) -> Picture:
+    values = _decoded(file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
+    if values.dtype != _VALUES[encoding]:
+        expected = np.dtype(_VALUES[encoding]).name
+        raise ImageError(f"Expected a PNG of {expected} values for {encoding}, found {values.dtype}.")
+    height, width = file.size_hw
+    return decode_raw(
+        values,
+        encoding=encoding,
+        height=height,
+        width=width,
+        step=width * values.itemsize,
+        is_bigendian=sys.byteorder == "big",
+    )
+
+
+def _decoded(file: _CheckedFile, flags: int) -> NDArray[Any]:
+    """Decoded pixels of the size in the header, or rotated by 90 degrees where the flags apply EXIF."""
+    pixels = _opencv_pixels(file.data, flags)
+    height, width = file.size_hw
+    is_turnable = not flags & cv2.IMREAD_IGNORE_ORIENTATION
+    if pixels.shape[:2] != (height, width) and not (is_turnable and pixels.shape[:2] == (width, height)):
+        found = " x ".join(map(str, pixels.shape[:2]))
+        raise ImageError(f"Expected an image of {height} x {width} as its header says, OpenCV found {found}.")
+    return pixels
+
+
+def _opencv_pixels(buffer: NDArray[np.uint8], flags: int) -> NDArray[Any]:
+    try:
+        pixels = cv2.imdecode(buffer, flags)
+    except cv2.error as error:
+        raise ImageError(f"OpenCV refuses the image: {error.err}.") from None
+    if pixels is None:
+        raise ImageError(f"Expected a whole image, found {buffer.size} bytes that cannot be decoded.")
+    return np.ascontiguousarray(pixels)

@@ -1,0 +1,214 @@
+"""Decoding and encoding of uncompressed images in the encodings of sensor_msgs/Image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.images.image import ImageError, Order, Picture, bytes_of, check_size
+
+_CONVERSIONS: dict[tuple[Order, str], int | None] = {
+    ("rgb", "rgb8"): None,
+    ("rgb", "bgr8"): cv2.COLOR_RGB2BGR,
+    ("rgb", "mono8"): cv2.COLOR_RGB2GRAY,
+    ("rgb", "rgba8"): cv2.COLOR_RGB2RGBA,
+    ("rgb", "bgra8"): cv2.COLOR_RGB2BGRA,
+    ("bgr", "rgb8"): cv2.COLOR_BGR2RGB,
+    ("bgr", "bgr8"): None,
+    ("bgr", "mono8"): cv2.COLOR_BGR2GRAY,
+    ("bgr", "rgba8"): cv2.COLOR_BGR2RGBA,
+    ("bgr", "bgra8"): cv2.COLOR_BGR2BGRA,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _RawImage:
+    """A buffer with the layout fields of sensor_msgs/Image."""
+
+    buffer: NDArray[np.uint8]
+    encoding: str
+    height: int
+    width: int
+    step: int
+    is_bigendian: bool
+
+    @property
+    def layout(self) -> _Layout:
+        return ENCODINGS[self.encoding]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of `step` bytes."""
+        return int(self.height * self.layout.rows)
+
+    @property
+    def pixels(self) -> NDArray[np.uint8]:
+        """A read-only view (rows, W, bytes per pixel)."""
+        return self.view(self.rows, self.layout.pixel_bytes, offset=0, step=self.step)
+
+    def view(self, rows: int, pixel_bytes: int, *, offset: int, step: int) -> NDArray[np.uint8]:
+        """A read-only view (rows, W, pixel_bytes) that starts at `offset`."""
+        shape, strides = (rows, self.width, pixel_bytes), (step, pixel_bytes, 1)
+        view: NDArray[np.uint8] = np.ndarray(shape, np.uint8, self.buffer, offset, strides)
+        view.flags.writeable = False
+        return view
+
+
+Decode = Callable[[_RawImage], NDArray[np.uint8]]
+
+
+class _Layout(NamedTuple):
+    """Memory layout of an encoding: buffer `rows` per image row, `pixel_bytes` per pixel.
+
+    Image sides must be multiples of `block_hw` and at least `least_side_px`.
+    """
+
+    decode: Decode
+    pixel_bytes: int
+    order: Order = "rgb"
+    rows: float = 1
+    block_hw: tuple[int, int] = (1, 1)
+    least_side_px: int = 1
+
+
+def _as_sent(image: _RawImage) -> NDArray[np.uint8]:
+    return image.pixels
+
+
+def _converted(pixels: NDArray[np.uint8], conversion: int) -> NDArray[np.uint8]:
+    return np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
+
+
+def _by_opencv(conversion: int) -> Decode:
+    return lambda image: _converted(image.pixels, conversion)
+
+
+def _high_bytes(image: _RawImage) -> NDArray[np.uint8]:
+    high = 0 if image.is_bigendian else 1
+    return _converted(image.pixels[..., high], cv2.COLOR_GRAY2RGB)
+
+
+def _stretched(image: _RawImage) -> NDArray[np.uint8]:
+    """Contrast-stretched grey: the image minimum becomes black, the maximum white."""
+    values = image.pixels.view(">u2" if image.is_bigendian else "<u2").astype(np.uint16)
+    grey = cv2.normalize(values, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)
+    return _converted(grey, cv2.COLOR_GRAY2RGB)
+
+
+_BLACK_LUMA = 16
+_RGB_OF_YUV = np.array(
+    [
+        [1.164, 0.0, 1.596, -_BLACK_LUMA * 1.164 - 128 * 1.596],
+        [1.164, -0.392, -0.813, -_BLACK_LUMA * 1.164 + 128 * (0.392 + 0.813)],
+        [1.164, 2.017, 0.0, -_BLACK_LUMA * 1.164 - 128 * 2.017],
+    ],
+    np.float32,
+)
+"""ITU-R BT.601, as OpenCV uses for the other YUV encodings."""
+
+
+def _full_chroma(image: _RawImage) -> NDArray[np.uint8]:
+    # OpenCV has no conversion from NV24. Chroma rows are twice as long as luma rows, padding included.
+    height, step = image.height, image.step
+    luma = np.maximum(image.pixels[:height], _BLACK_LUMA)
+    chroma = image.view(height, 2, offset=height * step, step=2 * step)
+    return np.asarray(cv2.transform(np.concatenate((luma, chroma), axis=2), _RGB_OF_YUV), np.uint8)
+
+
+def _bayer(conversion: int) -> _Layout:
+    # OpenCV turns smaller images black.
+    return _Layout(_by_opencv(conversion), 1, least_side_px=3)
+
+
+_BGR8 = _Layout(_as_sent, 3, "bgr")
+_MONO8 = _Layout(_by_opencv(cv2.COLOR_GRAY2RGB), 1)
+_UYVY = _Layout(_by_opencv(cv2.COLOR_YUV2RGB_UYVY), 2, block_hw=(1, 2))
+_YUYV = _Layout(_by_opencv(cv2.COLOR_YUV2RGB_YUYV), 2, block_hw=(1, 2))
+
+ENCODINGS: Mapping[str, _Layout] = MappingProxyType(
+    {
+        "rgb8": _Layout(_as_sent, 3),
+        "bgr8": _BGR8,
+        "8UC3": _BGR8,
+        "rgba8": _Layout(_by_opencv(cv2.COLOR_RGBA2RGB), 4),
+        "bgra8": _Layout(_by_opencv(cv2.COLOR_BGRA2BGR), 4, "bgr"),
+        "mono8": _MONO8,
+        "8UC1": _MONO8,
+        "mono16": _Layout(_high_bytes, 2),
+        "16UC1": _Layout(_stretched, 2),
+        "uyvy": _UYVY,
+        "yuv422": _UYVY,
+        "yuyv": _YUYV,
+        "yuv422_yuy2": _YUYV,
+        "nv12": _Layout(_by_opencv(cv2.COLOR_YUV2RGB_NV12), 1, rows=1.5, block_hw=(2, 2)),
+        "nv21": _Layout(_by_opencv(cv2.COLOR_YUV2RGB_NV21), 1, rows=1.5, block_hw=(2, 2)),
+        "nv24": _Layout(_full_chroma, 1, rows=3),
+        "bayer_rggb8": _bayer(cv2.COLOR_BayerRGGB2RGB),
+        "bayer_bggr8": _bayer(cv2.COLOR_BayerBGGR2RGB),
+        "bayer_gbrg8": _bayer(cv2.COLOR_BayerGBRG2RGB),
+        "bayer_grbg8": _bayer(cv2.COLOR_BayerGRBG2RGB),
+    }
+)
+"""Supported encodings of sensor_msgs/Image by name; docs/images.md has a table."""
+
+
+def decode_raw(
+    data: Any, *, encoding: str, height: int, width: int, step: int, is_bigendian: bool
+) -> Picture:
+    """Decode an uncompressed buffer with the layout of sensor_msgs/Image.
+
+    `data` is any contiguous buffer (bytes, array.array, memoryview, ndarray); `step` is the row stride in
+    bytes. rgb8, bgr8 and 8UC3 return a read-only view of `data`, the others a copy. mono16 keeps the high
+    byte; 16UC1 is contrast-stretched between the min and max value of the image.
+
+    Raises ImageError when the encoding is unsupported or the buffer is too small for the given layout.
+    """
+    if encoding not in ENCODINGS:
+        raise ImageError(f"Encoding {encoding[:40]!r} is not supported; supported: {', '.join(ENCODINGS)}.")
+    image = _RawImage(bytes_of(data), encoding, height, width, step, is_bigendian)
+    _check_size(image)
+    _check_buffer(image)
+    return Picture(image.layout.decode(image), image.layout.order)
+
+
+def _check_size(image: _RawImage) -> None:
+    height, width, layout = image.height, image.width, image.layout
+    check_size(height, width)
+    block_height, block_width = layout.block_hw
+    if height % block_height or width % block_width:
+        raise ImageError(
+            f"Pixels of {image.encoding} come in blocks of {block_height} x {block_width}: expected a height "
+            f"and a width of whole blocks, found {height} x {width}."
+        )
+    if min(height, width) < layout.least_side_px:
+        raise ImageError(
+            f"Sides of {image.encoding} pictures must be at least {layout.least_side_px} pixels, "
+            f"found {height} x {width}."
+        )
+
+
+def _check_buffer(image: _RawImage) -> None:
+    what = f"rows of {image.width} {image.encoding} pixels"
+    row_size = image.width * image.layout.pixel_bytes
+    if image.step < row_size:
+        raise ImageError(f"The {what} need a step >= {row_size}, found {image.step}.")
+    needed = image.step * (image.rows - 1) + row_size  # the last row may lack its padding
+    if image.buffer.size < needed:
+        raise ImageError(
+            f"{image.height} {what} with step {image.step} need {needed} bytes, found {image.buffer.size}."
+        )
+
+
+def encoded(picture: Picture, encoding: str) -> NDArray[np.uint8]:
+    """Pixels (H, W, channels) in `encoding`: rgb8, bgr8, mono8, rgba8 or bgra8; else KeyError."""
+    conversion = _CONVERSIONS[picture.order, encoding]
+    if conversion is None:
+        return picture.pixels
+    pixels = np.asarray(cv2.cvtColor(picture.pixels, conversion), np.uint8)
+    return pixels.reshape(*picture.size_hw, -1)  # OpenCV drops the axis of a single channel

@@ -1,0 +1,56 @@
+"""Image type, size limits and byte buffers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Order = Literal["rgb", "bgr"]
+
+MAX_SIDE_PX = 16384
+"""Maximum width and height: no camera exceeds it, but a corrupt message may."""
+
+
+class ImageError(ValueError):
+    """A buffer without a usable image; the message states what was expected and found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Pixels with their channel order, so that no conversion pass is needed.
+
+    Raises ImageError on construction unless `pixels` is a uint8 array (H, W, 3) with sides in [1, 16384].
+    """
+
+    pixels: NDArray[np.uint8]
+    """(H, W, 3), possibly a read-only view with padded rows."""
+    order: Order
+
+    def __post_init__(self) -> None:
+        shape, dtype = self.pixels.shape, self.pixels.dtype
+        if len(shape) != 3 or shape[2] != 3 or dtype != np.uint8:
+            raise ImageError(f"Pixels must be uint8 of shape (H, W, 3), found {dtype} of shape {shape}.")
+        check_size(shape[0], shape[1])
+
+    @property
+    def size_hw(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        height, width, _ = self.pixels.shape
+        return height, width
+
+
+def check_size(height: int, width: int) -> None:
+    """Raise ImageError unless both are in [1, 16384]."""
+    if not (1 <= height <= MAX_SIDE_PX and 1 <= width <= MAX_SIDE_PX):
+        raise ImageError(f"Height and width must be 1 to {MAX_SIDE_PX} pixels, found {height} x {width}.")
+
+
+def bytes_of(data: Any) -> NDArray[np.uint8]:
+    """A view (N,) of any contiguous buffer (bytes, array.array, memoryview, ndarray); else ImageError."""
+    try:
+        return np.frombuffer(data, np.uint8)
+    except (TypeError, ValueError, BufferError):
+        raise ImageError(f"Expected a contiguous buffer of bytes, found {type(data).__name__}.") from None

@@ -1,0 +1,1 @@
+"""YOLOv5: architecture, network and the model of a weights file."""

@@ -1,0 +1,159 @@
+"""YOLOv5 architectures as immutable values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, NamedTuple, get_args
+
+LayerKind = Literal["Conv", "C3", "SPPF", "Upsample", "Concat", "Detect"]
+LAYER_KINDS: tuple[LayerKind, ...] = get_args(LayerKind)
+
+Size = Literal["n", "s", "m", "l", "x", "n6", "s6", "m6", "l6", "x6"]
+AnchorsPx = tuple[tuple[tuple[float, float], ...], ...]
+
+
+class Layer(NamedTuple):
+    """One network layer: a module of `kind` fed by the layers `sources` (indices; -1 is the previous one).
+
+    `repeats` is the number of C3 bottlenecks before the depth multiple. `args` start with the output channels
+    before the width multiple: Conv (channels, kernel, stride), C3 (channels, shortcut), SPPF (channels,
+    kernel).
+    """
+
+    sources: tuple[int, ...]
+    repeats: int
+    kind: LayerKind
+    args: tuple[int, ...] = ()
+
+    def scaled_repeats(self, depth_multiple: float) -> int:
+        """Number of repeats after applying the depth multiple."""
+        return max(round(self.repeats * depth_multiple), 1) if self.repeats > 1 else 1
+
+
+def _layer(sources: int | tuple[int, ...], repeats: int, kind: LayerKind, *args: int) -> Layer:
+    return Layer((sources,) if isinstance(sources, int) else sources, repeats, kind, args)
+
+
+_STEM = (
+    _layer(-1, 1, "Conv", 64, 6, 2),
+    _layer(-1, 1, "Conv", 128, 3, 2),
+    _layer(-1, 3, "C3", 128),
+    _layer(-1, 1, "Conv", 256, 3, 2),
+    _layer(-1, 6, "C3", 256),
+    _layer(-1, 1, "Conv", 512, 3, 2),
+    _layer(-1, 9, "C3", 512),
+)
+
+P5_LAYERS = (
+    *_STEM,
+    _layer(-1, 1, "Conv", 1024, 3, 2),
+    _layer(-1, 3, "C3", 1024),
+    _layer(-1, 1, "SPPF", 1024, 5),
+    _layer(-1, 1, "Conv", 512, 1, 1),
+    _layer(-1, 1, "Upsample"),
+    _layer((-1, 6), 1, "Concat"),
+    _layer(-1, 3, "C3", 512, False),
+    _layer(-1, 1, "Conv", 256, 1, 1),
+    _layer(-1, 1, "Upsample"),
+    _layer((-1, 4), 1, "Concat"),
+    _layer(-1, 3, "C3", 256, False),
+    _layer(-1, 1, "Conv", 256, 3, 2),
+    _layer((-1, 14), 1, "Concat"),
+    _layer(-1, 3, "C3", 512, False),
+    _layer(-1, 1, "Conv", 512, 3, 2),
+    _layer((-1, 10), 1, "Concat"),
+    _layer(-1, 3, "C3", 1024, False),
+    _layer((17, 20, 23), 1, "Detect"),
+)
+
+P6_LAYERS = (
+    *_STEM,
+    _layer(-1, 1, "Conv", 768, 3, 2),
+    _layer(-1, 3, "C3", 768),
+    _layer(-1, 1, "Conv", 1024, 3, 2),
+    _layer(-1, 3, "C3", 1024),
+    _layer(-1, 1, "SPPF", 1024, 5),
+    _layer(-1, 1, "Conv", 768, 1, 1),
+    _layer(-1, 1, "Upsample"),
+    _layer((-1, 8), 1, "Concat"),
+    _layer(-1, 3, "C3", 768, False),
+    _layer(-1, 1, "Conv", 512, 1, 1),
+    _layer(-1, 1, "Upsample"),
+    _layer((-1, 6), 1, "Concat"),
+    _layer(-1, 3, "C3", 512, False),
+    _layer(-1, 1, "Conv", 256, 1, 1),
+    _layer(-1, 1, "Upsample"),
+    _layer((-1, 4), 1, "Concat"),
+    _layer(-1, 3, "C3", 256, False),
+    _layer(-1, 1, "Conv", 256, 3, 2),
+    _layer((-1, 20), 1, "Concat"),
+    _layer(-1, 3, "C3", 512, False),
+    _layer(-1, 1, "Conv", 512, 3, 2),
+    _layer((-1, 16), 1, "Concat"),
+    _layer(-1, 3, "C3", 768, False),
+    _layer(-1, 1, "Conv", 768, 3, 2),
+    _layer((-1, 12), 1, "Concat"),
+    _layer(-1, 3, "C3", 1024, False),
+    _layer((23, 26, 29, 32), 1, "Detect"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Architecture:
+    """A YOLOv5 v6/v7 detection architecture: layers and scaling factors.
+
+    `anchors_px` are (width, height) in network pixels, one row of anchors per detection level; `strides` are
+    the network pixels per grid cell of each level. The last layer is the Detect layer and has one source per
+    level.
+    """
+
+    depth_multiple: float
+    width_multiple: float
+    classes: int
+    anchors_px: AnchorsPx
+    strides: tuple[int, ...]
+    layers: tuple[Layer, ...] = P5_LAYERS
+
+
+_P5_ANCHORS_PX: AnchorsPx = (
+    ((10, 13), (16, 30), (33, 23)),
+    ((30, 61), (62, 45), (59, 119)),
+    ((116, 90), (156, 198), (373, 326)),
+)
+_P6_ANCHORS_PX: AnchorsPx = (
+    ((19, 27), (44, 40), (38, 94)),
+    ((96, 68), (86, 152), (180, 137)),
+    ((140, 301), (303, 264), (238, 542)),
+    ((436, 615), (739, 380), (925, 792)),
+)
+_MULTIPLES = {"n": (0.33, 0.25), "s": (0.33, 0.50), "m": (0.67, 0.75), "l": (1.0, 1.0), "x": (1.33, 1.25)}
+
+
+def _official(size: str) -> Architecture:
+    depth_multiple, width_multiple = _MULTIPLES[size[0]]
+    has_p6 = size.endswith("6")
+    return Architecture(
+        depth_multiple=depth_multiple,
+        width_multiple=width_multiple,
+        classes=80,
+        anchors_px=_P6_ANCHORS_PX if has_p6 else _P5_ANCHORS_PX,
+        strides=(8, 16, 32, 64) if has_p6 else (8, 16, 32),
+        layers=P6_LAYERS if has_p6 else P5_LAYERS,
+    )
+
+
+SIZES: Mapping[str, Architecture] = MappingProxyType({size: _official(size) for size in get_args(Size)})
+"""The ten official architectures (80 classes) by size."""
+
+
+def image_size_problem(image_size: int, stride: int, *, whose: str) -> str:
+    """Error text if `image_size` is not a multiple of `stride`, the largest of `whose`; else ""."""
+    if image_size >= stride and image_size % stride == 0:
+        return ""
+    below = max(image_size // stride, 1) * stride
+    return (
+        f"{image_size} is not a multiple of {stride}, the largest stride of {whose}. "
+        f"Use {below} or {below + stride}."
+    )

@@ -1,0 +1,41 @@
+"""Sanitizing of untrusted text for logs, terminals and diagnostics."""
+
+from __future__ import annotations
+
+MAX_LINE = 1_000
+"""Maximum characters of untrusted text shown in a line."""
+MAX_TEXT = 10_000
+"""Maximum characters of a message of several lines."""
+_INDENT = "  "
+
+
+def in_one_line(text: str, limit: int = MAX_LINE) -> str:
+    """`text` as one line of at most `limit` characters, with white space as blanks, unprintables as `?`.
+
+    Escape sequences, control characters and bidirectional formatting characters are unprintable. Longer text
+    is truncated and its length appended.
+    """
+    # Truncated before it is split: a string of many megabytes costs no more than its beginning.
+    line = _printable(" ".join(text[: 4 * limit].split()))
+    return line if len(line) <= limit and len(text) <= 4 * limit else _cut(line, len(text), limit)
+
+
+def in_lines(text: str, limit: int = MAX_TEXT) -> str:
+    """`text` with its line breaks; later lines are indented by at least two blanks, unlike log lines.
+
+    Treats unprintable characters and too long text like `in_one_line`.
+    """
+    first, *later = (_printable(line.replace("\t", "    ")) for line in text[: 2 * limit].split("\n"))
+    if not all(line.startswith(_INDENT) for line in later):
+        later = [_INDENT + line for line in later]
+    lines = "\n".join([first, *later])
+    return lines if len(lines) <= limit and len(text) <= 2 * limit else _cut(lines, len(text), limit)
+
+
+def _printable(line: str) -> str:
+    return line if line.isprintable() else "".join(c if c.isprintable() else "?" for c in line)
+
+
+def _cut(text: str, length: int, limit: int) -> str:
+    end = f"... ({length} letters)"
+    return text[: max(0, limit - len(end))] + end

@@ -1,0 +1,1 @@
+"""Process setup: environment variables, standard streams, signals, threads and memory."""

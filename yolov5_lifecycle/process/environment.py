@@ -1,0 +1,48 @@
+"""Environment variables that libraries read once, on import."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from types import MappingProxyType
+
+WAITING: Mapping[str, str] = MappingProxyType(
+    {
+        # By default the threads of OpenMP, which torch uses, spin at every barrier: next to other busy
+        # processes, as on a robot, yolov5n at 384x640 then took 1.3 to 4.9 s on two cores instead of 0.05 to
+        # 0.1 s.
+        "OMP_WAIT_POLICY": "PASSIVE",
+        # By default the threads of numpy's OpenBLAS spin for milliseconds after each matrix product, which
+        # delays the network: one image then took 22 to 30 ms instead of 16.
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+)
+"""Thread waiting policies."""
+
+TELEMETRY: Mapping[str, str] = MappingProxyType(
+    {
+        # By default ONNX Runtime, from release 1.31 on, looks up a telemetry host of its vendor, and writes a
+        # device id and an event database to the cache folder and a session file to the temporary folder.
+        "ORT_DISABLE_TELEMETRY": "1",
+    }
+)
+"""Variables that disable telemetry."""
+
+MAX_COMPRESSED_PX = 1 << 26
+"""Pixels of a compressed image. A file of 200 bytes may claim any size; see docs/images.md for its memory."""
+
+IMAGE_LIMITS: Mapping[str, str] = MappingProxyType({"OPENCV_IO_MAX_IMAGE_PIXELS": str(MAX_COMPRESSED_PX)})
+"""Makes OpenCV reject larger images of any format before decoding; its default limit is 2**30."""
+
+
+def prepare_environment() -> None:
+    """Set unset variables; call before numpy, OpenCV, torch and onnxruntime are imported."""
+    for name, value in (*WAITING.items(), *IMAGE_LIMITS.items()):
+        os.environ.setdefault(name, value)
+    disable_telemetry()
+
+
+def disable_telemetry() -> None:
+    """Set only the unset variables that disable telemetry."""
+    for name, value in TELEMETRY.items():
+        os.environ.setdefault(name, value)

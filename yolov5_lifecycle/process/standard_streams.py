@@ -1,0 +1,79 @@
+"""Handling of closed, full and broken standard streams."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+
+from yolov5_lifecycle.printable import in_lines
+
+EXIT_NOT_WRITTEN = 1
+"""Exit code if stdout could not be written, for example to a full disk."""
+EXIT_NOBODY_READS = 141
+"""Exit code if the reader of stdout closed it, as `| head` does; equals a shell's code for SIGPIPE."""
+
+_STREAMS = ("stdin", "stdout", "stderr")
+
+
+def open_standard_streams() -> None:
+    """Open closed standard streams (`>&-`) on the null device; call before anything else is opened.
+
+    Otherwise the next socket or file would get the descriptor of stdout, and with it the log.
+    """
+    for number, name in enumerate(_STREAMS):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor, which is this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "r" if number == 0 else "w", closefd=False))  # noqa: SIM115
+
+
+def write_output(command: str, text: str) -> int:
+    """Write `text` to stdout; returns 0, or the exit code for an output that could not be written.
+
+    Escapes characters that the output encoding lacks. No-op without stdout.
+    """
+    if sys.stdout is None:
+        return 0
+    encoding = sys.stdout.encoding or "utf-8"
+    return _guarded(command, 0, text.encode(encoding, "backslashreplace").decode(encoding))
+
+
+def flush_output(command: str, code: int) -> int:
+    """Flush stdout; returns `code`, or the exit code for an output that could not be written.
+
+    Reports the error to stderr, unless the reader closed the pipe. Afterwards Python has nothing left to
+    flush, and so nothing to complain about on exit.
+    """
+    return _guarded(command, code, "")
+
+
+def _guarded(command: str, code: int, text: str) -> int:
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        code = EXIT_NOBODY_READS
+    except OSError as error:
+        complain(command, f"the output cannot be written: {error.strerror}")
+        code = EXIT_NOT_WRITTEN
+    else:
+        return code
+    _discard_output()
+    return code
+
+
+def complain(command: str, problem: object) -> None:
+    """Write `problem`, which may contain untrusted text, to stderr if possible."""
+    with suppress(OSError):
+        sys.stderr.write(in_lines(f"{command}: {problem}") + "\n")
+        sys.stderr.flush()
+
+
+def _discard_output() -> None:
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, sys.stdout.fileno())
+    os.close(null)
+    sys.stdout.flush()

@@ -1,0 +1,1 @@
+"""The camera, a node that publishes images from a source."""

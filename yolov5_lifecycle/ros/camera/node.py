@@ -1,0 +1,162 @@
+"""Executable `camera`: publishes images from a synthetic scene, a device, a video or image files."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Sequence
+from typing import NoReturn
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
+
+from yolov5_lifecycle.process.standard_streams import complain, flush_output
+from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
+from yolov5_lifecycle.ros.camera.settings import CameraSettings, check_qos_overrides, declared_settings
+from yolov5_lifecycle.ros.command_line import explain, refuse
+from yolov5_lifecycle.ros.printable_logger import PrintableLogger
+from yolov5_lifecycle.ros.process import spin, stop_event
+from yolov5_lifecycle.ros.services import harden
+from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
+from yolov5_lifecycle.ros.start_arguments import initialize, start_arguments
+from yolov5_lifecycle.settings.settings import SettingsError
+from yolov5_lifecycle.sources.playback import Playback
+from yolov5_lifecycle.sources.source import PictureSource, SourceFrame, open_source
+
+_DELIVERY_S = 1.0
+_END_S = 2.0  # longer than the delivery of the current frame may take
+_USAGE = """\
+camera: publishes images on image_raw or image_raw/compressed, their size on camera_info beside it, and
+what the synthetic scene shows on ~/truth.
+Parameters are given as in `camera --ros-args -p source:=video.mp4 -r image_raw:=/yolov5/image_raw`:"""
+
+
+class CameraNode(Node):
+    """Publishes the frames of a source at a constant rate until the source ends or fails.
+
+    Without `loop`, playback starts with the first subscriber and waits for the delivery of each frame, so
+    that a reliable subscriber with a sufficient queue loses none.
+
+    Raises SettingsError, RuntimeError or ParameterException on construction for invalid parameters.
+    """
+
+    def __init__(self) -> None:
+        self._printable_logger: PrintableLogger | None = None
+        super().__init__("camera")
+        self._settings = declared_settings(self)
+        self._outputs = CameraOutputs(self, self._settings)
+        check_qos_overrides(self)
+        harden(self, {})
+        if not self._settings.loop:
+            self.get_logger().info(f"waiting for a subscriber to {self._topics}")
+        self._stop = threading.Event()
+        self._source_rate_hz: float | None = None
+        self._size_hw: tuple[int, int] | None = None
+        self._playback = Playback(
+            self._open,
+            self._show,
+            rate_hz=self._settings.rate,
+            is_awaited=lambda: self._settings.loop or self._outputs.is_heard,
+        )
+
+    def get_logger(self) -> RcutilsLogger:
+        """Logger that makes messages printable, also for rclpy's own messages."""
+        if self._printable_logger is None:
+            self._printable_logger = PrintableLogger(super().get_logger().name)
+        return self._printable_logger
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the source has ended or failed."""
+        return self._playback.is_finished
+
+    @property
+    def failure(self) -> str:
+        """Why the source failed, "" if it has not."""
+        return self._playback.failure
+
+    def close(self) -> None:
+        """Stop, wait for delivery and destroy the node; the thread of a hung source is abandoned."""
+        self._stop.set()
+        if self._playback.stop(_END_S):
+            self._outputs.wait_until_delivered(_DELIVERY_S)
+        self.destroy_node()
+
+    @property
+    def _topics(self) -> str:
+        return " and ".join(self._outputs.image_topics)
+
+    def _open(self) -> PictureSource:
+        source = open_source(
+            self._settings.source,
+            size_hw=self._settings.size_hw,
+            seed=self._settings.seed,
+            loop=self._settings.loop,
+            report=self.get_logger().warning,
+            wait=self._stop.wait,
+        )
+        self._source_rate_hz = source.rate_hz
+        return source
+
+    def _show(self, frame: SourceFrame) -> None:
+        self._outputs.publish(frame)
+        if frame.picture.size_hw != self._size_hw:
+            self._report_size(frame.picture.size_hw)
+        if not self._settings.loop:
+            self._outputs.wait_until_delivered(_DELIVERY_S)
+
+    def _report_size(self, size_hw: tuple[int, int]) -> None:
+        """Log size, rate and topics at the start and whenever the size changes."""
+        rate_hz = self._settings.rate or self._source_rate_hz
+        rate = f"at {rate_hz:g} images per second" if rate_hz else "as the source gives them"
+        kind = self._settings.encoding if self._size_hw is None else "another size than before"
+        self._size_hw = size_hw
+        self.get_logger().info(f"publishing {size_hw[1]} x {size_hw[0]} ({kind}) {rate} on {self._topics}")
+
+
+def main(args: Sequence[str] | None = None) -> NoReturn:
+    """Publish until a signal or the end of the source, then exit the process.
+
+    The exit code is 0 after a clean end, 1 if the source failed, 2 for invalid arguments or parameters.
+    """
+    code = _run(list(sys.argv if args is None else args))
+    # Python aborts if a thread returns from a device call during interpreter shutdown.
+    flush_output("camera", code)  # the reader of the pipe may have exited
+    os._exit(code)
+
+
+def _run(arguments: list[str]) -> int:
+    stop = stop_event()
+    shortages = shared_memory_problems()
+    try:
+        given = initialize(start_arguments(arguments))
+        if words := given.own_words:
+            return explain("camera", words, usage=_USAGE, parameters=_parameters())
+        if given.problems:
+            return refuse("camera", " ".join(given.problems))
+        node = CameraNode()
+    except (RuntimeError, ParameterException, SettingsError) as error:
+        return refuse("camera", error)
+    for shortage in shortages:
+        node.get_logger().warning(shortage)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    spin(executor, node, until=lambda: stop.is_set() or node.is_finished)
+    failure = node.failure  # read before `close`: only failures up to here count
+    node.close()
+    rclpy.try_shutdown()
+    if failure:
+        complain("camera", failure)
+    return 1 if failure else 0
+
+
+def _parameters() -> list[tuple[str, str | None, object]]:
+    return [(name, field.description, field.default) for name, field in CameraSettings.model_fields.items()]
+
+
+if __name__ == "__main__":
+    main()

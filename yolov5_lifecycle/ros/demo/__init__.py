@@ -1,0 +1,1 @@
+"""The demonstration, which drives and checks camera and detector from outside."""

@@ -1,0 +1,121 @@
+"""Child process, killed at the end of its context manager."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+_KEPT_LINES = 5000
+_KILL_S = 5.0
+
+
+class ProcessError(RuntimeError):
+    """A process ended unexpectedly or failed to end; the message has its last output lines."""
+
+
+class ChildProcess:
+    """Runs `command` and records its output; as a context manager, kills the process on exit."""
+
+    def __init__(self, name: str, command: Sequence[str], environment: Mapping[str, str]) -> None:
+        self.name = name
+        self._heard = threading.Condition()
+        self._lines: deque[str] = deque(maxlen=_KEPT_LINES)
+        self._is_silent = False
+        self._process = subprocess.Popen(
+            list(command),
+            env=dict(environment),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+        )
+        self._reader = threading.Thread(target=self._read, name=f"output of {name}", daemon=True)
+        self._reader.start()
+
+    def __enter__(self) -> ChildProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        self._reader.join(_KILL_S)
+
+    @property
+    def output(self) -> str:
+        """The process's stdout and stderr so far."""
+        with self._heard:
+            return "".join(self._lines)
+
+    @property
+    def process_id(self) -> int:
+        return self._process.pid
+
+    def check_running(self) -> None:
+        """Raise ProcessError if the process has ended."""
+        code = self._process.poll()
+        if code is not None:
+            self._reader.join(_KILL_S)
+            raise ProcessError(
+                f"the {self.name} ended with exit code {code}. Its last words:\n{self.last_words}"
+            )
+
+    def wait_for_output(self, text: str, timeout_s: float) -> None:
+        """Wait until `text` is in the output; raises ProcessError on timeout or if the process ends."""
+        with self._heard:
+            self._heard.wait_for(lambda: self._is_silent or text in "".join(self._lines), timeout_s)
+        if text not in self.output:
+            raise ProcessError(f"the {self.name} did not say '{text}', its last words:\n{self.last_words}")
+
+    def wait(self, timeout_s: float) -> int:
+        """Wait for the process to end and return its exit code; raises ProcessError on timeout."""
+        try:
+            code = self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            raise ProcessError(
+                f"the {self.name} did not end within {timeout_s:g} s. Its last words:\n{self.last_words}"
+            ) from None
+        self._reader.join(_KILL_S)
+        return code
+
+    def stop(self, signal_number: int = signal.SIGINT, *, timeout_s: float = 5.0) -> int:
+        """Send the signal, wait, and return the exit code; raises ProcessError on timeout."""
+        self._process.send_signal(signal_number)
+        return self.wait(timeout_s)
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as stream:
+            for line in stream:
+                with self._heard:
+                    self._lines.append(line)
+                    self._heard.notify_all()
+        with self._heard:
+            self._is_silent = True
+            self._heard.notify_all()
+
+    @property
+    def last_words(self) -> str:
+        """The last lines of the output, indented."""
+        return textwrap.indent("\n".join(self.output.splitlines()[-15:]) or "(none)", "  ")
+
+
+def entry_point(name: str) -> str:
+    """Path of the package's executable `name`, next to the running executable or else next to Python.
+
+    Raises FileNotFoundError with the remedy.
+    """
+    folders = [Path(sys.argv[0]).absolute().parent, Path(sys.executable).absolute().parent]
+    for folder in folders:
+        if (folder / name).is_file():
+            return str(folder / name)
+    raise FileNotFoundError(
+        f"no executable '{name}' in {' or '.join(map(str, folders))}: install the package (make install)"
+    )

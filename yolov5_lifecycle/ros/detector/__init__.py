@@ -1,0 +1,1 @@
+"""The detector, a managed lifecycle node."""

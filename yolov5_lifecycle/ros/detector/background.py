@@ -1,0 +1,48 @@
+"""Background thread for long tasks that executor callbacks await."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, TypeVar
+
+from rclpy.node import Node
+from rclpy.task import Future as RosFuture
+
+Result = TypeVar("Result")
+
+
+class Background:
+    """One thread that runs tasks in FIFO order while the executor of `node` keeps serving callbacks."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="background")
+        self._unfinished: set[Future[Any]] = set()
+
+    def submit(self, work: Callable[[], Result]) -> Future[Result]:
+        """Queue `work`; the future receives its result or exception."""
+        future = self._thread.submit(work)
+        self._unfinished.add(future)
+        future.add_done_callback(self._unfinished.discard)
+        return future
+
+    async def finish(self, future: Future[Result]) -> Future[Result]:
+        """Await `future` inside an executor callback, then return it."""
+        executor = self._node.executor
+        assert executor is not None, "only a callback awaits, so there is an executor"
+        done = RosFuture(executor=executor)
+
+        def resume(_: object) -> None:
+            done.set_result(None)
+            # Before rclpy 7.1.8, set_result does not wake the executor (ros2/rclpy#1374).
+            executor.wake()
+
+        future.add_done_callback(resume)
+        await done
+        return future
+
+    def close(self) -> bool:
+        """Cancel queued tasks without waiting; return False if one is still running and continues."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+        return not self._unfinished

@@ -1,0 +1,170 @@
+"""The node's side of a bond with a lifecycle manager, compatible with Nav2.
+
+Both sides send `bond/msg/Status` on the topic `bond`. The manager acts when the node's heartbeats stop; this
+node, like Nav2's nodes, stays active when the manager's stop.
+"""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Callable
+from enum import Enum
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+TOPIC = "bond"
+CONNECT_S = 10.0
+"""Time to wait for the other side to connect; the protocol's default."""
+_HEARTBEAT_S = 0.1  # as Nav2's nodes and lifecycle manager use
+_SHORTEST_HEARTBEAT_S = 0.01
+_HEARTBEATS_IN_TIMEOUT = 4
+_DEPTH = 100
+_DELIVERY_S = 0.1  # bondcpp waits this long, too, for the other side to receive the end of the bond
+
+
+class _State(Enum):
+    WAITING = "waiting for the other side"
+    ALIVE = "both sides send heartbeats"
+    DEAD = "broken, or never formed; for ever"
+
+
+def check_bond(timeout_s: float) -> None:
+    """Raise ValueError with the remedy if `timeout_s` is not 0 and the bond messages are not installed."""
+    if timeout_s:
+        _status_type(timeout_s)
+
+
+class Bond:
+    """Publishes heartbeats of `node` on the topic `bond` from `start` to `stop`; restartable.
+
+    `clock` returns monotonic seconds.
+    """
+
+    def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._node = node
+        self._clock = clock
+        self._side: _Side | None = None
+
+    def start(self, timeout_s: float) -> None:
+        """Start sending heartbeats, several per `timeout_s`; 0 disables the bond."""
+        self.stop()
+        if timeout_s:
+            self._side = _Side(self._node, timeout_s, self._clock)
+
+    def stop(self) -> None:
+        """Notify the manager that the bond ends and stop the heartbeats; takes at most 0.1 s."""
+        side, self._side = self._side, None
+        if side is not None:
+            side.close()
+
+
+class _Polled(CallbackGroup):
+    """Callback group whose subscriptions do not wake the executor; the heartbeat timer polls them.
+
+    All Nav2 nodes publish on one topic, about 200 messages per second, of which ten matter here.
+    """
+
+    def can_execute(self, _: object) -> bool:
+        return False
+
+
+class _Side:
+    """This side of one bond; its id is the node's name, its instance id is unique."""
+
+    def __init__(self, node: Node, timeout_s: float, clock: Callable[[], float]) -> None:
+        status_type = _status_type(timeout_s)
+        self._node = node
+        self._clock = clock
+        self._timeout_s = timeout_s
+        self._period_s = max(_SHORTEST_HEARTBEAT_S, min(_HEARTBEAT_S, timeout_s / _HEARTBEATS_IN_TIMEOUT))
+        self._status_type = status_type
+        self._instance_id = str(uuid.uuid4())
+        self._state = _State.WAITING
+        self._begun_s = self._heard_s = clock()
+        self._is_missed = False
+        self._publisher = node.create_publisher(status_type, TOPIC, 5)
+        self._subscription = node.create_subscription(
+            status_type, TOPIC, self._take, _DEPTH, callback_group=_Polled()
+        )
+        # Steady time: simulated time may be paused.
+        self._timer = node.create_timer(
+            self._period_s, self._beat, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def close(self) -> None:
+        if self._state is not _State.DEAD:
+            self._publish(is_active=False)
+            self._publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_S))
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_subscription(self._subscription)
+        self._node.destroy_publisher(self._publisher)
+
+    def _beat(self) -> None:
+        self._take_waiting()
+        now_s = self._clock()
+        if self._state is _State.DEAD:
+            return
+        if self._state is _State.WAITING and now_s - self._begun_s > CONNECT_S:
+            self._die(f"no lifecycle manager joined the bond within {CONNECT_S:g} s")
+            return
+        if self._state is _State.ALIVE and not self._is_missed and now_s - self._heard_s > self._timeout_s:
+            self._is_missed = True
+            self._node.get_logger().warning(
+                f"no heartbeat of the lifecycle manager for {self._timeout_s:g} s; detection goes on"
+            )
+        self._publish(is_active=True)
+
+    def _take_waiting(self) -> None:
+        for _ in range(_DEPTH):
+            taken = self._subscription.handle.take_message(self._status_type, False)
+            if taken is None:
+                return
+            self._take(taken[0])
+
+    def _take(self, message: Any) -> None:
+        is_other_side = message.id == self._node.get_name() and message.instance_id != self._instance_id
+        if not is_other_side or self._state is _State.DEAD:
+            return
+        if not message.active:
+            self._publish(is_active=False)  # acknowledges the end, for which the other side waits
+            self._die("the lifecycle manager ended the bond")
+            return
+        self._heard_s = self._clock()
+        if self._state is _State.WAITING or self._is_missed:
+            self._node.get_logger().info("bonded with the lifecycle manager")
+        self._state, self._is_missed = _State.ALIVE, False
+
+    def _die(self, reason: str) -> None:
+        self._state = _State.DEAD
+        self._timer.cancel()
+        self._node.get_logger().warning(
+            f"{reason}; detection goes on, without heartbeats until the next activation"
+        )
+
+    def _publish(self, *, is_active: bool) -> None:
+        message = self._status_type(
+            id=self._node.get_name(),
+            instance_id=self._instance_id,
+            active=is_active,
+            heartbeat_timeout=self._timeout_s,
+            heartbeat_period=self._period_s,
+        )
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+
+def _status_type(timeout_s: float) -> Any:
+    """Import bond/msg/Status, which only a bond needs; raise ValueError with the remedy."""
+    try:
+        from bond.msg import Status
+    except ImportError as error:
+        raise ValueError(
+            f"bond_timeout {timeout_s:g} needs the ROS package 'bond', which is not installed ({error}). "
+            "Start again after `sudo apt install ros-jazzy-bond`, or with bond_timeout 0.0."
+        ) from None
+    return Status

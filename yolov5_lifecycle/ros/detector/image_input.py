@@ -1,0 +1,167 @@
+"""The image subscription."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from rclpy.event_handler import QoSMessageLostInfo, QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CompressedImage, Image
+
+from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
+from yolov5_lifecycle.ros.detector.image_topic import TOPICS, ImageTopic, TopicStatus
+from yolov5_lifecycle.ros.qos_overrides import overridden_reliability, overriding_options
+from yolov5_lifecycle.ros.topics import endpoint_name
+
+Reliability = Literal["auto", "best_effort", "reliable"]
+
+WINDOW_S = 5.0
+"""Window over which recent losses are counted, in seconds."""
+_POLICIES = {
+    "auto": None,
+    "best_effort": ReliabilityPolicy.BEST_EFFORT,
+    "reliable": ReliabilityPolicy.RELIABLE,
+}
+
+
+@dataclass(frozen=True)
+class ReceivedFrame:
+    """An image message and the monotonic time at which the executor took it, in seconds."""
+
+    message: Image | CompressedImage
+    received_s: float
+
+
+@dataclass(frozen=True)
+class RecentImages:
+    """Images received and lost in the last `window_s` seconds, and the max size received, in bytes."""
+
+    window_s: float
+    received: int
+    lost: int
+    max_bytes: int
+
+
+@dataclass(frozen=True)
+class InputStatus:
+    """Current QoS reliability, time since the last image in seconds, and recent images."""
+
+    reliability: ReliabilityPolicy
+    silent_s: float
+    recent: RecentImages
+
+
+class ImageInput:
+    """Owns the image subscription: keep last 1, reliability as requested or as the publishers offer.
+
+    `qos_overrides` of the topic take precedence over both. `losses` counts images sent but never taken.
+    `clock` returns monotonic seconds.
+
+    Raises rclpy's exception if the subscription cannot be created.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        topic: ImageTopic,
+        reliability: Reliability,
+        on_frame: Callable[[ReceivedFrame], None],
+        losses: ImageLosses,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._node = node
+        self._topic = topic
+        self._on_frame = on_frame
+        self._losses = losses
+        self._clock = clock
+        self._local_name, self._message_type = TOPICS[topic.transport]
+        overridden = overridden_reliability(node, self._local_name)
+        # Not `or`: system_default is 0, thus falsy.
+        self._wanted = _POLICIES[reliability] if overridden is None else overridden
+        self._last_frame_s = clock()
+        self._received = 0
+        self._max_bytes = 0
+        # (time in s, images received, images lost), one per call of `look` within the window
+        self._looks: deque[tuple[float, int, int]] = deque([(self._last_frame_s, 0, losses.lost)])
+        self._reliability = self._policy(topic.look().reliabilities)
+        self._subscription: Any = self._subscribe()
+
+    def look(self, topic: TopicStatus) -> InputStatus:
+        """Return the status; with `auto`, resubscribe if the publishers offer another reliability.
+
+        Raises rclpy's exception if the subscription cannot be created; the next call retries.
+        """
+        self._losses.settle()
+        if self._subscription is None or self._policy(topic.reliabilities) is not self._reliability:
+            self._unsubscribe()
+            self._reliability = self._policy(topic.reliabilities)
+            self._subscription = self._subscribe()
+        now_s = self._clock()
+        return InputStatus(
+            reliability=self._reliability,
+            silent_s=now_s - self._last_frame_s,
+            recent=self._recent(now_s),
+        )
+
+    def close(self) -> None:
+        self._unsubscribe()
+        self._losses.settle()
+
+    def _recent(self, now_s: float) -> RecentImages:
+        self._looks.append((now_s, self._received, self._losses.lost))
+        while len(self._looks) > 2 and now_s - self._looks[1][0] >= WINDOW_S:
+            self._looks.popleft()
+        begun_s, received, lost = self._looks[0]
+        return RecentImages(
+            now_s - begun_s, self._received - received, self._losses.lost - lost, self._max_bytes
+        )
+
+    def _policy(self, offers: Sequence[ReliabilityPolicy]) -> ReliabilityPolicy:
+        return _common(offers) if self._wanted is None else self._wanted
+
+    def _unsubscribe(self) -> None:
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def _subscribe(self) -> Any:
+        qos = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=self._reliability)
+        self._losses.subscribe()
+        return self._node.create_subscription(
+            self._message_type,
+            endpoint_name(self._node, self._local_name),
+            self._take,
+            qos,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._lose, matched=self._match),
+            qos_overriding_options=overriding_options(self._node, self._local_name),
+        )
+
+    def _match(self, event: QoSSubscriptionMatchedInfo) -> None:
+        self._losses.match(
+            self._topic.publisher() if event.current_count == 1 else None,
+            ever_matched=event.total_count,
+            has_joined=event.total_count_change > 0,
+            now_ns=time.time_ns(),  # compared with the system time at which the middleware received messages
+        )
+
+    def _lose(self, event: QoSMessageLostInfo) -> None:
+        self._losses.lose(event.total_count_change)
+
+    def _take(self, message: Image | CompressedImage, info: dict[str, int]) -> None:
+        self._losses.take(info["publication_sequence_number"], info["received_timestamp"])
+        self._last_frame_s = self._clock()
+        self._received += 1
+        self._max_bytes = max(self._max_bytes, len(message.data))
+        self._on_frame(ReceivedFrame(message, self._last_frame_s))
+
+
+def _common(offers: Sequence[ReliabilityPolicy]) -> ReliabilityPolicy:
+    """Reliable if every publisher is, else best effort, which matches all publishers."""
+    reliable = bool(offers) and all(offer is ReliabilityPolicy.RELIABLE for offer in offers)
+    return ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT

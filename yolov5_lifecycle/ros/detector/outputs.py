@@ -1,0 +1,100 @@
+"""The node's publishers, which exist from configure to cleanup."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
+from vision_msgs.msg import Detection2DArray, LabelInfo
+
+from yolov5_lifecycle.images.compressed import encode_jpeg
+from yolov5_lifecycle.images.image import ImageError, Picture
+from yolov5_lifecycle.ros.messages import compressed_image_message, image_message
+from yolov5_lifecycle.ros.qos_overrides import overriding_options
+from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE, DETECTIONS, IMAGE, LABEL_INFO, endpoint_name
+
+
+class Outputs:
+    """Owns the publishers of detections, annotated images and labels.
+
+    `on_subscribers_changed()` is called in the executor when a subscriber joins or leaves. `encode` compresses
+    an image to JPEG and raises ImageError if it cannot.
+
+    Raises rclpy's exception if a publisher cannot be created, after destroying the others.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        *,
+        on_subscribers_changed: Callable[[], None],
+        encode: Callable[[Picture], NDArray[np.uint8]] = encode_jpeg,
+    ) -> None:
+        self._node = node
+        self._encode = encode
+        self._events = PublisherEventCallbacks(matched=lambda _: on_subscribers_changed())
+        self._publishers: list[LifecyclePublisher] = []
+        try:
+            self.detections = self._publisher(Detection2DArray, DETECTIONS, QoSProfile(depth=10))
+            self._image = self._publisher(Image, IMAGE, _newest())
+            self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, _newest())
+            self.label_info = self._publisher(
+                LabelInfo, LABEL_INFO, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            )
+        except Exception:
+            self.close()
+            raise
+
+    @property
+    def subscribers(self) -> int:
+        """Number of subscriptions that need inference."""
+        return int(self.detections.get_subscription_count()) + self.image_subscribers
+
+    @property
+    def image_subscribers(self) -> int:
+        """Number of subscriptions that need annotated images."""
+        return sum(
+            int(publisher.get_subscription_count()) for publisher in (self._image, self._compressed_image)
+        )
+
+    def publish_image(self, picture: Picture, header: Header) -> None:
+        """Publish an annotated image, raw and compressed, on each topic that has a subscriber."""
+        if self._image.get_subscription_count():
+            self._image.publish(image_message(picture.pixels, f"{picture.order}8", header))
+        if self._compressed_image.get_subscription_count():
+            try:
+                jpeg = self._encode(picture)
+            except ImageError as error:
+                # The detections are published; only the compressed image is missing.
+                self._node.get_logger().warning(
+                    f"no image on {COMPRESSED_IMAGE}: {error}", throttle_duration_sec=5.0
+                )
+                return
+            self._compressed_image.publish(compressed_image_message(jpeg, f"{picture.order}8", header))
+
+    def close(self) -> None:
+        for publisher in self._publishers:
+            # destroy_publisher would leave it in the list of managed entities.
+            self._node.destroy_lifecycle_publisher(publisher)
+        self._publishers.clear()
+
+    def _publisher(self, message_type: type, topic: str, qos: QoSProfile) -> LifecyclePublisher:
+        publisher = self._node.create_lifecycle_publisher(
+            message_type,
+            endpoint_name(self._node, topic),
+            qos,
+            event_callbacks=self._events,
+            qos_overriding_options=overriding_options(self._node, topic),
+        )
+        self._publishers.append(publisher)
+        return publisher
+
+
+def _newest() -> QoSProfile:
+    return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)

@@ -1,0 +1,111 @@
+"""The process of the executable `detector`."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import SingleThreadedExecutor
+
+from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
+from yolov5_lifecycle.process.standard_streams import flush_output
+from yolov5_lifecycle.ros.command_line import explain, refuse
+from yolov5_lifecycle.ros.detector.finalized_period import FINALIZED_S, FinalizedPeriod
+from yolov5_lifecycle.ros.detector.misaddressed_files import warnings
+from yolov5_lifecycle.ros.detector.node import DetectorNode
+from yolov5_lifecycle.ros.process import spin, stop_event
+from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
+from yolov5_lifecycle.ros.start_arguments import initialize, start_arguments
+from yolov5_lifecycle.settings.settings import SETTINGS
+from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
+
+_USAGE = """\
+detector: finds objects in the images on ~/image_raw and publishes them on ~/detections.
+Parameters are given as in `detector --ros-args -p device:=cpu --params-file config/yolov5.yaml`:"""
+
+# Max time the inference thread waits for the GIL while an image is taken; docs/performance.md has the cost
+# of Python's default of 5 ms.
+_SWITCH_S = 0.0002
+
+EXIT_DEVICE_LOST = 3
+"""The GPU is lost to this process; restart it."""
+
+EXIT_ABANDONED_THREADS = 4
+"""Too many inference threads hang; restart the process, which frees their memory."""
+
+
+def main(
+    args: Sequence[str] | None = None,
+    *,
+    prepare: Prepare = prepare_model,
+    finalized_s: float = FINALIZED_S,
+    max_abandoned_threads: int = MAX_ABANDONED_THREADS,
+) -> NoReturn:
+    """Spin the node until a signal or its shutdown, release everything, and exit with code 0.
+
+    After the shutdown transition the node answers services for `finalized_s` more seconds. The exit code is 2
+    for invalid arguments, EXIT_DEVICE_LOST if the GPU is lost, EXIT_ABANDONED_THREADS if more than
+    `max_abandoned_threads` inference threads hang. `prepare` creates the models; see `DetectorNode`.
+    """
+    code = _run(list(sys.argv if args is None else args), prepare, finalized_s, max_abandoned_threads)
+    # Without os._exit, Python and torch would take seconds to free what the OS reclaims at once, and would
+    # abort if a thread is still running inside torch.
+    flush_output("detector", code)  # the reader of the pipe may have exited
+    os._exit(code)
+
+
+def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandoned_threads: int) -> int:
+    stop = stop_event()
+    shortages = shared_memory_problems()
+    try:
+        given = initialize(start_arguments(arguments))
+        if words := given.own_words:
+            return explain("detector", words, usage=_USAGE, parameters=_parameters())
+        node = DetectorNode(
+            prepare=prepare,
+            start_problems=given.problems,
+            arguments=given.words,
+            max_abandoned_threads=max_abandoned_threads,
+        )
+    except (RuntimeError, ParameterException) as error:
+        return refuse("detector", f"ROS refuses to start: {error}")
+    for warning in (*shortages, *warnings(given.files, node.get_fully_qualified_name())):
+        node.get_logger().warning(warning)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    autostart = executor.create_task(node.autostart)
+    # Torch and pydantic keep 300,000 objects alive; scanning them in a collection blocks all threads 0.15 s.
+    gc.freeze()
+    sys.setswitchinterval(_SWITCH_S)
+    finalized = FinalizedPeriod(announce=node.get_logger().info, duration_s=finalized_s)
+    spin(
+        executor,
+        node,
+        until=lambda: (
+            stop.is_set()
+            or node.device_lost
+            or node.too_many_abandoned
+            or finalized.is_over(node.state_label)
+        ),
+    )
+    if node.device_lost:
+        return EXIT_DEVICE_LOST  # nothing on a dead device can be released
+    if node.too_many_abandoned:
+        return EXIT_ABANDONED_THREADS  # nothing that a hung thread uses can be released
+    autostart.cancel()  # else Python warns "never awaited" if it has not started
+    node.close()
+    rclpy.try_shutdown()
+    return 0
+
+
+def _parameters() -> list[tuple[str, str | None, object]]:
+    return [(setting.name, setting.description, setting.default) for setting in SETTINGS]
+
+
+if __name__ == "__main__":
+    main()

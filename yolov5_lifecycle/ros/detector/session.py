@@ -1,0 +1,162 @@
+"""Model and image subscription, which exist only while the node is active."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from rclpy.lifecycle import LifecycleNode
+
+from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros import messages
+from yolov5_lifecycle.ros.detector.image_input import ImageInput, InputStatus, ReceivedFrame
+from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
+from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
+from yolov5_lifecycle.ros.detector.last_picture import LastPicture
+from yolov5_lifecycle.ros.detector.outputs import Outputs
+from yolov5_lifecycle.ros.detector.pipeline import Pipeline
+from yolov5_lifecycle.settings.field import Change
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.empty_frames import EmptyFrames
+from yolov5_lifecycle.streaming.rate import LatencyWindow, RateLimit
+from yolov5_lifecycle.streaming.worker import Worker
+
+Made = TypeVar("Made")
+
+REST_TIMEOUT_S = 3.0
+"""Max wait for the frame in progress; launch escalates its stop signal after 5 s."""
+
+
+class Detection:
+    """Owns the model and the image subscription, created in this order and released in reverse.
+
+    `model` and `settings` must be consistent: no `model_problems`. `topic` is the expected image topic.
+
+    If the subscription cannot be created, this is logged and stays in `problem`; every `look` retries.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        *,
+        settings: Settings,
+        model: PreparedModel,
+        topic: ImageTopic,
+        outputs: Outputs,
+        worker: Worker[ReceivedFrame],
+        last_picture: LastPicture,
+    ) -> None:
+        self._node = node
+        self._topic = topic
+        self._outputs = outputs
+        self._worker = worker
+        self._last_picture = last_picture
+        self._rate_limit = RateLimit()
+        self.losses = ImageLosses()
+        self.problem = ""
+        self.latencies = LatencyWindow()
+        self.empty_frames = EmptyFrames(settings.confidence_threshold)
+        self.model = model
+        self.settings = settings
+        self._input: ImageInput | None = None
+        topic.follow(settings.image_transport)
+        worker.start(self._pipeline(settings, model))
+
+    def look(self, topic: TopicStatus) -> InputStatus | None:
+        """Update the subscription to what the publishers offer; return its status, None without one."""
+        self.follow_subscribers()
+        if (present := self._input) is None:
+            return None
+        return self._trying(lambda: present.look(topic))
+
+    def rest(self) -> bool:
+        """Wait for the frame in progress; return False if it hangs, which deactivate handles."""
+        return self._worker.rest(REST_TIMEOUT_S)
+
+    def apply(self, settings: Settings, model: PreparedModel) -> None:
+        """Use `settings` and `model` from the next frame on; the caller closes a replaced model."""
+        self.empty_frames = EmptyFrames(settings.confidence_threshold)
+        self._worker.start(self._pipeline(settings, model))
+        resubscribe = self.settings.differing(settings, Change.RESUBSCRIBE)
+        has_moved = self.settings.image_transport != settings.image_transport
+        self.settings, self.model = settings, model
+        if resubscribe:
+            self._unsubscribe()
+            self._topic.follow(settings.image_transport)
+        if has_moved:
+            self.losses.stop()
+        self.follow_subscribers()
+        self.publish_label_info()
+
+    def follow_subscribers(self) -> None:
+        """Subscribe if frames are needed; unsubscribe if `lazy` and the outputs have no subscriber."""
+        wanted = not self.settings.lazy or self._outputs.subscribers > 0
+        if wanted and self._input is None:
+            self._input = self._trying(self._subscribed)
+        elif not wanted:
+            self._unsubscribe()
+            self.losses.stop()
+
+    def _subscribed(self) -> ImageInput:
+        return ImageInput(
+            self._node,
+            topic=self._topic,
+            reliability=self.settings.image_reliability,
+            on_frame=self._offer,
+            losses=self.losses,
+        )
+
+    def _trying(self, subscribe: Callable[[], Made]) -> Made | None:
+        """Return `subscribe()`; on an exception return None and set `problem` to the reason."""
+        try:
+            made = subscribe()
+        except Exception as error:  # noqa: BLE001 - rclpy raises several types; reported and retried
+            problem = (
+                f"cannot subscribe to {self._topic.name}: {in_one_line(str(error))}. Nothing is detected "
+                "until it can; it tries again every second"
+            )
+            if problem != self.problem:
+                self._node.get_logger().error(problem)
+            self.problem = problem
+            return None
+        self.problem = ""
+        return made
+
+    def publish_label_info(self) -> None:
+        self._outputs.label_info.publish(
+            messages.label_info(
+                self.model.detector.class_names,
+                self.settings.confidence_threshold,
+                self._node.get_clock().now().to_msg(),
+            )
+        )
+
+    def close(self) -> bool:
+        """Unsubscribe, stop the worker, free the model; return False if a hung thread was abandoned."""
+        self._unsubscribe()
+        rested = self._worker.stop(REST_TIMEOUT_S)
+        self.model.close(is_at_rest=rested)
+        return rested
+
+    def _pipeline(
+        self, settings: Settings, model: PreparedModel
+    ) -> Callable[[ReceivedFrame], Callable[[], None]]:
+        return Pipeline(
+            detector=model.detector,
+            selection=selection(settings, model.detector.class_names),
+            outputs=self._outputs,
+            latencies=self.latencies,
+            empty_frames=self.empty_frames,
+            last_picture=self._last_picture,
+        )
+
+    def _offer(self, frame: ReceivedFrame) -> None:
+        self._worker.offer(frame, skip=not self._rate_limit.admits(frame.received_s, self.settings.max_rate))
+
+    def _unsubscribe(self) -> None:
+        if self._input is not None:
+            self._input.close()
+            self._input = None
+        self.problem = ""

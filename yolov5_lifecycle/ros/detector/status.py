@@ -1,0 +1,188 @@
+"""Status of the node, with hints on what is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rclpy.qos import ReliabilityPolicy
+
+from yolov5_lifecycle.detection.nms import WORTH_TELLING
+from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
+from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.empty_frames import EmptyRun
+from yolov5_lifecycle.streaming.frame_balance import FrameBalance, Outcome
+from yolov5_lifecycle.streaming.rate import LatencySummary
+
+MANY_LOST = 4
+"""More than one image lost per this many received is reported, given at least FEWEST_IMAGES."""
+FEWEST_IMAGES = 10
+"""Min number of images for a meaningful loss ratio."""
+DISCOVERY_S = 5.0
+"""Time that ROS may take to discover the image publishers."""
+DEFAULT_SEGMENT_BYTES = 512 * 1024
+"""Shared-memory segment that Fast DDS reserves per process without config/shm.xml."""
+SILENCE_S = 2.0
+"""A camera that publishes no image for longer than this is reported."""
+EMPTY_S = 10.0
+"""A run of frames without detections for longer than this is reported."""
+SLOW_S = 2.0
+"""Inference of one image that takes longer than this is reported."""
+
+_REMEDIES = {
+    "unconfigured": ": configure and activate the node to detect",
+    "inactive": ": activate the node to detect",
+}
+
+
+@dataclass(frozen=True)
+class Status:
+    """Snapshot of the node.
+
+    `settings`: from configure on; `model`, `input`, `lost`, `overtaken`, `latency`, `empty`: while active.
+    `topic`: the expected image topic, in every state; `input`: the subscription to it, None without one.
+    `lost`, `overtaken`: images sent but not taken since activation, as counted by `ImageLosses`.
+    `busy_s`: time that inference has spent on the current image, in seconds.
+    `abandoned_threads`: threads that hung during deactivate and are still running.
+    `resident_mb`: RAM of the process, None if unknown.
+    """
+
+    state: str
+    problem: str
+    balance: FrameBalance
+    topic: TopicStatus
+    settings: Settings | None
+    model: PreparedModel | None
+    input: InputStatus | None
+    lost: int | None
+    overtaken: int | None
+    latency: LatencySummary | None
+    empty: EmptyRun | None
+    busy_s: float
+    recently_rejected: str
+    abandoned_threads: int
+    resident_mb: float | None
+
+    @property
+    def hint(self) -> str:
+        """What is wrong when an active node has no output, "" if nothing is."""
+        if self.state != "active" or self.input is None:
+            return ""
+        if self.busy_s > SLOW_S:
+            return (
+                f"inference has been at one image for more than {SLOW_S:g} s: the model is too slow for this "
+                "machine, or it hangs; deactivate ends that, then activate again"
+            )
+        if self.topic.publishers == 0:
+            return _missing(self.topic) if self.topic.missing_s > DISCOVERY_S else ""
+        if self.input.reliability is ReliabilityPolicy.RELIABLE and self._offers_best_effort:
+            return (
+                f"a best-effort publisher on {self.topic.name} does not match this reliable subscription: "
+                "set image_reliability to auto or best_effort"
+            )
+        if self.input.silent_s > SILENCE_S:
+            silent_s = f"{self.input.silent_s:.0f} s"
+            return f"no image on {self.topic.name} for {silent_s}, although the topic has a publisher"
+        if _has_many_lost(self.input.recent):
+            return _losses(self.input.recent)
+        if self.recently_rejected:
+            return f"images are rejected: {self.recently_rejected}"
+        return ""
+
+    @property
+    def remark(self) -> str:
+        """Why the node has no output although nothing is wrong, "" if there is no reason."""
+        if self.state != "active":
+            return self.state + _REMEDIES.get(self.state, "")
+        if self.input is None and self.problem:
+            return ""
+        if self.input is None:
+            idle = "idle (lazy): no subscribers to ~/detections or ~/image, so no images are received"
+            is_missing = self.topic.publishers == 0 and self.topic.missing_s > DISCOVERY_S
+            return f"{idle}; {_missing(self.topic)}" if is_missing else idle
+        if self.topic.publishers == 0:
+            return f"waiting for a publisher of images on {self.topic.name}"
+        if self.empty is not None and self.empty.duration_s > EMPTY_S:
+            missed = self.empty.best_missed
+            best = f"the best {missed:.2g}" if missed else f"nothing even above {WORTH_TELLING:g}"
+            return (
+                f"nothing scored above confidence_threshold {self.empty.threshold:g} in the last "
+                f"{self.empty.frames} frames, {best}: if there was something, lower it, or empty classes"
+            )
+        return ""
+
+    @property
+    def _offers_best_effort(self) -> bool:
+        return ReliabilityPolicy.BEST_EFFORT in self.topic.reliabilities
+
+    @property
+    def message(self) -> str:
+        """One-line human-readable summary."""
+        return self.problem or self.hint or self.remark or "detecting"
+
+    def values(self) -> dict[str, str]:
+        """All values as strings, for diagnostics."""
+        values = {"state": self.state, "last problem": self.problem}
+        values |= {f"frames {outcome.value}": str(self.balance[outcome]) for outcome in Outcome}
+        values |= {"frames received": str(self.balance.received), "frames pending": str(self.balance.pending)}
+        values["abandoned threads"] = str(self.abandoned_threads)
+        if self.resident_mb is not None:
+            values["resident memory MB"] = f"{self.resident_mb:.0f}"
+        if self.settings is not None:
+            values["configuration"] = self.settings.digest()
+        if self.model is not None:
+            values |= self.model.facts
+        values |= {"image topic": self.topic.name, "image publishers": str(self.topic.publishers)}
+        values["other topics with images"] = ", ".join(self.topic.similar)
+        if self.input is not None:
+            values["image reliability"] = self.input.reliability.name.lower()
+        if self.lost is not None:
+            values |= {"frames lost": str(self.lost), "frames overtaken": str(self.overtaken)}
+        if self.latency is not None:
+            values["rate Hz"] = f"{self.latency.rate_hz:.1f}"
+            values["latency median ms"] = f"{self.latency.median_ms:.1f}"
+            values["latency p95 ms"] = f"{self.latency.p95_ms:.1f}"
+        if self.empty is not None:
+            values["empty frames in a row"] = str(self.empty.frames)
+            values["best score in them"] = f"{self.empty.best_missed:.2g}"
+        return values
+
+
+def _missing(topic: TopicStatus) -> str:
+    """Explain that `topic` has no publisher, and suggest a remedy."""
+    others = f" (but {', '.join(topic.other_types)})" if topic.other_types else ""
+    text = f"no publisher of images on {topic.name}{others}: start the camera or remap the topic"
+    if not topic.similar:
+        return text
+    similar = " and ".join(topic.similar)
+    return f"{text}. " + f"Images are published on {similar}: did you mean that?{_hint(topic)}"
+
+
+def _hint(topic: TopicStatus) -> str:
+    if f"{topic.name}/compressed" in topic.similar:
+        return " For compressed images, set image_transport to compressed"
+    if topic.name.removesuffix("/compressed") in topic.similar:
+        return " For raw images, set image_transport to raw"
+    return ""
+
+
+def _has_many_lost(recent: RecentImages) -> bool:
+    total = recent.received + recent.lost
+    return total >= FEWEST_IMAGES and recent.lost > recent.received / MANY_LOST
+
+
+def _losses(recent: RecentImages) -> str:
+    lost = (
+        f"{recent.lost} of {recent.received + recent.lost} images were lost between the camera and this node "
+        f"in the last {recent.window_s:.0f} s: "
+    )
+    if recent.max_bytes <= DEFAULT_SEGMENT_BYTES:
+        return (
+            lost + "the machine or the link is overloaded, lower the camera's rate or send compressed images"
+        )
+    return lost + (
+        f"images of {recent.max_bytes / 1e6:.1f} MB do not fit into the shared memory that Fast DDS reserves "
+        "by default. Start the camera's process with the profile config/shm.xml, if it runs on this machine "
+        "without it; else send compressed images, or lower the rate"
+    )

@@ -1,0 +1,153 @@
+"""Command-line arguments of a node, with its parameter files checked before ROS reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.settings.parameter_file import ParameterFileError, read_parameter_file
+from yolov5_lifecycle.settings.parameter_yaml import ParameterYamlError, Value, parameter_value
+
+_FLAG = "--params-file"
+_ASSIGNMENT_FLAGS = ("-p", "--param")
+
+
+@dataclass(frozen=True)
+class ParameterFile:
+    """A file given with --params-file; `nodes` maps node names to parameter values."""
+
+    path: str
+    nodes: Mapping[str, Mapping[str, Value]]
+
+
+@dataclass(frozen=True)
+class StartArguments:
+    """Command-line arguments of a node, without its unreadable parameter files.
+
+    `files`: the readable ones. `problems`: why the others cannot be read, and values that contradict each
+    other.
+    """
+
+    words: tuple[str, ...]
+    files: tuple[ParameterFile, ...]
+    problems: tuple[str, ...]
+
+    @property
+    def own_words(self) -> list[str]:
+        """The non-ROS arguments."""
+        return list(remove_ros_args(list(self.words))[1:])
+
+    def without_files(self, problem: str) -> StartArguments:
+        """Copy without any parameter file, with `problem` added."""
+        positions = {index for flag, _ in _file_positions(self.words) for index in (flag, flag + 1)}
+        words = tuple(word for index, word in enumerate(self.words) if index not in positions)
+        return StartArguments(words, (), (*self.problems, problem))
+
+
+def start_arguments(arguments: Sequence[str]) -> StartArguments:
+    """Read the parameter files in `arguments`; the first argument is the program."""
+    words, files, problems = list(arguments), list[ParameterFile](), list[str]()
+    for flag, path in reversed([*_file_positions(arguments)]):
+        file = _read(path)
+        if isinstance(file, ParameterFile):
+            files.insert(0, file)
+        else:
+            problems.insert(0, file)
+            del words[flag : flag + 2]
+    problems += _clashes(words, {file.path: file for file in files})
+    return StartArguments(tuple(words), tuple(files), tuple(problems))
+
+
+def initialize(arguments: StartArguments) -> StartArguments:
+    """Initialize rclpy without its signal handlers, which would shut the context down before nodes clean up.
+
+    Returns the accepted arguments: without any parameter file if ROS rejects a file that this package could
+    read. Raises RuntimeError for other invalid ROS arguments.
+    """
+    try:
+        _initialize(arguments.words)
+    except RuntimeError as error:
+        if not arguments.files or _FLAG not in str(error):
+            raise
+        arguments = arguments.without_files(_refusal(str(error)))
+        _initialize(arguments.words)
+    return arguments
+
+
+def _read(path: str) -> ParameterFile | str:
+    """Read the file at `path`; return it, or a description of the problem."""
+    try:
+        return ParameterFile(path, read_parameter_file(Path(path)))
+    except ParameterFileError as error:
+        return _unreadable(str(error))
+
+
+def _unreadable(reason: str) -> str:
+    return f"the parameter file cannot be read: {reason} Correct the file and start again."
+
+
+def _clashes(words: Sequence[str], files: Mapping[str, ParameterFile]) -> Iterator[str]:
+    """Problems of parameters given with two types for one node; rcl silently uses the wrong value.
+
+    rcl prefers boolean over integer over double over string, regardless of the order: with `device: 0` in a
+    file, `-p device:=cpu` is ignored.
+    """
+    first: dict[tuple[str, str], tuple[Value, str]] = {}
+    for node, name, value, place in _assignments(words, files):
+        before, where = first.setdefault((node, name), (value, place))
+        if type(value) is not type(before):
+            yield in_one_line(
+                f"{name}: {before!r} in {where} and {value!r} in {place} are of two types, and ROS may use "
+                "either: write both in the same type, or leave one out, and start again."
+            )
+
+
+def _assignments(
+    words: Sequence[str], files: Mapping[str, ParameterFile]
+) -> Iterator[tuple[str, str, Value, str]]:
+    """Node, name, value and source of each parameter in the ROS arguments."""
+    for index, word in _ros_words(words):
+        following = words[index + 1] if index + 1 < len(words) else ""
+        if word == _FLAG and following in files:
+            for node, values in files[following].nodes.items():
+                yield from ((node, name, value, following) for name, value in values.items())
+        elif word in _ASSIGNMENT_FLAGS:
+            left, _, text = following.partition(":=")
+            node, _, name = left.rpartition(":")
+            with suppress(ParameterYamlError):  # ROS itself rejects it
+                place = f"{word} {following}"
+                yield f"/{node.removeprefix('/') or '**'}", name, parameter_value(text), place
+
+
+def _initialize(words: Sequence[str]) -> None:
+    rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
+
+
+def _refusal(error: str) -> str:
+    """Problem text from rcl's error message about an unreadable parameter file."""
+    path, _, reason = error.partition(f"'{_FLAG} ")[2].partition("'. Error: ")
+    return _unreadable(f"{in_one_line(path)}: {in_one_line(reason.partition(', at /')[0])}.")
+
+
+def _file_positions(words: Sequence[str]) -> Iterator[tuple[int, str]]:
+    """Position of each --params-file in the ROS arguments, and the path that follows it."""
+    for index, word in _ros_words(words):
+        if word == _FLAG and index + 1 < len(words):
+            yield index, words[index + 1]
+
+
+def _ros_words(words: Sequence[str]) -> Iterator[tuple[int, str]]:
+    """Position and value of the arguments from --ros-args to -- or the end."""
+    is_for_ros = False
+    for index, word in enumerate(words):
+        if word in ("--ros-args", "--"):
+            is_for_ros = word == "--ros-args"
+        elif is_for_ros:
+            yield index, word

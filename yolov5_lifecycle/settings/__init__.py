@@ -1,0 +1,1 @@
+"""User settings, their validation rules and ROS parameter files."""

@@ -1,0 +1,38 @@
+"""Names of settings in other software."""
+
+from __future__ import annotations
+
+SYNONYMS = {
+    "half": "precision",
+    "conf": "confidence_threshold",
+    "conf_thres": "confidence_threshold",
+    "threshold": "confidence_threshold",
+    "iou": "iou_threshold",
+    "iou_thres": "iou_threshold",
+    "nms_threshold": "iou_threshold",
+    "imgsz": "image_size",
+    "imgsz_height": "image_size",
+    "imgsz_width": "image_size",
+    "max_det": "max_detections",
+    "model": "weights",
+    "model_file": "weights",
+    "model_path": "weights",
+    "weights_url": "weights",
+}
+"""Names that YOLOv5's own scripts and other nodes use for a setting."""
+
+_TOPIC = "topics are remapped: -r '~/image_raw:=/camera/image_raw'."
+_BOND = "bond_timeout switches the bond on; its heartbeats come every 0.1 s."
+_SWITCH = "not needed: ~/image is published while it has subscribers."
+NOT_SETTINGS = {
+    "image_topic": _TOPIC,
+    "input_topic": _TOPIC,
+    "camera_topic": _TOPIC,
+    "input_image_topic": _TOPIC,
+    "pub_image": _SWITCH,
+    "pub_result_img": _SWITCH,
+    "publish_image": _SWITCH,
+    "show_result": _SWITCH,
+    "bond_heartbeat_period": _BOND,
+}
+"""Parameters of other nodes that this node lacks, with what to do instead."""

@@ -1,0 +1,1 @@
+"""Image sources of a camera: synthetic scenes, devices, videos, streams and folders."""

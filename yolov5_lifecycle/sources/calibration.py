@@ -1,0 +1,160 @@
+"""Camera calibration from a YAML file of camera_calibration."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import Annotated, Any, Literal
+from urllib.parse import unquote
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from yolov5_lifecycle.images.image import MAX_SIDE_PX
+from yolov5_lifecycle.package_path import resolve_package
+from yolov5_lifecycle.printable import in_one_line
+
+MAX_FILE_BYTES = 64 * 1024
+_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
+_MAX_SHOWN = 5
+_FILE, _PACKAGE = "file://", "package://"
+
+Side = Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
+
+
+class CalibrationError(ValueError):
+    """An invalid calibration; the message names the file, what was expected and what was found."""
+
+
+class Matrix(BaseModel):
+    """A matrix in OpenCV's YAML format: rows, cols and row-major data."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    rows: int = Field(ge=1, le=16)
+    cols: int = Field(ge=1, le=16)
+    data: Annotated[tuple[float, ...], Field(max_length=256)]
+
+    @model_validator(mode="after")
+    def _has_as_many_values_as_it_says(self) -> Matrix:
+        if len(self.data) != self.rows * self.cols:
+            raise PydanticCustomError(
+                "matrix",
+                "expected {rows} x {cols} values in data, found {found}",
+                {"rows": self.rows, "cols": self.cols, "found": len(self.data)},
+            )
+        return self
+
+
+class Calibration(BaseModel):
+    """Camera intrinsics for one image size."""
+
+    model_config = ConfigDict(frozen=True)
+
+    image_width: Side
+    image_height: Side
+    camera_name: str = Field("", max_length=200)
+    camera_matrix: Matrix
+    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"]
+    distortion_coefficients: Matrix
+    rectification_matrix: Matrix
+    projection_matrix: Matrix
+
+    @model_validator(mode="after")
+    def _has_the_right_shapes(self) -> Calibration:
+        for name, shape in (
+            ("camera_matrix", (3, 3)),
+            ("rectification_matrix", (3, 3)),
+            ("projection_matrix", (3, 4)),
+        ):
+            matrix: Matrix = getattr(self, name)
+            if (matrix.rows, matrix.cols) != shape:
+                raise _problem(
+                    f"{name}: expected {shape[0]} x {shape[1]}, found {matrix.rows} x {matrix.cols}"
+                )
+        if min(self.camera_matrix.data[0], self.camera_matrix.data[4]) <= 0:
+            raise _problem("camera_matrix: expected focal lengths above 0; has the camera been calibrated?")
+        counts = _COEFFICIENTS[self.distortion_model]
+        if len(self.distortion_coefficients.data) not in counts:
+            raise _problem(
+                f"distortion_coefficients: expected {' or '.join(map(str, counts))} for "
+                f"{self.distortion_model}, found {len(self.distortion_coefficients.data)}"
+            )
+        return self
+
+    @property
+    def size_hw(self) -> tuple[int, int]:
+        """Height and width in pixels of the calibrated image size."""
+        return self.image_height, self.image_width
+
+
+def read_calibration(url: str) -> Calibration:
+    """Read the calibration at `file:///PATH` or `package://PACKAGE/PATH`; raises CalibrationError."""
+    path = _path(url)
+    try:
+        content = _bounded_bytes(path)
+        return Calibration.model_validate(_tree(content))
+    except ValidationError as error:
+        problem = _described(error)
+    except OSError as error:
+        problem = error.strerror or type(error).__name__
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        problem = f"expected the YAML file that camera_calibration writes: {error}"
+    raise CalibrationError(f"{in_one_line(str(path))}: {in_one_line(problem).removesuffix('.')}.")
+
+
+def _path(url: str) -> Path:
+    if url.startswith(_PACKAGE):
+        try:
+            return Path(resolve_package(url))
+        except ValueError as error:
+            raise CalibrationError(in_one_line(str(error))) from None
+    path = Path(unquote(url.removeprefix(_FILE)))
+    if not (url.startswith(_FILE) and path.is_absolute()):
+        raise CalibrationError(
+            f"'{in_one_line(url)}': expected file:///PATH with an absolute path, or package://PACKAGE/PATH."
+        )
+    return path
+
+
+def _bounded_bytes(path: Path) -> bytes:
+    # A pipe without a writer would block a plain open forever.
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise ValueError("found no regular file")
+        content = file.read(MAX_FILE_BYTES + 1)
+    if len(content) > MAX_FILE_BYTES:
+        raise ValueError(f"found more than {MAX_FILE_BYTES} bytes")
+    return content
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML loader that rejects aliases: a few lines of them could expand beyond memory."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise ValueError("found an alias (*)")
+        return super().compose_node(parent, index)
+
+
+def _tree(content: bytes) -> object:
+    tree = yaml.load(content, Loader=_Loader)
+    if not isinstance(tree, dict):
+        raise ValueError("found no names and values")
+    return tree
+
+
+def _problem(text: str) -> PydanticCustomError:
+    return PydanticCustomError("calibration", "{text}", {"text": text})
+
+
+def _described(error: ValidationError) -> str:
+    """The first problems, each with its location in the file."""
+    problems = [
+        ": ".join(filter(None, (".".join(map(str, details["loc"]))[:100], details["msg"][:300])))
+        for details in error.errors(include_url=False, include_input=False)
+    ]
+    further = f"; and {len(problems) - _MAX_SHOWN} more" if len(problems) > _MAX_SHOWN else ""
+    return "; ".join(problems[:_MAX_SHOWN]) + further

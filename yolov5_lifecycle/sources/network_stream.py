@@ -1,0 +1,165 @@
+"""Network camera and GStreamer streams, with automatic reconnection."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.sources.source_error import SourceError
+
+SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "http", "https", "udp", "tcp", "rtp", "srt")
+MIN_DELAY_S = 1.0
+MAX_DELAY_S = 30.0
+_TIMEOUT_MS = 10_000
+"""For connecting and for each frame; OpenCV's default is 30 s. GStreamer pipelines set their own."""
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
+_SECRETS = (
+    (re.compile(r"(://[^/\s:@]*):[^/\s]*@"), r"\1:***@"),
+    (re.compile(r"(\b(?:user-pw|password|passphrase)=)\S+"), r"\1***"),
+)
+
+Report = Callable[[str], None]
+Wait = Callable[[float], bool]
+"""Waits the given seconds; True when interrupted because the stream is no longer needed."""
+
+
+class Capture(Protocol):
+    """The subset of cv2.VideoCapture used here."""
+
+    def isOpened(self) -> bool: ...  # noqa: N802 - OpenCV's name
+    def read(self) -> tuple[bool, Any]: ...
+    def get(self, property_id: int) -> float: ...
+    def release(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class NetworkStream:
+    """BGR frames (H, W, 3) and, for a file served over the network, their rate, else None."""
+
+    frames: Iterator[NDArray[np.uint8]]
+    rate_hz: float | None
+
+
+def is_stream(source: str) -> bool:
+    """Whether `source` is a URL or a GStreamer pipeline (elements separated by ` ! `)."""
+    return _SCHEME.match(source) is not None or " ! " in source
+
+
+def without_secrets(source: str) -> str:
+    """`source` on one line, passwords replaced by ***."""
+    for pattern, replacement in _SECRETS:
+        source = pattern.sub(replacement, source)
+    return in_one_line(source)
+
+
+def sleep(seconds: float) -> bool:
+    """A `Wait` that cannot be interrupted."""
+    time.sleep(seconds)
+    return False
+
+
+def open_capture(source: str) -> Capture:
+    """OpenCV capture of a URL or pipeline, opened or not; SourceError when the backend is not built in."""
+    scheme = _SCHEME.match(source)
+    if scheme is None:
+        _check_backend(cv2.CAP_GSTREAMER, "GStreamer pipelines", "GStreamer")
+        return _capture(source, cv2.CAP_GSTREAMER, [])
+    if scheme[1].lower() not in SCHEMES:
+        raise SourceError(
+            f"'{without_secrets(source)}': expected a URL that begins with one of "
+            f"{', '.join(SCHEMES)}, or the path of a file without file://."
+        )
+    _check_backend(cv2.CAP_FFMPEG, "URLs", "FFmpeg")
+    timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT_MS]
+    return _capture(source, cv2.CAP_FFMPEG, timeouts)
+
+
+def _capture(source: str, backend: int, options: list[int]) -> Capture:
+    capture: Capture = cv2.VideoCapture(source, backend, options)
+    return capture
+
+
+def open_stream(
+    source: str,
+    *,
+    reconnects: bool,
+    report: Report,
+    wait: Wait = sleep,
+    connect: Callable[[str], Capture] = open_capture,
+) -> NetworkStream:
+    """The frames of `source`. With `reconnects`, a stream that ends is reconnected until it succeeds.
+
+    Raises SourceError if the first connection fails. Later failures go to `report`; `wait` is called before
+    each attempt, with a backoff that doubles from 1 to 30 s.
+    """
+    capture = connect(source)
+    if not capture.isOpened():
+        capture.release()
+        raise SourceError(
+            f"'{without_secrets(source)}' cannot be opened: is the address right, does the camera answer, "
+            "and does it want a user and a password? OpenCV's own message is above."
+        )
+    is_file = capture.get(cv2.CAP_PROP_FRAME_COUNT) > 0
+    rate_hz = capture.get(cv2.CAP_PROP_FPS)
+    frames = _frames(source, capture, reconnects=reconnects, report=report, wait=wait, connect=connect)
+    return NetworkStream(frames, rate_hz if is_file and 0 < rate_hz <= 1000 else None)
+
+
+def _frames(
+    source: str,
+    capture: Capture,
+    *,
+    reconnects: bool,
+    report: Report,
+    wait: Wait,
+    connect: Callable[[str], Capture],
+) -> Iterator[NDArray[np.uint8]]:
+    delay_s = MIN_DELAY_S
+    while True:
+        for pixels in _read(capture):
+            yield pixels
+            delay_s = MIN_DELAY_S
+        if not reconnects:
+            return
+        while True:
+            report(f"'{without_secrets(source)}' gives no more images. Connecting again in {delay_s:g} s.")
+            if wait(delay_s):
+                return
+            delay_s = min(2 * delay_s, MAX_DELAY_S)
+            capture = connect(source)
+            if capture.isOpened():
+                report(f"'{without_secrets(source)}' is connected again.")
+                break
+            capture.release()
+
+
+def _read(capture: Capture) -> Iterator[NDArray[np.uint8]]:
+    """Frames until the stream ends or cannot be decoded."""
+    try:
+        while True:
+            try:
+                is_read, pixels = capture.read()
+            except cv2.error:
+                return
+            if not is_read:
+                return
+            yield np.asarray(pixels, np.uint8)
+    finally:
+        capture.release()
+
+
+def _check_backend(backend: int, what: str, library: str) -> None:
+    if not cv2.videoio_registry.hasBackend(backend):
+        raise SourceError(
+            f"This OpenCV ({cv2.__version__}) was built without {library} and cannot open {what}. "
+            'Use a build that has it: python3 -c "import cv2; print(cv2.getBuildInformation())" lists them '
+            "under Video I/O."
+        )

@@ -1,0 +1,295 @@
+"""Synthetic images of circles, squares, triangles and stars over clutter, with ground truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+CLASS_NAMES = ("circle", "square", "triangle", "star")
+
+SMALLEST_SIDE_PX = 64
+_CORNERS = (64, 4, 3, 10)  # of each class's polygon
+_STAR_INNER_RADIUS = 0.42  # of the outer one
+_SMALLEST_CONTRAST = 110.0  # RGB distance between a shape and the mean of the background behind it
+_SUBPIXEL_BITS = 4
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Ground truth of an image, one row per shape."""
+
+    boxes_xyxy: NDArray[np.float32]
+    """(n, 4) tight bounding boxes in pixels, clipped to the image."""
+    class_ids: NDArray[np.int64]
+    """(n,) indices into CLASS_NAMES."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A regular shape: centre and circumscribed radius in pixels, rotation in radians, RGB fill."""
+
+    class_id: int
+    centre_xy: tuple[float, float]
+    radius: float
+    angle: float
+    colour: tuple[int, int, int]
+
+    def outline(self) -> NDArray[np.float64]:
+        """Corners (k, 2) in pixels; (0, 0) is the outer corner of the first pixel."""
+        corners = _CORNERS[self.class_id]
+        angles = self.angle + np.arange(corners) * (2 * math.pi / corners)
+        radii = np.full(corners, self.radius, np.float64)
+        if CLASS_NAMES[self.class_id] == "star":
+            radii[1::2] *= _STAR_INNER_RADIUS
+        corners_xy = np.stack((np.cos(angles), np.sin(angles)), axis=1) * radii[:, None] + self.centre_xy
+        return np.asarray(corners_xy, np.float64)
+
+    def draw(self, pixels: NDArray[np.uint8]) -> None:
+        """Fill the shape into `pixels` (H, W, 3), in place.
+
+        OpenCV antialiases outwards: about 0.7 pixels beyond the outline, faintly up to 3.
+        """
+        # OpenCV counts from pixel centres, outlines from pixel corners.
+        corners = np.rint((self.outline() - 0.5) * 2**_SUBPIXEL_BITS).astype(np.int32)
+        cv2.fillPoly(pixels, [corners], self.colour, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+
+def random_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[NDArray[np.uint8], Truth]:
+    """A still RGB image (H, W, 3) with 0 to 12 random shapes, and its ground truth.
+
+    Shapes measure 0.09 to 0.62 of the shorter side, overlap slightly at most and lie mostly inside the
+    image. Raises ValueError when `size_hw` has a side below SMALLEST_SIDE_PX.
+    """
+    _check_size(size_hw)
+    pixels = cluttered_background(rng, size_hw)
+    shapes: list[Shape] = []
+    for _ in range(rng.integers(0, 13)):
+        shape = _random_shape(rng, pixels)
+        if all(_are_apart(shape, other) for other in shapes):
+            shape.draw(pixels)
+            shapes.append(shape)
+    return pixels, _truth(shapes, size_hw)
+
+
+class Scene:
+    """Six drifting, rotating shapes, every class at least once, each in its own cell of a still background.
+
+    Deterministic: the arguments and the frame index define the position of every shape.
+    """
+
+    def __init__(self, seed: int, size_hw: tuple[int, int]) -> None:
+        """`seed` >= 0. Raises ValueError when `size_hw` has a side below SMALLEST_SIDE_PX."""
+        _check_size(size_hw)
+        rng = np.random.default_rng(seed)
+        self.size_hw = size_hw
+        self._background = cluttered_background(rng, size_hw)
+        class_ids = rng.permutation([*range(len(CLASS_NAMES)), *rng.integers(0, len(CLASS_NAMES), 2)])
+        self._paths = tuple(
+            _random_path(rng, self._background, int(class_id), cell_xyxy)
+            for class_id, cell_xyxy in zip(class_ids, _six_cells(size_hw), strict=True)
+        )
+
+    def frame(self, index: int) -> tuple[NDArray[np.uint8], Truth]:
+        """RGB image (H, W, 3) number `index`, owned by the caller, and its ground truth."""
+        pixels = self._background.copy()
+        shapes = [path.shape(index) for path in self._paths]
+        for shape in shapes:
+            shape.draw(pixels)
+        return pixels, _truth(shapes, self.size_hw)
+
+
+def cluttered_background(rng: np.random.Generator, size_hw: tuple[int, int]) -> NDArray[np.uint8]:
+    """An RGB image (H, W, 3) without any of the classes: texture, bars, curves, characters."""
+    pixels = _smooth_noise(rng, size_hw)
+    side = min(size_hw)
+    for _ in range(rng.integers(0, 16)):
+        thing = rng.integers(0, 4)
+        centre = rng.uniform((0, 0), size_hw[::-1])
+        colour = _random_colour(rng)
+        if thing == 0:
+            _draw_bar(rng, pixels, centre, side, colour)
+        elif thing == 1:
+            _draw_slim_ellipse(rng, pixels, centre, side, colour)
+        elif thing == 2:
+            steps = rng.normal(0, side * 0.12, (rng.integers(2, 9), 2)).cumsum(axis=0)
+            cv2.polylines(
+                pixels, [np.int32(centre + steps)], False, colour, int(rng.integers(1, 5)), cv2.LINE_AA
+            )
+        else:
+            _draw_letters(rng, pixels, centre, side, colour)
+    return pixels
+
+
+def _smooth_noise(rng: np.random.Generator, size_hw: tuple[int, int]) -> NDArray[np.uint8]:
+    """Low-frequency colour noise with a finer grey texture on top."""
+    height, width = size_hw
+    colours = rng.uniform(0, 255, (*rng.integers(2, 7, 2), 3))
+    variety = rng.uniform(0.1, 1.0)
+    coarse = (variety * colours + (1 - variety) * colours[0, 0]).astype(np.float32)
+    fine = rng.normal(0, rng.uniform(0, 25), (height // rng.integers(2, 9), width // rng.integers(2, 9), 1))
+    pixels = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
+    pixels += cv2.resize(fine.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)[..., None]
+    return np.asarray(np.clip(pixels, 0, 255), np.uint8)
+
+
+def _draw_bar(
+    rng: np.random.Generator,
+    pixels: NDArray[np.uint8],
+    centre: NDArray[np.float64],
+    side: int,
+    colour: tuple[int, ...],
+) -> None:
+    length = side * rng.uniform(0.1, 0.9)
+    size = (length, length * rng.uniform(0.03, 0.22))
+    corners = cv2.boxPoints(((float(centre[0]), float(centre[1])), size, rng.uniform(0, 180)))
+    cv2.fillPoly(pixels, [np.int32(corners)], colour, cv2.LINE_AA)
+
+
+def _draw_slim_ellipse(
+    rng: np.random.Generator,
+    pixels: NDArray[np.uint8],
+    centre: NDArray[np.float64],
+    side: int,
+    colour: tuple[int, ...],
+) -> None:
+    length = side * rng.uniform(0.05, 0.4)
+    axes = (int(length), max(int(length * rng.uniform(0.1, 0.35)), 1))
+    thickness = -1 if rng.random() < 0.5 else int(rng.integers(1, 4))
+    cv2.ellipse(
+        pixels, np.int32(centre).tolist(), axes, rng.uniform(0, 180), 0, 360, colour, thickness, cv2.LINE_AA
+    )
+
+
+def _draw_letters(
+    rng: np.random.Generator,
+    pixels: NDArray[np.uint8],
+    centre: NDArray[np.float64],
+    side: int,
+    colour: tuple[int, ...],
+) -> None:
+    text = "".join(rng.choice(list("AEFHIKLMNRTWXYZ147"), rng.integers(1, 6)))
+    scale = side * rng.uniform(0.002, 0.012)
+    cv2.putText(
+        pixels,
+        text,
+        np.int32(centre).tolist(),
+        int(rng.integers(0, 8)),
+        scale,
+        colour,
+        int(rng.integers(1, 5)),
+    )
+
+
+def _random_colour(rng: np.random.Generator) -> tuple[int, int, int]:
+    red, green, blue = rng.integers(0, 256, 3).tolist()
+    return red, green, blue
+
+
+def _contrasting_colour(rng: np.random.Generator, behind: NDArray[np.uint8]) -> tuple[int, int, int]:
+    """A random colour that contrasts with the mean of the pixels (h, w, 3) `behind`."""
+    candidates = rng.integers(0, 256, (16, 3))
+    distances = np.linalg.norm(candidates - behind.mean(axis=(0, 1)), axis=1)
+    best = int(np.argmax(np.minimum(distances, _SMALLEST_CONTRAST)))  # the first with sufficient distance
+    red, green, blue = candidates[best].tolist()
+    return red, green, blue
+
+
+def _random_shape(rng: np.random.Generator, pixels: NDArray[np.uint8]) -> Shape:
+    """A shape with at most a seventh of its diameter outside each side, in a contrasting colour."""
+    height, width = pixels.shape[:2]
+    radius = min(height, width) * math.exp(rng.uniform(math.log(0.045), math.log(0.31)))
+    x, y = rng.uniform(0.72 * radius, np.array((width, height)) - 0.72 * radius).tolist()
+    left, top = int(max(x - radius, 0)), int(max(y - radius, 0))
+    behind = pixels[top : int(y + radius) + 1, left : int(x + radius) + 1]
+    return Shape(
+        class_id=int(rng.integers(0, len(CLASS_NAMES))),
+        centre_xy=(x, y),
+        radius=radius,
+        angle=rng.uniform(0, 2 * math.pi),
+        colour=_contrasting_colour(rng, behind),
+    )
+
+
+def _are_apart(shape: Shape, other: Shape) -> bool:
+    return math.dist(shape.centre_xy, other.centre_xy) > 0.9 * (shape.radius + other.radius)
+
+
+@dataclass(frozen=True)
+class _Path:
+    """Motion of a shape: sinusoidal in x, y and size around `still`, with constant rotation."""
+
+    still: Shape
+    swing_xy: tuple[float, float]
+    rates_xyr: tuple[float, float, float]  # radians per frame
+    phases_xyr: tuple[float, float, float]
+    turn: float  # radians per frame
+
+    def shape(self, index: int) -> Shape:
+        sines = [
+            math.sin(rate * index + phase)
+            for rate, phase in zip(self.rates_xyr, self.phases_xyr, strict=True)
+        ]
+        x, y = self.still.centre_xy
+        return Shape(
+            class_id=self.still.class_id,
+            centre_xy=(x + self.swing_xy[0] * sines[0], y + self.swing_xy[1] * sines[1]),
+            radius=self.still.radius * (0.9 + 0.1 * sines[2]),
+            angle=self.still.angle + self.turn * index,
+            colour=self.still.colour,
+        )
+
+
+def _six_cells(size_hw: tuple[int, int]) -> list[tuple[int, int, int, int]]:
+    """Three by two equal cells (xyxy) of an image, three along its longer side."""
+    height, width = size_hw
+    columns, rows = (3, 2) if width >= height else (2, 3)
+    xs = [width * column // columns for column in range(columns + 1)]
+    ys = [height * row // rows for row in range(rows + 1)]
+    return [(xs[c], ys[r], xs[c + 1], ys[r + 1]) for r in range(rows) for c in range(columns)]
+
+
+def _random_path(
+    rng: np.random.Generator,
+    background: NDArray[np.uint8],
+    class_id: int,
+    cell_xyxy: tuple[int, int, int, int],
+) -> _Path:
+    left, top, right, bottom = cell_xyxy
+    half_xy = ((right - left) / 2, (bottom - top) / 2)
+    radius = min(half_xy) * rng.uniform(0.4, 0.65)
+    still = Shape(
+        class_id=class_id,
+        centre_xy=(left + half_xy[0], top + half_xy[1]),
+        radius=radius,
+        angle=rng.uniform(0, 2 * math.pi),
+        colour=_contrasting_colour(rng, background[top:bottom, left:right]),
+    )
+    x_rate, y_rate, size_rate = (2 * math.pi / rng.uniform(90, 240, 3)).tolist()
+    x_phase, y_phase, size_phase = rng.uniform(0, 2 * math.pi, 3).tolist()
+    return _Path(
+        still=still,
+        swing_xy=(half_xy[0] - radius, half_xy[1] - radius),
+        rates_xyr=(x_rate, y_rate, size_rate),
+        phases_xyr=(x_phase, y_phase, size_phase),
+        turn=rng.uniform(-0.05, 0.05),
+    )
+
+
+def _truth(shapes: list[Shape], size_hw: tuple[int, int]) -> Truth:
+    boxes = np.zeros((len(shapes), 4), np.float32)
+    for box, shape in zip(boxes, shapes, strict=True):
+        corners = np.clip(shape.outline(), 0, size_hw[::-1])
+        box[:2], box[2:] = corners.min(axis=0), corners.max(axis=0)
+    return Truth(boxes, np.array([shape.class_id for shape in shapes], np.int64))
+
+
+def _check_size(size_hw: tuple[int, int]) -> None:
+    if min(size_hw) < SMALLEST_SIDE_PX:
+        raise ValueError(
+            f"a scene needs at least {SMALLEST_SIDE_PX} pixels on each side, got {size_hw[0]} rows and "
+            f"{size_hw[1]} columns: ask for a larger picture"
+        )

@@ -1,0 +1,263 @@
+"""Image sources: a synthetic scene, a device, a stream, a video or image files."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.images.compressed import decode_image_file
+from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, Picture
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.sources.network_stream import Report, Wait, is_stream, open_stream, sleep
+from yolov5_lifecycle.sources.scene import Scene, Truth
+from yolov5_lifecycle.sources.source_error import SourceError
+
+SYNTHETIC = "synthetic"
+PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+PICTURE_RATE_HZ = 30.0
+"""Default rate for sources without their own."""
+_MAX_DEVICE_DIGITS = 9
+_MAX_VIDEO_RATE_HZ = 1000.0
+_MAX_FILE_BYTES = 1 << 30
+_DEFAULT_SCENE_HW = (480, 640)
+_MAX_REPORTED = 10
+"""Number of skipped images that are reported by name; further ones are only counted."""
+
+
+@dataclass(frozen=True)
+class SourceFrame:
+    """One image and, for the synthetic scene only, its ground truth."""
+
+    picture: Picture
+    truth: Truth | None = None
+
+
+@dataclass(frozen=True)
+class PictureSource:
+    """Frames and their nominal rate.
+
+    `rate_hz` is None for a device, which delivers frames at its own pace.
+    """
+
+    frames: Iterator[SourceFrame]
+    rate_hz: float | None
+
+
+def _keep_silent(_: str) -> None:
+    pass
+
+
+def open_source(
+    source: str,
+    *,
+    size_hw: tuple[int, int] | None = None,
+    seed: int = 0,
+    loop: bool = True,
+    report: Report = _keep_silent,
+    wait: Wait = sleep,
+) -> PictureSource:
+    """Open `source`: "synthetic", a device, a URL, a GStreamer pipeline, a video, an image or a folder.
+
+    Every image is resized to `size_hw`; None keeps the size of the source (the scene: 480 x 640). With
+    `loop`, files restart at their end and a stream is reconnected; otherwise the iterator ends. A device and
+    the scene never end. `report` receives problems that do not end the source: skipped images of a folder, a
+    lost stream. `wait` is called before a stream is reconnected.
+
+    Raises SourceError here when `source` cannot be opened, and in the iterator when it becomes unreadable.
+    Both may block for as long as the device or disk takes.
+    """
+    if source == SYNTHETIC:
+        return _synthetic(seed, size_hw or _DEFAULT_SCENE_HW)
+    if (device := _device_number(source)) is not None:
+        return _device(device, size_hw)
+    path = Path(source).expanduser()
+    if is_stream(source) and not _exists(path):
+        stream = open_stream(source, reconnects=loop, report=report, wait=wait)
+        return PictureSource((_frame(pixels, size_hw) for pixels in stream.frames), stream.rate_hz)
+    if not _exists(path):
+        raise SourceError(
+            f"'{in_one_line(source)}' is neither '{SYNTHETIC}', nor the number of a device, nor a URL, "
+            "nor a file or folder that exists."
+        )
+    if path.is_dir() or path.suffix.lower() in PICTURE_SUFFIXES:
+        return PictureSource(_pictures(picture_paths(path), size_hw, loop, report), PICTURE_RATE_HZ)
+    return _video(path, size_hw, loop)
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name that is too long, a folder without access permission
+        return False
+
+
+def _device_number(source: str) -> int | None:
+    """The device number if `source` is a camera's number or path; None for any other source."""
+    if source.isascii() and source.isdigit() and len(source) <= _MAX_DEVICE_DIGITS:
+        return int(source)
+    path = Path(source)
+    if re.fullmatch(r"/dev/video\d{1,9}", source) and not _exists(path):
+        raise SourceError(f"There is no device {source}.{_devices()}")
+    if not (_exists(path) and path.is_char_device()):
+        return None
+    if (named := re.fullmatch(r"/dev/video(\d+)", str(path.resolve()))) is None:
+        raise SourceError(f"{in_one_line(source)} is a device, but no camera.{_devices()}")
+    return int(named[1])
+
+
+def _devices() -> str:
+    found = sorted(Path("/dev").glob("video[0-9]*"), key=_natural_order)
+    return f" There are: {', '.join(map(str, found))}." if found else " There is no /dev/video* here."
+
+
+def _synthetic(seed: int, size_hw: tuple[int, int]) -> PictureSource:
+    try:
+        scene = Scene(seed, size_hw)
+    except ValueError as error:
+        raise SourceError(str(error)) from None
+    frames = (
+        SourceFrame(Picture(pixels, "rgb"), truth) for pixels, truth in map(scene.frame, itertools.count())
+    )
+    return PictureSource(frames, PICTURE_RATE_HZ)
+
+
+def _device(number: int, size_hw: tuple[int, int] | None) -> PictureSource:
+    capture = cv2.VideoCapture(number)
+    if not capture.isOpened():
+        raise SourceError(
+            f"Device {number} cannot be opened: is it plugged in, free, and may you read it?{_devices()}"
+        )
+    if size_hw is not None:
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size_hw[0])
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size_hw[1])
+
+    def frames() -> Iterator[SourceFrame]:
+        yield from _captured(capture, size_hw)
+        raise SourceError(f"Device {number} gives no more pictures: was it unplugged?")
+
+    return PictureSource(frames(), rate_hz=None)
+
+
+def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> PictureSource:
+    capture = cv2.VideoCapture(str(path))
+    if not capture.isOpened():
+        raise SourceError(
+            f"{path} can be read neither as a picture nor as a video: "
+            "copy it again, or convert it to .mp4, .jpg or .png."
+        )
+    sides = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+    if max(sides) > MAX_SIDE_PX:
+        capture.release()
+        raise SourceError(
+            f"{path}: expected at most {MAX_SIDE_PX} pixels a side, found {sides[0]:g} x {sides[1]:g}."
+        )
+    told_hz = capture.get(cv2.CAP_PROP_FPS)
+    rate_hz = told_hz if 0 < told_hz <= _MAX_VIDEO_RATE_HZ else PICTURE_RATE_HZ
+    captured = _captured(capture, size_hw)
+    first = next(captured, None)
+    if first is None:
+        raise SourceError(f"{path} is a video without a picture that can be read.")
+    repeated = _repeated(path, size_hw) if loop else ()
+    return PictureSource(itertools.chain([first], captured, repeated), rate_hz)
+
+
+def _repeated(path: Path, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
+    """The video from its beginning, repeated endlessly."""
+    while True:
+        # Many formats cannot seek to the beginning, all can be reopened.
+        captured = _captured(cv2.VideoCapture(str(path)), size_hw)
+        first = next(captured, None)
+        if first is None:
+            raise SourceError(f"{path} can be read no longer: was it moved or unplugged?")
+        yield first
+        yield from captured
+
+
+def _captured(capture: cv2.VideoCapture, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
+    try:
+        while True:
+            try:
+                is_read, pixels = capture.read()
+            except cv2.error as error:
+                raise SourceError(f"OpenCV cannot decode the next frame: {error.err}.") from None
+            if not is_read:
+                return
+            yield _frame(np.asarray(pixels, np.uint8), size_hw)
+    finally:
+        capture.release()
+
+
+def picture_paths(path: Path) -> list[Path]:
+    """`path` itself, or the images in that folder in natural order; SourceError if it has none."""
+    if not path.is_dir():
+        return [path]
+    found = (file for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES)
+    paths = sorted(found, key=_natural_order)
+    if not paths:
+        raise SourceError(f"The folder {path} has no pictures ({', '.join(PICTURE_SUFFIXES)}).")
+    return paths
+
+
+def _natural_order(path: Path) -> list[tuple[str, int]]:
+    """Sort key of natural order: 9.png comes before 10.png."""
+    pairs = re.findall(r"(\D*)(\d*)", path.name)
+    return [(text, int(number or 0)) for text, number in pairs]
+
+
+def _pictures(
+    paths: Sequence[Path], size_hw: tuple[int, int] | None, loop: bool, report: Report
+) -> Iterator[SourceFrame]:
+    """Image files in order; with `loop`, endlessly. Of several, unreadable ones are skipped."""
+    skipped: dict[Path, str] = {}
+    for number, path in enumerate(itertools.cycle(paths) if loop else paths, start=1):
+        try:
+            frame = _frame(_file_pixels(path), size_hw)
+        except (SourceError, ImageError) as error:
+            if path not in skipped:
+                skipped[path] = str(error)
+                _report_skipped(len(skipped), len(paths), str(error), report)
+            if len(skipped) == len(paths):
+                raise SourceError(
+                    str(error) if len(paths) == 1 else f"None of the {len(paths)} pictures can be read."
+                ) from None
+        else:
+            skipped.pop(path, None)
+            yield frame
+        if number == len(paths) and skipped:
+            report(f"{len(skipped)} of {len(paths)} pictures were skipped.")
+
+
+def _report_skipped(count: int, total: int, problem: str, report: Report) -> None:
+    if total > 1 and count <= _MAX_REPORTED:
+        further = " Further ones are only counted." if count == _MAX_REPORTED else ""
+        report(f"skipped: {problem}{further}")
+
+
+def _file_pixels(path: Path) -> NDArray[np.uint8]:
+    """The pixels (H, W, 3) of an image file, upright, as BGR; raises SourceError."""
+    try:
+        # Reading a pipe would block, a device file may never end.
+        if not path.is_file() or path.stat().st_size > _MAX_FILE_BYTES:
+            raise SourceError(f"{path} is not a regular file of at most {_MAX_FILE_BYTES >> 20} MiB.")
+        return decode_image_file(np.fromfile(path, np.uint8)).pixels
+    except (OSError, ImageError) as error:
+        raise SourceError(
+            f"{path} cannot be read as a picture: replace it, or take it away. {error}"
+        ) from None
+
+
+def _frame(pixels: NDArray[np.uint8], size_hw: tuple[int, int] | None) -> SourceFrame:
+    return SourceFrame(Picture(_sized(pixels, size_hw), "bgr"))
+
+
+def _sized(pixels: NDArray[np.uint8], size_hw: tuple[int, int] | None) -> NDArray[np.uint8]:
+    if size_hw is None or pixels.shape[:2] == size_hw:
+        return pixels
+    return np.asarray(cv2.resize(pixels, size_hw[::-1], interpolation=cv2.INTER_AREA), np.uint8)
