@@ -23,8 +23,8 @@ from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE, DETECTIONS, IMAGE, LAB
 class Outputs:
     """Owns the publishers of detections, annotated images and labels.
 
-    `on_subscribers_changed()` is called in the executor when a subscriber joins or leaves. `encode` compresses
-    an image to JPEG and raises ImageError if it cannot.
+    `on_subscribers_changed()` is called in the executor when a subscriber joins or leaves. `encode`
+    compresses an image to JPEG and raises ImageError if it cannot.
 
     Raises rclpy's exception if a publisher cannot be created, after destroying the others.
     """
