@@ -34,6 +34,14 @@ def reference_dir() -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _this_machine_only() -> Iterator[None]:
+    """Nodes of the tests reach no other machine, and nobody there reaches them."""
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Tests and their child processes leave the user's cache alone."""
     with pytest.MonkeyPatch.context() as environment:

@@ -42,6 +42,7 @@ from yolov5_lifecycle.settings.settings import Settings, validated
 
 PATIENCE_S = 20.0
 CLASS_NAMES = ("cat", "dog")
+STATES = ("unconfigured", "inactive", "active")
 
 
 _SERVICES = {
