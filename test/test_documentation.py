@@ -247,7 +247,7 @@ def test_the_values_of_the_diagnostics_are_those_of_the_reference() -> None:
 
 def test_the_exit_codes_of_the_detector_alone_are_those_of_the_reference() -> None:
     codes = {row[0] for row in table(REFERENCE, "Exit codes") if "`detector`" in row[1]}
-    missing_package = 1  # see test_process_end.py
+    missing_package = 1  # see test_process_start.py
     assert codes == {str(missing_package), str(EXIT_DEVICE_LOST), str(EXIT_ABANDONED_THREADS)}
 
 

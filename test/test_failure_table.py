@@ -90,11 +90,11 @@ PINNED = {
         "test_worker.py::test_a_hung_frame_is_given_up_and_its_late_result_dropped",
     ],
     "the standard output or error stream is closed, full, or without a reader": [
-        "test_process_end.py::test_a_node_does_its_work_with_closed_streams",
-        "test_process_end.py::test_a_node_goes_on_when_nobody_reads_its_log",
+        "test_standard_streams.py::test_a_node_does_its_work_with_closed_streams",
+        "test_standard_streams.py::test_a_node_goes_on_when_nobody_reads_its_log",
     ],
     "too few threads can be started": [
-        "test_process_end.py::test_too_few_threads_are_said_in_one_line",
+        "test_process_start.py::test_too_few_threads_are_said_in_one_line",
     ],
     "SIGINT, SIGTERM, SIGHUP or `shutdown` in any state": [
         "test_shutdown.py::test_a_signal_ends_the_process_cleanly",
