@@ -14,12 +14,12 @@ PINNED = {
     "bad value, unknown parameter or contradiction at configure; weights outside `weights_dirs`; "
     "a QoS override that does not fit its topic; two topics remapped to one name": [
         "test_image_topic.py::test_configure_refuses_topics_that_are_remapped_to_one",
-        "test_parameter_files.py::test_every_mistake_in_a_parameter_file_is_named_and_can_be_mended",
-        "test_parameter_overrides.py::test_a_bad_override_fails_configure_until_it_is_mended",
+        "test_parameter_files.py::test_every_mistake_in_a_parameter_file_is_named_and_can_be_corrected",
+        "test_parameter_overrides.py::test_a_bad_override_fails_configure_until_it_is_corrected",
         "test_parameter_overrides.py::test_an_unknown_override_may_be_deleted",
         "test_qos_overrides.py::test_configure_refuses_a_wrong_override_until_the_next_start",
         "test_allowed_folders.py::test_configure_refuses_weights_from_outside",
-        "test_allowed_folders.py::test_folders_that_are_none_hold_configure_until_the_process_is_started_anew",
+        "test_allowed_folders.py::test_invalid_folders_fail_configure_until_the_process_is_restarted",
     ],
     "a parameter file that does not exist, cannot be parsed or is too large": [
         "test_parameter_files.py::test_parameter_files_that_cannot_be_read_are_reported_at_the_start",
@@ -71,23 +71,23 @@ PINNED = {
     "inference fails": [
         "test_frames.py::test_failures_in_a_row_deactivate_the_node_with_the_reason",
         "test_frames.py::test_a_detected_frame_ends_the_count_of_failures",
-        "test_runtimes.py::test_what_torch_raises_is_told_in_one_line_and_keeps_nothing_alive",
+        "test_runtimes.py::test_an_error_of_torch_is_one_line_and_keeps_nothing_alive",
     ],
     "the GPU is lost to the process": [
-        "test_process_end.py::test_a_lost_device_is_told_and_ends_the_process_with_its_own_code",
+        "test_process_end.py::test_a_lost_device_is_reported_and_ends_the_process_with_its_own_code",
     ],
     "too little free in `/dev/shm` when the process starts": [
         "test_shared_memory.py::test_a_process_with_too_little_says_so_and_works",
         "test_shared_memory.py::test_a_process_that_the_tracer_ends_has_said_why",
     ],
     "inference hangs": [
-        "test_frames.py::test_a_hung_inference_does_not_hold_deactivate",
-        "test_worker.py::test_a_hung_frame_is_given_up_and_its_late_result_dropped",
+        "test_frames.py::test_a_hung_inference_does_not_block_deactivate",
+        "test_worker.py::test_a_hung_frame_is_abandoned_and_its_late_result_dropped",
     ],
     "more than three inference threads hang": [
         "test_process_end.py::"
         "test_too_many_abandoned_threads_are_reported_and_end_the_process_with_their_own_code",
-        "test_worker.py::test_a_hung_frame_is_given_up_and_its_late_result_dropped",
+        "test_worker.py::test_a_hung_frame_is_abandoned_and_its_late_result_dropped",
     ],
     "the standard output or error stream is closed, full, or without a reader": [
         "test_standard_streams.py::test_a_node_does_its_work_with_closed_streams",

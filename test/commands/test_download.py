@@ -85,7 +85,7 @@ def test_a_stall_ends_and_what_came_is_kept(folder: Path, checkpoint: bytes) -> 
         assert fetch_from(server, folder).path.read_bytes() == checkpoint
 
 
-def test_a_server_that_says_nothing_at_all_is_not_waited_for(folder: Path) -> None:
+def test_a_server_that_never_answers_times_out(folder: Path) -> None:
     with (
         FileServer(lambda request: request.server.wait(request)) as server,
         pytest.raises(DownloadError, match=r"no answer \(timed out\)"),
@@ -187,7 +187,7 @@ def enlarged(checkpoint: bytes) -> bytes:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is limited as Linux does")
-def test_a_download_that_could_not_be_checked_for_want_of_memory_is_kept_and_taken_later(
+def test_a_download_that_could_not_be_checked_for_lack_of_memory_is_kept_and_used_later(
     folder: Path, checkpoint: bytes
 ) -> None:
     large = enlarged(checkpoint)
@@ -201,7 +201,7 @@ def test_a_download_that_could_not_be_checked_for_want_of_memory_is_kept_and_tak
 
 
 @pytest.mark.parametrize("status", [403, 404, 500, 503])
-def test_an_error_of_the_server_is_told_with_the_address_and_another_way(folder: Path, status: int) -> None:
+def test_an_error_of_the_server_is_reported_with_the_address_and_a_remedy(folder: Path, status: int) -> None:
     page = b"<html>an error page</html>"
     with FileServer(sending(page, status=status)) as server, pytest.raises(DownloadError) as refused:
         fetch_from(server, folder)
@@ -241,7 +241,7 @@ ESCAPES = "\x1b]0;owned\x07\x1b[2J" + "x" * 5000
         pytest.param(sending(b"", status=200), "the file is empty", id="empty"),
     ],
 )
-def test_whatever_a_server_answers_is_told_in_one_short_line_and_nothing_is_left(
+def test_a_malformed_answer_is_one_short_line_and_leaves_no_file(
     folder: Path, capsys: pytest.CaptureFixture[str], behaviour: Behaviour, told: str
 ) -> None:
     with FileServer(behaviour) as server:
@@ -285,7 +285,7 @@ def test_more_than_the_limit_is_not_taken(tmp_path: Path, announced: bool) -> No
         assert file.tell() <= 10**6 + (1 << 14)
 
 
-def test_a_server_that_is_not_there_is_told(folder: Path) -> None:
+def test_an_unreachable_server_is_reported(folder: Path) -> None:
     with socket.socket() as deaf:
         deaf.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{deaf.getsockname()[1]}/{{size}}.pt"

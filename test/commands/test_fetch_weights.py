@@ -96,12 +96,12 @@ def test_two_at_a_time_do_not_mix_their_files(folder: Path, checkpoint: bytes) -
     assert len(server.requests) == 1
 
 
-def test_a_disk_that_cannot_be_written_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_disk_that_cannot_be_written_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["n", "--dir", "/proc/nowhere"]) == 1
     assert "/proc/nowhere" in capsys.readouterr().err
 
 
-def test_the_command_tells_the_licence_once_and_then_the_facts(
+def test_the_command_prints_the_licence_once_and_then_the_facts(
     folder: Path,
     checkpoint: bytes,
     digest: str,

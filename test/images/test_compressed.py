@@ -69,7 +69,9 @@ def test_a_grey_jpeg_has_three_channels() -> None:
     ],
 )
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_the_format_tells_what_took_red_for_blue(suffix: str, format_text: str, order: Order) -> None:
+def test_the_format_says_whether_red_and_blue_are_swapped(
+    suffix: str, format_text: str, order: Order
+) -> None:
     picture = decode_compressed(smooth_file(suffix), format_text=format_text)
     assert picture.order == order
     np.testing.assert_allclose(picture.pixels.astype(int), smooth_bgr(40, 60), atol=10)

@@ -58,7 +58,7 @@ def prepare_raising(error: BaseException) -> Prepare:
         pytest.param(DeviceLostError("the GPU is gone"), 1, id="device lost"),
     ],
 )
-def test_inference_that_cannot_go_on_is_given_up(
+def test_detection_ends_after_too_many_failed_inferences(
     error: InferenceError, failures: int, drive: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = [str(drive), "--output", str(drive.parent / "found"), "--set", "max_consecutive_failures=2"]

@@ -98,7 +98,7 @@ def test_a_picture_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pyte
         pytest.param("drive.avi", ["--annotated", "x.foo"], "ends in .mp4 or .avi", id="video suffix"),
     ],
 )
-def test_what_cannot_be_done_with_files_is_told_and_leaves_nothing_behind(
+def test_an_error_with_files_says_why_and_leaves_nothing_behind(
     source: str,
     words: list[str],
     told: str,

@@ -113,7 +113,7 @@ def test_one_file_of_a_recording_is_enough_and_the_node_has_the_name_that_is_giv
 
 
 @pytest.mark.parametrize("storage", [MCAP, SQLITE], ids=["MCAP", "SQLite"])
-def test_metadata_that_describes_a_topic_otherwise_than_the_file_hides_no_image(
+def test_metadata_that_contradicts_the_file_hides_no_image(
     storage: StoragePlugin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = record(tmp_path / "drive", [raw(0)], storage=storage)
@@ -147,7 +147,7 @@ def test_a_type_has_the_hash_that_ros_gives_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("storage", [MCAP, SQLITE], ids=["MCAP", "SQLite"])
-def test_unreadable_images_are_told_counted_and_left_out(
+def test_unreadable_images_are_reported_counted_and_left_out(
     storage: StoragePlugin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut_off = bytes(TYPES.serialize_cdr(raw(1), IMAGE))[:60]

@@ -34,7 +34,7 @@ def test_an_output_that_cannot_be_written_is_said_in_one_line(command: str, is_b
 
 
 @pytest.mark.parametrize("command", ["fetch_weights", "detector"])
-def test_an_output_that_nobody_reads_ends_the_command_without_a_word(command: str) -> None:
+def test_a_closed_pipe_ends_the_command_silently(command: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     run = subprocess.run(

@@ -51,7 +51,7 @@ def send_until(observer: Observer, is_done: Callable[[], bool], what: str) -> No
     observer.wait_for(is_over, what)
 
 
-def test_a_lost_device_is_told_and_ends_the_process_with_its_own_code() -> None:
+def test_a_lost_device_is_reported_and_ends_the_process_with_its_own_code() -> None:
     told: list[str] = []
 
     def take(message: DiagnosticArray) -> None:
@@ -205,7 +205,7 @@ detector.main([])
 """
 
 
-def test_a_signal_before_the_first_callback_ends_the_process_without_a_word(ros_domain: int) -> None:
+def test_a_signal_before_the_first_callback_ends_the_process_silently(ros_domain: int) -> None:
     command = [sys.executable, "-c", ENDED_BEFORE_THE_FIRST_TURN]
     with ChildProcess("detector", command, environment(ros_domain)) as process:
         assert process.wait(60) == 0

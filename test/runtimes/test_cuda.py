@@ -118,7 +118,7 @@ assert torch.cuda.current_stream() == torch.cuda.default_stream()
 
 
 @needs_cuda
-def test_closing_gives_the_memory_of_the_gpu_back() -> None:
+def test_closing_releases_the_memory_of_the_gpu() -> None:
     release_unused_memory()
     before = torch.cuda.memory_reserved()
     runtime = on_cuda(2)

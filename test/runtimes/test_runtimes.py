@@ -179,9 +179,7 @@ def test_a_closed_runtime_says_so() -> None:
         ),
     ],
 )
-def test_what_torch_raises_is_told_in_one_line_and_keeps_nothing_alive(
-    error: Exception, message: str
-) -> None:
+def test_an_error_of_torch_is_one_line_and_keeps_nothing_alive(error: Exception, message: str) -> None:
     runtime = runtime_of(FailingNetwork(error))
     with pytest.raises(InferenceError, match=message) as failure:
         runtime(random_frame(), "rgb")

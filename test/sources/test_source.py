@@ -49,7 +49,7 @@ def test_files_come_in_order_and_end(source: str, request: pytest.FixtureRequest
 
 
 @pytest.mark.parametrize("source", ["folder", "video"])
-def test_files_begin_anew_with_loop(source: str, request: pytest.FixtureRequest) -> None:
+def test_files_repeat_with_loop(source: str, request: pytest.FixtureRequest) -> None:
     assert greys(request.getfixturevalue(source), 10, loop=True) == [*GREYS, *GREYS, *GREYS[:2]]
 
 

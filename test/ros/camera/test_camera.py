@@ -77,7 +77,7 @@ def test_what_is_encoded_is_decoded_to_the_same_colours(order: Order, encoding: 
         ("mono8", "mono8; jpeg compressed "),
     ],
 )
-def test_a_jpeg_has_the_colours_and_tells_the_encoding(encoding: str, format_: str) -> None:
+def test_a_jpeg_has_the_colours_and_names_the_encoding(encoding: str, format_: str) -> None:
     rgb = (90, 90, 90) if encoding == "mono8" else (200, 90, 20)
     message = jpeg_message(Picture(np.full((16, 16, 3), rgb, np.uint8), "rgb"), encoding, Header())
     assert np.allclose(picture(message).pixels, rgb[::-1], atol=3)
@@ -125,7 +125,7 @@ def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer
         assert np.allclose(told.boxes_xyxy, truth.boxes_xyxy, atol=1e-3)
 
 
-def test_what_is_played_once_reaches_whoever_listens_as_a_whole(
+def test_a_video_played_once_reaches_a_subscriber_completely(
     observer: Observer, ros_domain: int, video: Path
 ) -> None:
     images: list[Image] = []
@@ -139,7 +139,7 @@ def test_what_is_played_once_reaches_whoever_listens_as_a_whole(
     assert "publishing 32 x 24 (rgb8) at 1000 images per second on /image_raw\n" in camera.output
 
 
-def test_every_transport_sends_the_same_pictures_where_the_images_are_led_to(
+def test_every_transport_sends_the_same_pictures_on_the_remapped_topics(
     observer: Observer, ros_domain: int
 ) -> None:
     raws = collected(observer, Image, "/front/image_raw")
@@ -184,7 +184,7 @@ def noting(form: ImageForm, made: list[str]) -> ImageForm:
     return form._replace(message=message)
 
 
-def test_a_form_to_which_nobody_listens_is_not_made(observer: Observer, ros_domain: int) -> None:
+def test_a_form_without_subscribers_is_not_encoded(observer: Observer, ros_domain: int) -> None:
     made: list[str] = []
     forms = {transport: [noting(form, made) for form in forms] for transport, forms in IMAGE_FORMS.items()}
     context = rclpy.Context()

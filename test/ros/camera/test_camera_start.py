@@ -32,13 +32,13 @@ def parameter_rows() -> list[tuple[str, object, str]]:
     return [(name, json.loads(default), description) for name, default, description in cells]
 
 
-def test_the_page_of_the_camera_tells_its_parameters() -> None:
+def test_the_page_of_the_camera_lists_its_parameters() -> None:
     assert parameter_rows() == [
         (name, field.default, field.description) for name, field in CameraSettings.model_fields.items()
     ]
 
 
-def test_a_source_that_hangs_does_not_hold_up_the_end(ros_domain: int, tmp_path: Path) -> None:
+def test_a_hanging_source_does_not_delay_the_end(ros_domain: int, tmp_path: Path) -> None:
     hanging = tmp_path / "video.mp4"
     os.mkfifo(hanging)
     with (

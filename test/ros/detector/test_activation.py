@@ -78,7 +78,7 @@ def test_cleanup_wins_over_an_activate_whose_model_cannot_be_loaded(
     assert "/no/such.pt" not in served.status().message
 
 
-def test_an_activate_of_an_earlier_configuration_is_given_up(
+def test_an_activate_of_an_earlier_configuration_is_canceled(
     served: ServedNode, prepare: Preparations
 ) -> None:
     earlier = begin_loading(served, prepare)
@@ -91,7 +91,7 @@ def test_an_activate_of_an_earlier_configuration_is_given_up(
     assert [runtime.is_closed for runtime in prepare.runtimes] == [True, False]
 
 
-def test_a_path_mended_while_the_wrong_one_is_looked_for_is_loaded(
+def test_a_path_corrected_while_the_wrong_one_is_loaded_is_loaded(
     served: ServedNode, prepare: Preparations
 ) -> None:
     prepare.refusal = "/no/such.pt: there is no such file"

@@ -35,7 +35,7 @@ def managed(**parameters: object) -> Iterator[tuple[DetectorProcess, Observer]]:
         yield detector, observer
 
 
-def test_a_manager_leads_the_process_through_its_whole_life() -> None:
+def test_a_manager_drives_the_process_through_every_transition() -> None:
     with managed(bond_timeout=4.0) as (detector, observer):
         manager = LifecycleManager(observer)
         manager.startup()
@@ -200,7 +200,7 @@ def side(ros_domain: int, capfd: pytest.CaptureFixture[str]) -> Iterator[OneSide
         side.bond.stop()
 
 
-def test_nobody_who_joins_ends_the_heartbeats_after_the_time_of_the_protocol(side: OneSide) -> None:
+def test_heartbeats_end_when_no_manager_joins_in_time(side: OneSide) -> None:
     assert CONNECT_S == Constants.DEFAULT_CONNECT_TIMEOUT
     side.now_s += CONNECT_S
     side.wait_for_more()
@@ -220,14 +220,14 @@ def test_the_end_of_the_bond_by_the_manager_is_acknowledged_and_ends_the_heartbe
     assert not side.heard[-1].active
 
 
-def test_bonds_of_other_nodes_are_left_alone(side: OneSide) -> None:
+def test_bonds_of_other_nodes_are_ignored(side: OneSide) -> None:
     side.send(is_active=True, node_name="amcl")
     side.send(is_active=False, node_name="amcl")
     side.wait_for_more()
     assert all(message.active for message in side.heard)
 
 
-def test_a_manager_that_falls_silent_is_told_once_and_the_heartbeats_go_on(side: OneSide) -> None:
+def test_a_silent_manager_is_logged_once_and_the_heartbeats_go_on(side: OneSide) -> None:
     side.send(is_active=True)
     side.wait_for_log("bonded with the lifecycle manager")
     side.now_s += 4.1

@@ -77,7 +77,7 @@ def test_a_detected_frame_ends_the_count_of_failures(served: ServedNode, prepare
     assert served.state() == "active"
 
 
-def test_a_hung_inference_does_not_hold_deactivate(served: ServedNode, prepare: Preparations) -> None:
+def test_a_hung_inference_does_not_block_deactivate(served: ServedNode, prepare: Preparations) -> None:
     served.bring_to("active")
     entered, release = threading.Event(), threading.Event()
 

@@ -47,7 +47,7 @@ def node_with(path: Path, namespace: str) -> Iterator[Node]:
 
 
 @pytest.mark.parametrize("namespace", ["", "/robot/left"])
-def test_the_node_is_warned_exactly_when_ros_passes_a_file_over(
+def test_the_node_warns_exactly_when_ros_ignores_a_file(
     ros_domain: int, tmp_path: Path, namespace: str
 ) -> None:
     for top in TOPS:
@@ -75,7 +75,7 @@ def test_the_node_is_warned_exactly_when_ros_passes_a_file_over(
         pytest.param("", "", id="empty"),
     ],
 )
-def test_the_names_in_the_file_are_told_and_nothing_else(tmp_path: Path, text: str, told: str) -> None:
+def test_the_warning_has_the_names_in_the_file_and_nothing_else(tmp_path: Path, text: str, told: str) -> None:
     path = tmp_path / "parameters.yaml"
     path.write_text(text)
     found = " ".join(warnings(files_of(path), "/yolov5"))

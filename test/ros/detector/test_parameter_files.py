@@ -44,7 +44,7 @@ def test_a_parameter_file_is_taken_as_it_is_meant(
         assert set(detector.look().class_names) == set(found)
 
 
-def test_every_mistake_in_a_parameter_file_is_named_and_can_be_mended(tmp_path: Path) -> None:
+def test_every_mistake_in_a_parameter_file_is_named_and_can_be_corrected(tmp_path: Path) -> None:
     lines = ["confidance_threshold: 0.5", "iou_threshold: 1.5", "max_detections: many", "precision: half"]
     text = "\n".join([*lines, "image_size: 321"])
     with detector_process(*parameter_file(tmp_path, text)) as detector:

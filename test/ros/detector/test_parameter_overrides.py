@@ -17,7 +17,7 @@ from support.served_node import Preparations, ServedNode
         pytest.param("model_size:=nano", {"model_size": "n"}, id="no-such-choice"),
     ],
 )
-def test_a_bad_override_fails_configure_until_it_is_mended(
+def test_a_bad_override_fails_configure_until_it_is_corrected(
     prepare: Preparations, parameter: str, mended: dict[str, object]
 ) -> None:
     with ServedNode(prepare, parameters=[parameter]) as served:

@@ -24,7 +24,7 @@ from yolov5_lifecycle.ros.demo.ground_truth import Sighting, pairwise_iou
 from yolov5_lifecycle.runtimes.cache_folder import cache_folder
 
 
-def test_a_raised_threshold_is_obeyed_by_the_next_frame(active: DetectorProcess) -> None:
+def test_a_raised_threshold_applies_to_the_next_frame(active: DetectorProcess) -> None:
     scores = active.look().scores
     middle = float(np.mean([min(scores), max(scores)]))
     assert active.node.set_parameters(confidence_threshold=middle) == ""
@@ -32,7 +32,7 @@ def test_a_raised_threshold_is_obeyed_by_the_next_frame(active: DetectorProcess)
 
 
 @pytest.mark.parametrize("classes", [["circle", "star"], ["0", "3"]], ids=["names", "indices"])
-def test_a_class_filter_is_obeyed_by_the_next_frame(active: DetectorProcess, classes: list[str]) -> None:
+def test_a_class_filter_applies_to_the_next_frame(active: DetectorProcess, classes: list[str]) -> None:
     everything = set(active.look().class_names)
     assert everything > {"circle", "star"}
     assert active.node.set_parameters(classes=classes) == ""
@@ -41,13 +41,13 @@ def test_a_class_filter_is_obeyed_by_the_next_frame(active: DetectorProcess, cla
     assert set(active.look().class_names) == everything
 
 
-def test_a_limit_on_detections_is_obeyed_by_the_next_frame(active: DetectorProcess) -> None:
+def test_a_limit_on_detections_applies_to_the_next_frame(active: DetectorProcess) -> None:
     best = active.look()
     assert active.node.set_parameters(max_detections=2) == ""
     assert active.look().scores == best.scores[:2]
 
 
-def test_agnostic_suppression_is_obeyed_by_the_next_frame(active: DetectorProcess) -> None:
+def test_agnostic_nms_applies_to_the_next_frame(active: DetectorProcess) -> None:
     assert active.node.set_parameters(confidence_threshold=0.0001, iou_threshold=0.0) == ""
     assert _largest_overlap(active.look()) > 0.05
     assert active.node.set_parameters(agnostic_nms=True) == ""
@@ -86,7 +86,7 @@ def test_a_value_of_a_type_that_does_not_exist_is_refused(detector: DetectorProc
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_diagnostics_tell_the_state_and_the_balance_of_frames(detector: DetectorProcess, state: str) -> None:
+def test_diagnostics_have_the_state_and_the_balance_of_frames(detector: DetectorProcess, state: str) -> None:
     detector.bring_to("active")
     detector.look()
     detector.bring_to(state)
@@ -144,7 +144,7 @@ def large_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("runtime", ["torch", "onnxruntime", "openvino"])
-def test_deactivate_gives_the_memory_of_the_model_back(
+def test_deactivate_releases_the_memory_of_the_model(
     detector: DetectorProcess, large_weights: Path, runtime: str
 ) -> None:
     if runtime != "torch":
@@ -160,7 +160,7 @@ def test_deactivate_gives_the_memory_of_the_model_back(
         assert resident_mb(detector.process.process_id) < before_mb * 1.1
 
 
-def test_what_was_compiled_and_damaged_since_is_made_anew(active: DetectorProcess) -> None:
+def test_a_damaged_compiled_model_is_recompiled(active: DetectorProcess) -> None:
     pytest.importorskip("onnxruntime")
     assert active.node.set_parameters(runtime="onnxruntime") == ""
     expected = Sighting.now(active.detect(scene_image(7)))

@@ -58,7 +58,7 @@ def test_a_model_is_warmed_up_for_pictures_like_the_last_one(
     assert prepare.sources_hw == [USUAL_SOURCE_HW, picture_hw, picture_hw]
 
 
-def test_a_reload_is_told_in_the_log(served: ServedNode, prepare: Preparations) -> None:
+def test_a_reload_is_logged(served: ServedNode, prepare: Preparations) -> None:
     served.bring_to("active")
     assert served.set(image_size=320)[0]
     served.wait_for_log("the model was replaced: weights /scripted.pt")
@@ -83,7 +83,7 @@ def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
     assert served.escaped == []
 
 
-def test_an_unexpected_exception_in_a_reload_is_answered_and_told(
+def test_an_unexpected_exception_in_a_reload_is_answered_and_logged(
     served: ServedNode, prepare: Preparations
 ) -> None:
     served.bring_to("active")
@@ -93,7 +93,7 @@ def test_an_unexpected_exception_in_a_reload_is_answered_and_told(
     assert class_ids_of(served.detect()) == ["cat"]
 
 
-def test_concurrent_reloads_both_hold_in_the_end(served: ServedNode, prepare: Preparations) -> None:
+def test_concurrent_reloads_are_both_applied(served: ServedNode, prepare: Preparations) -> None:
     served.bring_to("active")
     changes = [served.begin_set(image_size=320), served.begin_set(weights="/other.pt")]
     for change in changes:

@@ -11,7 +11,7 @@ from support.served_node import STATES, ServedNode, class_ids_of
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 
-def test_live_settings_are_obeyed_from_the_next_frame(served: ServedNode) -> None:
+def test_live_settings_apply_from_the_next_frame(served: ServedNode) -> None:
     served.bring_to("active")
     assert class_ids_of(served.detect()) == ["cat"]
     assert served.set(confidence_threshold=0.95) == (True, "")

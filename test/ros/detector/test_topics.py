@@ -14,7 +14,7 @@ from support.served_node import Preparations, ServedNode, class_ids_of, image
 from yolov5_lifecycle.ros.messages import picture
 
 
-def test_labels_are_latched_with_the_threshold_in_force(served: ServedNode) -> None:
+def test_labels_are_latched_with_the_current_threshold(served: ServedNode) -> None:
     served.bring_to("active")
     info = served.label_info()
     assert [(label.class_id, label.class_name) for label in info.class_map] == [(0, "cat"), (1, "dog")]
@@ -23,7 +23,7 @@ def test_labels_are_latched_with_the_threshold_in_force(served: ServedNode) -> N
     assert served.label_info().threshold == pytest.approx(0.5)
 
 
-def test_without_listeners_a_lazy_node_does_not_subscribe(served: ServedNode) -> None:
+def test_without_subscribers_a_lazy_node_does_not_subscribe(served: ServedNode) -> None:
     served.bring_to("active")
     served.publish()
     for subscription in list(served.client.subscriptions):
@@ -45,7 +45,7 @@ def test_diagnostics_come_in_every_state(served: ServedNode) -> None:
     assert values["sha256"] == "0" * 64
 
 
-def test_each_reason_for_silence_is_told_while_it_lasts(prepare: Preparations) -> None:
+def test_each_reason_for_missing_detections_is_reported_while_it_lasts(prepare: Preparations) -> None:
     with ServedNode(prepare, arguments=["--ros-args", "-r", "~/image_raw:=/front"]) as served:
 
         def is_told(reason: str) -> Callable[[], bool]:
@@ -84,7 +84,7 @@ def test_a_compressed_camera_is_understood(served: ServedNode) -> None:
     assert class_ids_of(served.detections[-1]) == ["cat"]
 
 
-def test_who_listens_to_the_compressed_image_alone_gets_it(served: ServedNode) -> None:
+def test_a_subscriber_to_the_compressed_image_alone_gets_it(served: ServedNode) -> None:
     served.bring_to("active")
     drawn: list[CompressedImage] = []
     served.client.create_subscription(CompressedImage, "/yolov5/image/compressed", drawn.append, 1)
