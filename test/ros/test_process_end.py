@@ -15,10 +15,10 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from support.colcon_workspace import SUPPORT, SUPPORT_PATH
 from support.detector_process import NODE, environment, scene_image
+from support.worker import worker_domain
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import own_domain
 from yolov5_lifecycle.ros.demo.observer import PATIENCE_S, Observer, RemoteLifecycleNode
 from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 
@@ -32,7 +32,7 @@ def scripted_detector(script: str) -> Iterator[tuple[ChildProcess, Observer]]:
     """A detector that starts by itself, with models that behave as `script` says."""
     command = [sys.executable, str(SCRIPT), script, "--ros-args", "-p", "autostart:=true"]
     with (
-        own_domain() as domain,
+        worker_domain() as domain,
         ChildProcess("detector", command, environment(domain) | SUPPORT_PATH) as process,
         closing(Observer("client", domain=domain)) as observer,
     ):

@@ -39,7 +39,7 @@ class Answer(NamedTuple):
     name: str
     outcome: str
     message: str
-    seconds: float
+    cpu_s: float
     grown_mb: float
     events: list[str]
 

@@ -22,7 +22,7 @@ def served(prepare: Preparations) -> Iterator[ServedNode]:
 
 
 @pytest.fixture(scope="session")
-def shared_detector(_this_machine_only: None) -> Iterator[DetectorProcess]:
+def shared_detector(_isolated: None) -> Iterator[DetectorProcess]:
     with detector_process(*as_arguments(PARAMETERS)) as detector:
         yield detector
 

@@ -179,12 +179,15 @@ class OneSide:
 
         self._observer.wait_for(is_said, f"{text!r} in the log")
 
-    def expect_silence(self) -> None:
-        """No heartbeat comes in the time of several."""
-        self._observer.work_for(0.1)  # what is on its way
-        before = len(self.heard)
-        self._observer.work_for(0.5)
-        assert len(self.heard) == before
+    def wait_for_silence(self) -> None:
+        """Wait until no heartbeat comes in the time of several; some may still be on their way."""
+
+        def is_silent() -> bool:
+            before = len(self.heard)
+            self._observer.work_for(0.5)
+            return len(self.heard) == before
+
+        self._observer.wait_for(is_silent, "the end of the heartbeats")
 
     def _take(self, message: Status) -> None:
         if message.instance_id != "manager":
@@ -206,7 +209,7 @@ def test_heartbeats_end_when_no_manager_joins_in_time(side: OneSide) -> None:
     side.wait_for_more()
     side.now_s += 0.1
     side.wait_for_log("no lifecycle manager joined the bond within 10 s; detection goes on")
-    side.expect_silence()
+    side.wait_for_silence()
 
 
 def test_the_end_of_the_bond_by_the_manager_is_acknowledged_and_ends_the_heartbeats(side: OneSide) -> None:
@@ -215,7 +218,7 @@ def test_the_end_of_the_bond_by_the_manager_is_acknowledged_and_ends_the_heartbe
     side.send(is_active=False)
     side.wait_for_log("the lifecycle manager ended the bond; detection goes on")
     side.send(is_active=True)
-    side.expect_silence()
+    side.wait_for_silence()
     assert [message.active for message in side.heard].count(False) == 1
     assert not side.heard[-1].active
 
@@ -243,7 +246,7 @@ def test_a_bond_that_is_started_again_is_another_one(side: OneSide) -> None:
     side.wait_for_more(1)
     side.bond.stop()
     side.bond.stop()
-    side.expect_silence()
+    side.wait_for_silence()
     assert not side.heard[-1].active
     side.bond.start(4.0)
     side.wait_for_more(1)

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from support.served_node import Preparations, ServedNode, class_ids_of, image, prediction
+from support.served_node import PATIENCE_S, Preparations, ServedNode, class_ids_of, image, prediction
 
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 
@@ -83,7 +83,7 @@ def test_a_hung_inference_does_not_block_deactivate(served: ServedNode, prepare:
 
     def hang() -> np.ndarray:
         entered.set()
-        release.wait(30)
+        release.wait(10 * PATIENCE_S)
         return prediction("cat", 0.9)
 
     prepare.running.run = hang
@@ -93,9 +93,7 @@ def test_a_hung_inference_does_not_block_deactivate(served: ServedNode, prepare:
     hint = "at one image for more than 2 s: the model is too slow for this machine, or it hangs"
     served.wait_for(lambda: hint in served.status().message, "the hint")
     served.wait_for_log(hint)
-    begun_s = time.monotonic()
-    assert served.transition("deactivate")
-    assert REST_TIMEOUT_S <= time.monotonic() - begun_s < 3 * REST_TIMEOUT_S
+    assert served.transition("deactivate"), "although inference still hangs"
     given_up = f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned"
     assert served.status().message == given_up
     served.wait_for_log(given_up)

@@ -10,9 +10,9 @@ import pytest
 import rclpy
 from rclpy.node import Node
 from support.detector_process import environment
+from support.worker import worker_domain
 
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import own_domain
 from yolov5_lifecycle.ros.detector.misaddressed_files import warnings
 from yolov5_lifecycle.ros.start_arguments import ParameterFile, start_arguments
 
@@ -87,6 +87,6 @@ def test_the_warning_has_the_names_in_the_file_and_nothing_else(tmp_path: Path, 
 def test_the_detector_warns_at_its_start(tmp_path: Path) -> None:
     path = file_for(tmp_path, "my_yolo")
     command = [entry_point("detector"), "--ros-args", "-r", "__ns:=/robot", "--params-file", str(path)]
-    with own_domain() as domain, ChildProcess("detector", command, environment(domain)) as process:
+    with worker_domain() as domain, ChildProcess("detector", command, environment(domain)) as process:
         process.wait_for_output("it is for /my_yolo, and this node is /robot/yolov5", 60)
         assert "secret" not in process.output
