@@ -16,7 +16,7 @@ from support.hostile_files import (
     Answer,
     read_all,
 )
-from support.hostile_pickles import MARKER
+from support.hostile_gadgets import MARKER
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 
