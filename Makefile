@@ -50,13 +50,16 @@ FUZZER := $(VENV)/.fuzzer
 INTERFACES_BUILD := build/interfaces-$(SET)
 INTERFACE_PACKAGES := vision_msgs bond
 ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
+# As many processes as the machine has room for; each file of tests is run by one of them.
+PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
-.PHONY: help install demo test coverage soak fuzz bench lint docs clean
+.PHONY: help install demo test test-all coverage soak fuzz bench lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
-	@echo 'make test     the test suite          (SET=apt: with the numpy and OpenCV of Ubuntu 24.04, in .venv-apt)'
-	@echo 'make coverage the same, and which lines of the package it reaches, child processes included'
+	@echo 'make test     the tests, without the long ones  (SET=apt: with numpy and OpenCV of Ubuntu 24.04, in .venv-apt)'
+	@echo 'make test-all all tests'
+	@echo 'make coverage all tests, and which lines of the package it reaches, child processes included'
 	@echo 'make bench    how fast each runtime is, quiet and beside a busy process  (BENCH_FLAGS="--quick")'
 	@echo 'make soak     hours of hostile neighbours, faults and signals; table, and build/soak/report.json'
 	@echo 'make fuzz     searches, led by coverage, for images, weights and settings that are taken wrongly'
@@ -73,7 +76,10 @@ demo: $(PACKAGE)
 	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo
 
 test: $(PACKAGE)
-	$(VENV)/bin/python -m pytest $(PYTEST_FLAGS)
+	$(PYTEST) -m 'not long' $(PYTEST_FLAGS)
+
+test-all: $(PACKAGE)
+	$(PYTEST) $(PYTEST_FLAGS)
 
 coverage: $(PACKAGE)
 	rm -rf build/coverage

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,14 +12,22 @@ from yolov5_lifecycle.process.environment import prepare_environment
 prepare_environment()  # as the commands do; child processes inherit it
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from support.colcon_workspace import REPOSITORY, build_workspace
+from support.worker import made_once, run_folder, suitable_count, worker_domain
 
-from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
+from yolov5_lifecycle.ros.demo.domain import isolated
 
-# A busy machine is no failure of an example.
-settings.register_profile("suite", deadline=None)
+# A busy machine is no failure of an example, and the same commit gives the same result.
+settings.register_profile(
+    "suite", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("suite")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    return suitable_count()
 
 
 @pytest.fixture(scope="session")
@@ -34,25 +43,35 @@ def reference_dir() -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _isolated() -> Iterator[None]:
+    """Nodes reach neither other machines nor the nodes of anybody else on this one."""
+    with worker_domain() as domain, pytest.MonkeyPatch.context() as environment:
+        for name, value in isolated({}, domain).items():
+            environment.setenv(name, value)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Tests and their child processes leave the user's cache alone."""
+    """Tests and their child processes leave the user's cache and logs alone."""
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        environment.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("log")))
         yield
 
 
 @pytest.fixture(scope="session")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A colcon workspace in which the package has been built."""
-    folder = tmp_path_factory.mktemp("workspace")
-    build_workspace(folder)
-    return folder
+    return made_once(run_folder(tmp_path_factory.getbasetemp()) / "workspace", build_workspace)
 
 
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A ROS_DOMAIN_ID that nobody else on this machine uses during the test; child processes inherit it."""
-    with own_domain() as domain:
+    with worker_domain() as domain:
         for name, value in isolated({}, domain).items():
             monkeypatch.setenv(name, value)
         yield domain
+        # Nodes hold themselves in cycles, and with them their place in the ROS graph of this domain.
+        gc.collect()

@@ -79,7 +79,7 @@ def test_foxglove_shows_every_panel_once_and_topics_of_the_node() -> None:
     assert list(values(layout, "selectedHardwareId")) == [NODE]
 
 
-def test_the_manager_of_nav2_leads_the_node_without_a_bond() -> None:
+def test_the_manager_of_nav2_drives_the_node_without_a_bond() -> None:
     (parameters,) = yaml.safe_load((CONFIG / "nav2_lifecycle_manager.yaml").read_text()).values()
     assert parameters["ros__parameters"] == {
         "node_names": [NODE.removeprefix("/")],

@@ -173,7 +173,7 @@ def test_a_parameter_file_in_the_docs_is_valid(page: Path) -> None:
 
 
 @pytest.mark.usefixtures("ros_domain")
-def test_the_readme_shows_what_configure_says_of_its_wrong_file(tmp_path: Path) -> None:
+def test_the_readme_shows_the_refusal_of_its_wrong_file(tmp_path: Path) -> None:
     file = tmp_path / "wrong.yaml"
     file.write_text(blocks(README, "yaml")[0])
     with ServedNode(Preparations(), arguments=["--ros-args", "--params-file", str(file)]) as served:
@@ -196,7 +196,7 @@ def test_the_launch_arguments_are_those_of_the_page() -> None:
 
 
 @pytest.mark.parametrize("node", re.findall(r"^## (.*)$", MIGRATION.read_text(), re.MULTILINE))
-def test_a_name_that_another_node_is_led_to_exists_here(node: str) -> None:
+def test_a_name_that_replaces_that_of_another_node_exists(node: str) -> None:
     known = (
         {setting.name for setting in SETTINGS}
         | {row[0].partition(" ")[2].strip("`") for row in table(README, "Topics")}
@@ -247,10 +247,10 @@ def test_the_values_of_the_diagnostics_are_those_of_the_reference() -> None:
 
 def test_the_exit_codes_of_the_detector_alone_are_those_of_the_reference() -> None:
     codes = {row[0] for row in table(REFERENCE, "Exit codes") if "`detector`" in row[1]}
-    missing_package = 1  # see test_process_end.py
+    missing_package = 1  # see test_process_start.py
     assert codes == {str(missing_package), str(EXIT_DEVICE_LOST), str(EXIT_ABANDONED_THREADS)}
 
 
 @pytest.mark.parametrize("page", ["reference.md", "troubleshooting.md"])
-def test_the_pages_tell_which_scores_are_noise(page: str) -> None:
+def test_the_pages_say_which_scores_are_noise(page: str) -> None:
     assert f"above {WORTH_TELLING:g}" in " ".join((REPOSITORY / "docs" / page).read_text().split())

@@ -164,7 +164,7 @@ def is_excused(command: str) -> bool:
 
 
 @every_page
-def test_a_command_is_tried_or_has_a_reason_why_not(page: Path) -> None:
+def test_a_command_is_run_or_checked_or_has_a_reason_why_not(page: Path) -> None:
     forgotten = [
         command
         for command in commands(page)
@@ -179,7 +179,7 @@ def test_every_reason_is_one_for_a_command_of_the_docs() -> None:
 
 
 @every_page
-def test_a_command_of_ros_or_make_names_what_there_is(page: Path) -> None:
+def test_a_command_of_ros_or_make_names_only_what_exists(page: Path) -> None:
     for command in commands(page):
         if start := check_of(command):
             CHECKS[start](*shlex.split(command.removeprefix(start)))

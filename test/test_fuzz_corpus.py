@@ -19,13 +19,13 @@ def test_every_target_has_a_corpus() -> None:
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_what_a_search_begins_with_is_taken_well(name: str) -> None:
+def test_a_seed_of_a_target_passes_its_check(name: str) -> None:
     for seed in TARGETS[name].seeds():
         TARGETS[name].check(seed)
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: f"{file.parent.name} {file.name[:8]}")
-def test_a_file_of_the_corpus_is_small_and_taken_well(file: Path) -> None:
+def test_a_file_of_the_corpus_is_small_and_passes_its_check(file: Path) -> None:
     data = file.read_bytes()
     assert len(data) <= LARGEST_BYTES
     TARGETS[file.parent.name].check(data)

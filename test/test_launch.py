@@ -249,7 +249,7 @@ def test_the_node_of_a_namespace_starts_as_asked(
         pytest.param({"weights": "/absent.pt"}, "activate refused", "inactive", id="weights"),
     ],
 )
-def test_a_start_that_fails_is_told_and_the_node_stays(
+def test_a_start_that_fails_is_reported_and_the_node_stays(
     workspace: Path, ros_domain: int, tmp_path: Path, parameters: dict[str, object], problem: str, state: str
 ) -> None:
     file = tmp_path / "parameters.yaml"
@@ -272,7 +272,7 @@ def test_a_start_that_fails_is_told_and_the_node_stays(
 
 
 @with_launch
-def test_a_process_that_dies_is_started_anew(workspace: Path, ros_domain: int, tmp_path: Path) -> None:
+def test_a_process_that_dies_is_restarted(workspace: Path, ros_domain: int, tmp_path: Path) -> None:
     parameters = tmp_path / "parameters.yaml"
     parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": PARAMETERS}}))
     arguments = [f"params_file:={parameters}", "respawn:=True"]

@@ -53,7 +53,7 @@ def test_the_package_is_in_the_ament_index(prefix: Path) -> None:
 
 
 @pytest.mark.parametrize("folder", SHARED_FOLDERS)
-def test_a_folder_of_data_is_shared_whole(prefix: Path, folder: str) -> None:
+def test_every_file_of_a_data_folder_is_installed(prefix: Path, folder: str) -> None:
     published = {file.name for file in published_files() if file.parts[0] == folder and len(file.parts) == 2}
     shared = prefix / "share" / PACKAGE / folder
     assert ({file.name for file in shared.iterdir()} if shared.exists() else set()) == published

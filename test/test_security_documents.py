@@ -78,5 +78,5 @@ def test_the_page_names_every_topic_of_the_policy(right: str) -> None:
         f"the first {MAX_SUGGESTIONS} unknown names, and a reason has about {MAX_REASON_LENGTH:,} characters",
     ],
 )
-def test_the_page_tells_the_limits_of_the_code(words: str) -> None:
+def test_the_page_has_the_limits_of_the_code(words: str) -> None:
     assert words in PAGE

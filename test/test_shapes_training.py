@@ -48,7 +48,7 @@ def test_the_targets_of_a_batch_lie_in_its_pictures(index: int) -> None:
     assert ((y - h / 2 > -1e-3) & (y + h / 2 < height + 1e-3)).all()
 
 
-def test_spoiling_leaves_the_picture_it_was_given_alone() -> None:
+def test_degrading_does_not_change_its_input() -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
     before = pixels.copy()
     spoilt = [spoil(np.random.default_rng(seed), pixels) for seed in range(30)]

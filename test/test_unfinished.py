@@ -114,7 +114,7 @@ def test_a_machine_without_a_folder_for_temporary_files_has_nothing_to_remove(
         pass
 
 
-def test_a_file_is_held_by_one_alone_and_only_where_it_still_is(tmp_path: Path) -> None:
+def test_a_file_is_locked_by_one_owner_and_only_at_its_path(tmp_path: Path) -> None:
     path = tmp_path / "file"
     with path.open("wb") as first, path.open("rb") as second:
         assert hold(first.fileno(), path)

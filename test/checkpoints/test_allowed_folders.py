@@ -82,14 +82,14 @@ def test_a_path_that_leads_inside_is_resolved(root: Path, path: str, meant: str)
         pytest.param("outside/a\0b.pt", id="NUL"),
     ],
 )
-def test_of_a_path_that_leads_outside_nothing_is_told(root: Path, path: str) -> None:
+def test_nothing_is_revealed_of_a_path_outside(root: Path, path: str) -> None:
     told = refusal(f"{root}/{path}", root / "inside")
     assert told == refusal("/no/such/file.pt", root / "inside")
     assert str(root / "inside") in told
     assert "outside" not in told
 
 
-def test_of_a_home_folder_nothing_is_told(root: Path) -> None:
+def test_nothing_is_revealed_of_a_home_folder(root: Path) -> None:
     assert refusal("~nobody-of-that-name/a.pt", root) == refusal("~root/a.pt", root)
 
 
@@ -200,7 +200,7 @@ def test_configure_refuses_weights_from_outside(serve: Callable[..., ServedNode]
         assert served.transition("configure")
 
 
-def test_folders_that_are_none_hold_configure_until_the_process_is_started_anew(
+def test_invalid_folders_fail_configure_until_the_process_is_restarted(
     serve: Callable[..., ServedNode], root: Path
 ) -> None:
     with serve(root / "inside" / MODEL, "inside") as served:

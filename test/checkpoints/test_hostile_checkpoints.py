@@ -16,11 +16,11 @@ from support.hostile_files import (
     Answer,
     read_all,
 )
-from support.hostile_pickles import MARKER
+from support.hostile_gadgets import MARKER
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 
-MAX_SECONDS = 20
+MAX_CPU_S = 20
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +80,8 @@ print(events)
 
 def test_no_file_takes_up_the_memory_or_the_time(answers: dict[str, Answer]) -> None:
     assert answers.keys() == TOLD.keys()
-    slowest = max(answers.values(), key=lambda answer: answer.seconds)
-    assert slowest.seconds < MAX_SECONDS, slowest
+    slowest = max(answers.values(), key=lambda answer: answer.cpu_s)
+    assert slowest.cpu_s < MAX_CPU_S, slowest
     largest = max(answers.values(), key=lambda answer: answer.grown_mb)
     assert largest.grown_mb < MAX_GROWN_MB, largest
 

@@ -243,7 +243,7 @@ def _reinterpreted(parts: Parts) -> None:
         pytest.param(_number(ANCHORS, 9.0), "are not those of the architecture", id="another anchor"),
     ],
 )
-def test_a_spoilt_file_is_refused(spoil: Callable[[Parts], object], message: str, written: bytes) -> None:
+def test_a_damaged_file_is_refused(spoil: Callable[[Parts], object], message: str, written: bytes) -> None:
     parts = Parts.of(written)
     spoil(parts)
     assert message in refusal(parts.joined())

@@ -84,7 +84,7 @@ def test_the_remedy_can_be_typed_for_a_folder_with_a_space(tmp_path: Path) -> No
         find_weights(weights="", weights_dir=tmp_path / "my models", model_size="n")
 
 
-def test_a_link_to_nowhere_is_found_and_then_told(tmp_path: Path) -> None:
+def test_a_dangling_link_is_found_and_then_reported(tmp_path: Path) -> None:
     (tmp_path / "yolov5n.pt").symlink_to(tmp_path / "gone.pt")
     path = find_weights(weights="", weights_dir=tmp_path, model_size="n")
     assert path == tmp_path / "yolov5n.pt"
@@ -103,7 +103,7 @@ def test_a_variable_in_a_path_is_explained() -> None:
         load_weights(Path("$HOME/best.pt"))
 
 
-def test_a_link_is_followed_and_its_target_told(good: Path, tmp_path: Path) -> None:
+def test_a_link_is_followed_and_its_target_reported(good: Path, tmp_path: Path) -> None:
     link = tmp_path / "link.safetensors"
     link.symlink_to(good)
     assert load_weights(link).path == good
@@ -260,7 +260,7 @@ def hide_a_shortage() -> None:
         ),
     ],
 )
-def test_a_shortage_of_memory_is_told_from_damage(fail: Callable[[], object], is_shortage: bool) -> None:
+def test_a_lack_of_memory_is_distinguished_from_damage(fail: Callable[[], object], is_shortage: bool) -> None:
     with pytest.raises(Exception) as raised:  # noqa: PT011 - of any kind
         fail()
     assert is_out_of_memory(raised.value) is is_shortage

@@ -29,7 +29,7 @@ def source(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_conversion_tells_classes_parameters_and_digest(
+def test_a_conversion_prints_classes_parameters_and_digest(
     source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     target = tmp_path / "out.safetensors"
@@ -150,7 +150,7 @@ def test_a_link_to_the_input_is_replaced_and_the_input_kept(source: Path, tmp_pa
 
 
 @pytest.mark.parametrize("redirection", [">/dev/full", ">&-", "| true"])
-def test_an_output_that_cannot_be_written_is_told_and_the_file_is_there(
+def test_an_output_that_cannot_be_written_is_reported_and_the_file_is_there(
     source: Path, tmp_path: Path, redirection: str
 ) -> None:
     target = tmp_path / "out.safetensors"

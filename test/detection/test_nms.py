@@ -89,13 +89,13 @@ def test_the_selection_is_that_of_the_slow_one(raw: NDArray[np.float32], selecti
         pytest.param((0.0, 1.0, 0.0), {}, 0.0, id="nothing at all"),
     ],
 )
-def test_when_nothing_is_found_the_best_score_is_told(
+def test_when_nothing_is_found_the_best_score_is_reported(
     row: Row, selection: dict[str, Any], best_missed: float
 ) -> None:
     assert select(raw_rows((10, 10, 4, 4, *row)), Selection(**selection)).best_missed == best_missed
 
 
-def test_the_best_score_of_many_rows_is_told() -> None:
+def test_the_best_score_of_many_rows_is_reported() -> None:
     raw = np.random.default_rng(3).uniform(0, 0.4, (5000, 7)).astype(np.float32)
     raw[1234, 4:6] = 0.45
     best_missed = select(raw, Selection(confidence_threshold=0.5)).best_missed

@@ -80,7 +80,7 @@ def test_names_that_do_not_fit_are_refused(names: object, message: str) -> None:
 
 
 @pytest.mark.parametrize("value", [True, 1.0, "1", None, 0, 9, torch.tensor(1)], ids=repr)
-def test_what_is_no_whole_number_in_range_is_refused(value: object) -> None:
+def test_anything_but_an_integer_in_range_is_refused(value: object) -> None:
     with pytest.raises(WeightsError, match="the size: expected an integer from 1 to 8, found"):
         whole_number(value, "the size", 1, 8)
 

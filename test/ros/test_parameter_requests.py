@@ -165,7 +165,7 @@ def test_every_parameter_may_be_read_in_one_request(served: ServedNode) -> None:
         pytest.param(ParameterValue(type=1, double_array_value=[1.0] * 125_000), id="beside-a-bool"),
     ],
 )
-def test_an_endless_list_is_refused(served: ServedNode, value: ParameterValue) -> None:
+def test_a_huge_list_is_refused(served: ServedNode, value: ParameterValue) -> None:
     done, reason = served.set_messages([ParameterMessage(name="classes", value=value)])
     assert not done
     assert "entries; at most 10000 are accepted" in reason

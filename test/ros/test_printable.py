@@ -43,7 +43,7 @@ def test_later_lines_are_printable_indented_and_bounded(text: str, limit: int) -
     assert len("\n".join(lines)) <= limit
 
 
-def test_harmless_text_stays_and_a_long_one_says_how_long_it_was() -> None:
+def test_harmless_text_is_unchanged_and_a_long_one_is_cut_with_its_length() -> None:
     assert in_one_line("größer als 3\n") == "größer als 3"
     assert in_lines("one\n  two\n\tthree") == "one\n  two\n    three"
     assert in_lines("one\ntwo\n  three") == "one\n  two\n    three"
@@ -60,7 +60,7 @@ def escaped(text: str) -> str:
 
 
 @pytest.mark.timeout(180)
-def test_no_text_of_others_leaves_the_process_as_it_came(tmp_path: Path) -> None:
+def test_foreign_text_is_printable_in_every_output_of_the_process(tmp_path: Path) -> None:
     file = parameter_file(tmp_path, f'"{MARK}\\e[31m": 1\nclasses: ["{MARK}\\e[2J"]')
     with detector_process(*file, *as_arguments({"device": "cpu", "lazy": False})) as detector:
         told: list[str] = []

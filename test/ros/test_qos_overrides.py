@@ -52,7 +52,9 @@ def started(*arguments: str) -> Iterator[LifecycleNode]:
     rclpy.shutdown(context=context)
 
 
-def test_a_parameter_file_is_obeyed_through_every_cycle_of_a_process(ros_domain: int, tmp_path: Path) -> None:
+def test_qos_overrides_of_a_parameter_file_apply_in_every_cycle_of_a_process(
+    ros_domain: int, tmp_path: Path
+) -> None:
     """Its words are those of docs/images.md; the camera itself is reliable."""
     arguments = [*file_of_the_page(tmp_path), *REMAP[1:], *as_arguments(PARAMETERS)]
     with detector_process(*arguments) as detector:

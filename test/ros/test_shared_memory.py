@@ -32,25 +32,25 @@ def problems(free: int, **variables: str) -> list[str]:
 
 
 @pytest.mark.parametrize("free", [0, 1, 372_736, PROCESS_BYTES - 1])
-def test_too_little_is_named_with_the_need_and_the_remedy(free: int) -> None:
+def test_too_little_memory_is_reported_with_the_need_and_the_remedy(free: int) -> None:
     (problem,) = problems(free)
     assert problem.startswith(f"/shared has {free >> 10} KiB free and Fast DDS needs 656 KiB")
     assert all(remedy in problem for remedy in ("--shm-size", "--ipc=host", "fastdds shm clean"))
 
 
 @pytest.mark.parametrize("free", [PROCESS_BYTES, 1 << 40])
-def test_enough_is_not_worth_a_word(free: int) -> None:
+def test_enough_memory_gets_no_warning(free: int) -> None:
     assert problems(free) == []
 
 
 @pytest.mark.parametrize("variable", ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"])
-def test_the_profile_for_images_needs_more_than_docker_gives(variable: str) -> None:
+def test_the_profile_for_images_needs_more_than_the_default_of_docker(variable: str) -> None:
     (problem,) = problems(64 << 20, **{variable: str(PROFILE)})
     assert "needs 69468 KiB" in problem
     assert problems(72 << 20, **{variable: str(PROFILE)}) == []
 
 
-def test_a_profile_that_cannot_be_read_counts_for_nothing(tmp_path: Path) -> None:
+def test_an_unreadable_profile_is_ignored(tmp_path: Path) -> None:
     (tmp_path / "binary").write_bytes(bytes(range(256)) * 100)
     (tmp_path / "huge").write_text("<segment_size>" + "9" * 5000 + "</segment_size>")
     os.mkfifo(tmp_path / "pipe")
@@ -63,18 +63,18 @@ def test_a_profile_that_cannot_be_read_counts_for_nothing(tmp_path: Path) -> Non
     [{"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}],
     ids=str,
 )
-def test_who_takes_no_shared_memory_is_left_alone(variables: dict[str, str]) -> None:
+def test_a_middleware_without_shared_memory_gets_no_warning(variables: dict[str, str]) -> None:
     assert problems(0, **variables) == []
 
 
-def test_a_machine_without_such_a_folder_is_left_alone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_machine_without_such_a_folder_gets_no_warning(capsys: pytest.CaptureFixture[str]) -> None:
     absent = Path("/nowhere/at/all")
     assert shared_memory_problems(absent, environment={}) == []
     warn_before_import("camera", absent)
     assert capsys.readouterr().err == ""
 
 
-def test_a_full_folder_is_told_before_the_tracer_dies_of_it(
+def test_a_full_folder_is_reported_before_it_kills_the_tracer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     warn_before_import("camera", tmp_path, free=lambda _: TRACER_BYTES)

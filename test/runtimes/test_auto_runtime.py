@@ -78,7 +78,7 @@ def test_every_installed_runtime_is_measured_and_the_fastest_taken(tmp_path: Pat
         pytest.param({"torch": 20.0, "openvino": 22.0}, "openvino", id="one could not be measured"),
     ],
 )
-def test_of_nearly_equal_ones_the_one_is_taken_that_suffers_least_from_neighbours(
+def test_of_nearly_equal_runtimes_the_one_least_slowed_by_other_processes_is_chosen(
     tmp_path: Path, figures_ms: dict[str, float], chosen_runtime: str
 ) -> None:
     choice = choose_runtime(
@@ -120,7 +120,7 @@ def test_what_was_measured_is_remembered_for_the_size_of_frame(tmp_path: Path) -
         pytest.param(b'{"onnxruntime": 1.0}', id="torch missing"),
     ],
 )
-def test_a_damaged_record_is_measured_anew_and_mended(
+def test_a_damaged_record_is_measured_again_and_replaced(
     tmp_path: Path, content: bytes, record_name: str
 ) -> None:
     record = tmp_path / record_name

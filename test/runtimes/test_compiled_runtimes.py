@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.colcon_workspace import REPOSITORY
-from support.random_model import CLASS_NAMES, TINY, random_model
+from support.random_model import CLASS_NAMES, TINY, random_frame, random_model
 from support.runtime_names import COMPILED_RUNTIMES
 
 from benchmark.process_memory import resident_mb
@@ -51,10 +51,6 @@ def runtime_name(request: pytest.FixtureRequest) -> str:
 
 def loaded(model: Model, runtime: str) -> Runtime:
     return load_runtime(model, runtime, device="cpu", precision="fp32")
-
-
-def random_frame(height: int = 64, width: int = 96) -> NDArray[np.uint8]:
-    return np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
 
 
 def assert_same_predictions(raw: NDArray[np.float32], expected: NDArray[np.float32]) -> None:

@@ -57,7 +57,9 @@ def flip_a_bit(file: Path) -> None:
         pytest.param(Path.unlink, id="gone"),
     ],
 )
-def test_what_is_damaged_is_as_good_as_none(damage: Callable[[Path], object], tmp_path: Path) -> None:
+def test_a_damaged_file_is_not_read_and_may_be_replaced(
+    damage: Callable[[Path], object], tmp_path: Path
+) -> None:
     store = CompiledStore(tmp_path)
     store.keep(ONE, b"compiled")
     damage(tmp_path / ONE)
@@ -213,7 +215,7 @@ def test_another_processor_or_build_is_compiled_for_by_itself(
     assert len(list(cache.iterdir())) == 2
 
 
-def test_what_cannot_be_run_is_compiled_anew(
+def test_a_compiled_model_that_cannot_be_run_is_recompiled(
     runtime_name: str, cache: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     expected = predictions(random_model(1), runtime_name)

@@ -108,7 +108,7 @@ def test_detections_and_the_best_that_was_missed_are_those_of_all_predictions(
 @pytest.mark.parametrize(
     ("class_name", "best"), [("handbag", 0.0607), ("stop sign", 0.0617), ("skateboard", 0.0)]
 )
-def test_the_best_that_was_missed_of_one_class_is_told_beside_likelier_objects_of_others(
+def test_the_best_missed_score_of_one_class_is_reported_beside_higher_scores_of_others(
     class_name: str, best: float, runtime_name: str, reference_dir: Path
 ) -> None:
     model = load_weights(reference_dir / "weights" / "yolov5n.pt").model

@@ -111,7 +111,7 @@ def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
         ("weights_url", "weights"),
     ],
 )
-def test_a_name_from_elsewhere_is_answered_with_ours(name: str, meant: str) -> None:
+def test_a_parameter_name_of_another_node_is_answered_with_ours(name: str, meant: str) -> None:
     with pytest.raises(SettingsError, match=rf"{name}: there is no such parameter. Did you mean '{meant}'\?"):
         validated({name: 1})
 
@@ -127,7 +127,7 @@ def test_a_name_from_elsewhere_is_answered_with_ours(name: str, meant: str) -> N
         for name in ("pub_image", "pub_result_img", "publish_image", "show_result")
     ],
 )
-def test_what_is_no_parameter_here_is_answered_with_the_way_it_is_done(name: str, told: str) -> None:
+def test_an_option_that_is_no_parameter_is_answered_with_its_replacement(name: str, told: str) -> None:
     with pytest.raises(SettingsError) as refusal:
         validated({name: "x"})
     assert str(refusal.value) == f"{name}: there is no such parameter: {told}"

@@ -70,7 +70,7 @@ def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.
         pytest.param(FILE, "\x1b[31m: {", "camera_calibration writes", id="control characters"),
     ],
 )
-def test_what_is_wrong_is_told(path: Path, old: str, new: str, told: str) -> None:
+def test_a_wrong_calibration_is_refused_with_the_reason(path: Path, old: str, new: str, told: str) -> None:
     assert old in FILE
     path.write_text(FILE.replace(old, new, 1))
     with pytest.raises(CalibrationError) as raised:
@@ -94,7 +94,7 @@ def test_what_is_wrong_is_told(path: Path, old: str, new: str, told: str) -> Non
         pytest.param("file:///a%00b", "null", id="null character"),
     ],
 )
-def test_a_url_that_leads_nowhere_is_told(url: str, told: str) -> None:
+def test_a_url_without_a_file_is_refused_with_the_reason(url: str, told: str) -> None:
     with pytest.raises(CalibrationError, match=told):
         read_calibration(url)
 

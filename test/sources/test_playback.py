@@ -102,7 +102,7 @@ def test_playback_that_nobody_awaits_can_be_stopped() -> None:
         assert not playing.is_finished
 
 
-def test_a_source_that_hangs_is_left_behind() -> None:
+def test_a_source_that_hangs_is_abandoned() -> None:
     is_mended = threading.Event()
 
     def hang() -> PictureSource:
@@ -128,7 +128,7 @@ def failing() -> Iterator[SourceFrame]:
         pytest.param(lambda _: 1 / 0, "Traceback.*ZeroDivisionError.*", id="anything else"),
     ],
 )
-def test_a_failure_ends_the_playback_and_is_told(show: Callable[[SourceFrame], None], told: str) -> None:
+def test_a_failure_ends_the_playback_and_is_reported(show: Callable[[SourceFrame], None], told: str) -> None:
     with playback(lambda: PictureSource(failing(), 1000.0), show) as playing:
         wait_for_end(playing)
     assert re.fullmatch(told, playing.failure, re.DOTALL)

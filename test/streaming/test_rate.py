@@ -16,7 +16,7 @@ def test_a_stream_is_thinned_to_the_limit_within_two_percent(limit_hz: float) ->
     assert admitted / 100 == pytest.approx(limit_hz, rel=0.02)
 
 
-def test_a_slower_stream_passes_whole() -> None:
+def test_a_stream_below_the_limit_is_not_thinned() -> None:
     limit = RateLimit()
     assert all(limit.admits(index / 5, 10.0) for index in range(100))
 

@@ -132,7 +132,7 @@ def test_stop_waits_for_the_frame_in_work_and_flushes_the_waiting_one(line: Line
     assert line.worker.balance().pending == 0
 
 
-def test_the_time_of_the_frame_in_work_is_told(line: Line) -> None:
+def test_the_time_spent_on_the_current_frame_is_reported(line: Line) -> None:
     assert line.worker.busy_s() == 0
     line.worker.start(line.process)
     line.hold(1)
@@ -142,7 +142,7 @@ def test_the_time_of_the_frame_in_work_is_told(line: Line) -> None:
     assert line.worker.busy_s() == 0
 
 
-def test_a_hung_frame_is_given_up_and_its_late_result_dropped(line: Line) -> None:
+def test_a_hung_frame_is_abandoned_and_its_late_result_dropped(line: Line) -> None:
     line.worker.start(line.process)
     line.hold(1)
     assert line.worker.abandoned_threads() == 0
@@ -184,7 +184,7 @@ def test_rest_without_work_returns_at_once(line: Line) -> None:
     assert line.worker.rest(0.0)
 
 
-def test_close_tells_of_a_thread_that_was_given_up(line: Line) -> None:
+def test_close_reports_an_abandoned_thread(line: Line) -> None:
     line.worker.start(line.process)
     line.hold(1)
     assert not line.worker.close(0.01)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 FILE = """\
 image_width: 640
 image_height: 480
@@ -24,3 +26,10 @@ projection_matrix:
   cols: 4
   data: [393.66, 0, 322.8, 0, 0, 393.66, 241.1, 0, 0, 0, 1, 0]
 """
+
+
+def calibration_url(folder: Path, width: int, height: int) -> str:
+    """URL of a new calibration in `folder` for images of this size."""
+    path = folder / "lens.yaml"
+    path.write_text(FILE.replace("640", str(width), 1).replace("480", str(height), 1))
+    return f"file://{path}"

@@ -1,4 +1,4 @@
-"""Small pictures as compressed files, one of each kind."""
+"""Small pictures as compressed files."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import functools
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 KINDS = ("colour.png", "grey.png", "deep.png", "baseline.jpg", "progressive.jpg", "grey.jpg")
 
@@ -19,3 +20,16 @@ def compressed(kind: str) -> bytes:
     is_encoded, data = cv2.imencode(kind[-4:], pixels, flags)
     assert is_encoded
     return np.asarray(data).tobytes()
+
+
+def smooth_bgr(height: int, width: int) -> NDArray[np.uint8]:
+    """Colours that change little from pixel to pixel, as JPEG keeps them."""
+    rows, columns = np.mgrid[:height, :width]
+    return np.stack((rows, columns, rows + columns), axis=2).astype(np.uint8)
+
+
+def smooth_file(suffix: str, *flags: int) -> bytes:
+    """`smooth_bgr(40, 60)` as a file of that kind."""
+    is_encoded, data = cv2.imencode(suffix, smooth_bgr(40, 60), flags)
+    assert is_encoded
+    return bytes(data)

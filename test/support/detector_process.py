@@ -23,10 +23,11 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
+from support.worker import worker_domain
 from yolov5_lifecycle.images.encodings import encoded
 from yolov5_lifecycle.images.image import Picture
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
+from yolov5_lifecycle.ros.demo.domain import isolated
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
 from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
 from yolov5_lifecycle.ros.messages import image_message
@@ -151,7 +152,7 @@ class DetectorProcess:
 def detector_process(*arguments: str) -> Iterator[DetectorProcess]:
     """A detector in a domain of its own, started with these words behind --ros-args."""
     with (
-        own_domain() as domain,
+        worker_domain() as domain,
         ChildProcess(
             "detector", [entry_point("detector"), "--ros-args", *arguments], environment(domain)
         ) as process,

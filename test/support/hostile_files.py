@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 from support.colcon_workspace import REPOSITORY, SUPPORT
 from support.hostile_archives import ARCHIVES, FOREIGN_FILES, valid
-from support.hostile_pickles import BOMBS, GADGETS, MARKER, TENSORS
+from support.hostile_gadgets import GADGETS, MARKER
+from support.hostile_pickles import BOMBS, TENSORS
 from support.hostile_safetensors import FILES
 from support.special_files import SPECIAL
 from support.wrong_models import MODELS
@@ -39,7 +40,7 @@ class Answer(NamedTuple):
     name: str
     outcome: str
     message: str
-    seconds: float
+    cpu_s: float
     grown_mb: float
     events: list[str]
 

@@ -1,10 +1,12 @@
-"""A small network with random weights, for tests."""
+"""A small network with random weights, and a random frame for it."""
 
 from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from yolov5_lifecycle.models.architecture import SIZES, Architecture
@@ -34,6 +36,11 @@ def random_network(seed: int, architecture: Architecture = TINY) -> Network:
 
 def random_model(seed: int = 0, architecture: Architecture = TINY) -> Model:
     return Model(architecture, CLASS_NAMES, random_network(seed, architecture).state_dict())
+
+
+def random_frame(height: int = 64, width: int = 96) -> NDArray[np.uint8]:
+    """The same noise each time."""
+    return np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
 
 
 def blank_model(architecture: Architecture) -> Model:

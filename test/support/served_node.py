@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import threading
 import time
 from array import array
@@ -40,8 +39,9 @@ from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.parameters import Validate
 from yolov5_lifecycle.settings.settings import Settings, validated
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 CLASS_NAMES = ("cat", "dog")
+STATES = ("unconfigured", "inactive", "active")
 
 
 _SERVICES = {
@@ -107,8 +107,6 @@ class ServedNode:
         validate: Validate = validated,
     ) -> None:
         """`parameters` are `name:=value`; `arguments` are further words of the command line."""
-        # Nodes of earlier tests hold themselves in cycles, and with them their place in the ROS graph.
-        gc.collect()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, args=[])
         assignments = [word for parameter in parameters for word in ("-p", parameter)]

@@ -44,6 +44,8 @@ def trials() -> Iterator[dict[str, ChildProcess]]:
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("way", WAYS)
-def test_a_detector_that_was_cut_off_tells_it_and_goes_on(trials: dict[str, ChildProcess], way: str) -> None:
+def test_a_detector_that_was_cut_off_reports_it_and_recovers(
+    trials: dict[str, ChildProcess], way: str
+) -> None:
     code = trials[way].wait(timeout_s=600)
     assert code == 0, trials[way].output

@@ -35,7 +35,7 @@ def managed(**parameters: object) -> Iterator[tuple[DetectorProcess, Observer]]:
         yield detector, observer
 
 
-def test_a_manager_leads_the_process_through_its_whole_life() -> None:
+def test_a_manager_drives_the_process_through_every_transition() -> None:
     with managed(bond_timeout=4.0) as (detector, observer):
         manager = LifecycleManager(observer)
         manager.startup()
@@ -179,12 +179,15 @@ class OneSide:
 
         self._observer.wait_for(is_said, f"{text!r} in the log")
 
-    def expect_silence(self) -> None:
-        """No heartbeat comes in the time of several."""
-        self._observer.work_for(0.1)  # what is on its way
-        before = len(self.heard)
-        self._observer.work_for(0.5)
-        assert len(self.heard) == before
+    def wait_for_silence(self) -> None:
+        """Wait until no heartbeat comes in the time of several; some may still be on their way."""
+
+        def is_silent() -> bool:
+            before = len(self.heard)
+            self._observer.work_for(0.5)
+            return len(self.heard) == before
+
+        self._observer.wait_for(is_silent, "the end of the heartbeats")
 
     def _take(self, message: Status) -> None:
         if message.instance_id != "manager":
@@ -200,13 +203,13 @@ def side(ros_domain: int, capfd: pytest.CaptureFixture[str]) -> Iterator[OneSide
         side.bond.stop()
 
 
-def test_nobody_who_joins_ends_the_heartbeats_after_the_time_of_the_protocol(side: OneSide) -> None:
+def test_heartbeats_end_when_no_manager_joins_in_time(side: OneSide) -> None:
     assert CONNECT_S == Constants.DEFAULT_CONNECT_TIMEOUT
     side.now_s += CONNECT_S
     side.wait_for_more()
     side.now_s += 0.1
     side.wait_for_log("no lifecycle manager joined the bond within 10 s; detection goes on")
-    side.expect_silence()
+    side.wait_for_silence()
 
 
 def test_the_end_of_the_bond_by_the_manager_is_acknowledged_and_ends_the_heartbeats(side: OneSide) -> None:
@@ -215,19 +218,19 @@ def test_the_end_of_the_bond_by_the_manager_is_acknowledged_and_ends_the_heartbe
     side.send(is_active=False)
     side.wait_for_log("the lifecycle manager ended the bond; detection goes on")
     side.send(is_active=True)
-    side.expect_silence()
+    side.wait_for_silence()
     assert [message.active for message in side.heard].count(False) == 1
     assert not side.heard[-1].active
 
 
-def test_bonds_of_other_nodes_are_left_alone(side: OneSide) -> None:
+def test_bonds_of_other_nodes_are_ignored(side: OneSide) -> None:
     side.send(is_active=True, node_name="amcl")
     side.send(is_active=False, node_name="amcl")
     side.wait_for_more()
     assert all(message.active for message in side.heard)
 
 
-def test_a_manager_that_falls_silent_is_told_once_and_the_heartbeats_go_on(side: OneSide) -> None:
+def test_a_silent_manager_is_logged_once_and_the_heartbeats_go_on(side: OneSide) -> None:
     side.send(is_active=True)
     side.wait_for_log("bonded with the lifecycle manager")
     side.now_s += 4.1
@@ -243,7 +246,7 @@ def test_a_bond_that_is_started_again_is_another_one(side: OneSide) -> None:
     side.wait_for_more(1)
     side.bond.stop()
     side.bond.stop()
-    side.expect_silence()
+    side.wait_for_silence()
     assert not side.heard[-1].active
     side.bond.start(4.0)
     side.wait_for_more(1)

@@ -276,7 +276,7 @@ def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_
     assert (len(receiver.received), receiver.losses.lost, receiver.losses.overtaken) == (2, 0, 4)
 
 
-def test_the_camera_tells_the_truth_of_images_that_it_does_not_send(ros_domain: int) -> None:
+def test_the_camera_publishes_the_ground_truth_of_images_that_it_does_not_send(ros_domain: int) -> None:
     """So truths that were told are not images that were sent, unless somebody subscribes to both."""
     with closing(Observer("camera", domain=ros_domain)) as node:
         outputs = CameraOutputs(node, declared_settings(node))

@@ -77,7 +77,7 @@ def test_an_idle_node_names_its_topic_and_the_one_that_was_meant(ros_domain: int
     assert values["other topics with images"] == "/yolov5/image_raw"
 
 
-def test_publishers_of_images_and_of_anything_else_are_told_apart(node: Observer) -> None:
+def test_publishers_of_images_and_of_other_types_are_distinguished(node: Observer) -> None:
     topic = ImageTopic(node, "raw")
     node.create_publisher(String, "/viewer/elsewhere", 1)
     with closing(Observer("other", domain=int(node.context.get_domain_id()))) as other:

@@ -10,9 +10,9 @@ import pytest
 import rclpy
 from rclpy.node import Node
 from support.detector_process import environment
+from support.worker import worker_domain
 
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import own_domain
 from yolov5_lifecycle.ros.detector.misaddressed_files import warnings
 from yolov5_lifecycle.ros.start_arguments import ParameterFile, start_arguments
 
@@ -47,7 +47,7 @@ def node_with(path: Path, namespace: str) -> Iterator[Node]:
 
 
 @pytest.mark.parametrize("namespace", ["", "/robot/left"])
-def test_the_node_is_warned_exactly_when_ros_passes_a_file_over(
+def test_the_node_warns_exactly_when_ros_ignores_a_file(
     ros_domain: int, tmp_path: Path, namespace: str
 ) -> None:
     for top in TOPS:
@@ -75,7 +75,7 @@ def test_the_node_is_warned_exactly_when_ros_passes_a_file_over(
         pytest.param("", "", id="empty"),
     ],
 )
-def test_the_names_in_the_file_are_told_and_nothing_else(tmp_path: Path, text: str, told: str) -> None:
+def test_the_warning_has_the_names_in_the_file_and_nothing_else(tmp_path: Path, text: str, told: str) -> None:
     path = tmp_path / "parameters.yaml"
     path.write_text(text)
     found = " ".join(warnings(files_of(path), "/yolov5"))
@@ -87,6 +87,6 @@ def test_the_names_in_the_file_are_told_and_nothing_else(tmp_path: Path, text: s
 def test_the_detector_warns_at_its_start(tmp_path: Path) -> None:
     path = file_for(tmp_path, "my_yolo")
     command = [entry_point("detector"), "--ros-args", "-r", "__ns:=/robot", "--params-file", str(path)]
-    with own_domain() as domain, ChildProcess("detector", command, environment(domain)) as process:
+    with worker_domain() as domain, ChildProcess("detector", command, environment(domain)) as process:
         process.wait_for_output("it is for /my_yolo, and this node is /robot/yolov5", 60)
         assert "secret" not in process.output

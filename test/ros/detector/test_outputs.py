@@ -84,7 +84,7 @@ def test_a_picture_is_published_in_both_forms_with_its_header_and_colours(
     np.testing.assert_allclose(picture(compressed[0]).pixels.astype(int), in_bgr, atol=5)
 
 
-def test_only_what_is_listened_to_is_made(node: LifecycleNode, observer: Observer) -> None:
+def test_only_images_with_subscribers_are_encoded(node: LifecycleNode, observer: Observer) -> None:
     encoded: list[Picture] = []
 
     def encode(picture: Picture) -> NDArray[np.uint8]:

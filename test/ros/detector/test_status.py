@@ -151,7 +151,7 @@ def test_the_values_hold_every_count_and_the_configuration() -> None:
     assert BLIND.values()["best score in them"] == "0.61"
 
 
-def test_scores_that_are_mere_noise_are_not_told() -> None:
+def test_scores_that_are_mere_noise_are_not_reported() -> None:
     assert BLIND.empty is not None
     noise = dataclasses.replace(BLIND, empty=dataclasses.replace(BLIND.empty, best_missed=0.0))
     assert "152 frames, nothing even above 0.05: if there was something" in noise.remark
@@ -168,7 +168,7 @@ def test_empty_frames_are_counted_until_something_is_found() -> None:
     assert frames.run == EmptyRun(0.5)
 
 
-def test_the_log_says_a_reason_once_a_minute_whatever_its_numbers(ros_domain: int) -> None:
+def test_a_reason_is_logged_once_a_minute_whatever_its_numbers(ros_domain: int) -> None:
     silent = [_with_input(silent_s=silent_s) for silent_s in (5.0, 6.0, 17.0, 8.0, 9.0)]
     inactive = dataclasses.replace(GOOD, state="inactive")
     looks = [

@@ -11,11 +11,11 @@ import pytest
 import yaml
 from support.random_model import TINY, random_model, random_network
 from support.served_node import ServedNode
+from support.worker import worker_domain
 
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.ros.demo.domain import own_domain
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 Spoil = Callable[[Path, Path], object]
@@ -110,7 +110,7 @@ def test_dumped_parameters_fed_back_reproduce_the_configuration(
     dump = tmp_path / "dump.yaml"
     dump.write_text(yaml.dump({"/yolov5": {"ros__parameters": values | {"use_sim_time": False}}}))
     # In one domain a request would be answered by both nodes of this name.
-    with own_domain() as domain:
+    with worker_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         with ServedNode(prepare_model, arguments=["--ros-args", "--params-file", str(dump)]) as again:
             again.bring_to("inactive")

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-_DOMAINS = range(1, 101)
+DOMAINS: Sequence[int] = range(1, 101)
 """Domain ids whose UDP ports lie below Linux's ephemeral port range."""
 _OTHER_REACHES = ("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS")
 
 
 @contextmanager
-def own_domain() -> Iterator[int]:
-    """ROS_DOMAIN_ID that no other caller on this machine gets until the end of the block.
+def own_domain(domains: Sequence[int] = DOMAINS) -> Iterator[int]:
+    """The first of `domains`, as ROS_DOMAIN_ID has them, that no other caller on this machine has.
+
+    It is held until the end of the block.
 
     Raises RuntimeError if all are taken.
     """
-    for domain in _DOMAINS:
+    for domain in domains:
         with socket.socket(socket.AF_UNIX) as claim:
             try:
                 # An abstract Linux socket address: held by one process, released when the process ends.
@@ -26,7 +28,7 @@ def own_domain() -> Iterator[int]:
                 continue
             yield domain
             return
-    raise RuntimeError(f"all {len(_DOMAINS)} ROS domains for tests and demos are in use on this machine")
+    raise RuntimeError(f"all {len(domains)} ROS domains for tests and demos are in use on this machine")
 
 
 def isolated(environment: Mapping[str, str], domain: int) -> dict[str, str]:

@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 """Timeout for one response; activate loads a model, possibly on a slow machine."""
 _FIRST_ANSWER_S = 1.0
 

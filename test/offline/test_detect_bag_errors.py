@@ -1,0 +1,216 @@
+"""What `detect_bag` says when it cannot go on; it leaves nothing half-written behind."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rosbags.rosbag2 import StoragePlugin
+from support.detected_offline import SET_MODEL, run
+from support.recorded_scene import (
+    COUNT,
+    raw,
+    record,
+    text,
+)
+
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
+from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
+
+MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
+
+
+class RaisingRuntime:
+    """Raises the same with every picture."""
+
+    name, device, precision = "raising", "cpu", "fp32"
+
+    def __init__(self, error: BaseException) -> None:
+        self._error = error
+
+    def __call__(
+        self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
+    ) -> NDArray[np.float32]:
+        raise self._error
+
+    def close(self) -> None:
+        pass
+
+
+def prepare_raising(error: BaseException) -> Prepare:
+    detector = Detector(RaisingRuntime(error), class_names=CLASS_NAMES, image_size=320, stride=32)
+    return lambda settings, _: PreparedModel(settings, detector, Path("/raising.pt"), "0" * 64)
+
+
+@pytest.mark.parametrize(
+    ("error", "failures"),
+    [
+        pytest.param(InferenceError("out of memory"), 2, id="again and again"),
+        pytest.param(DeviceLostError("the GPU is gone"), 1, id="device lost"),
+    ],
+)
+def test_detection_ends_after_too_many_failed_inferences(
+    error: InferenceError, failures: int, drive: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(drive), "--output", str(drive.parent / "found"), "--set", "max_consecutive_failures=2"]
+    assert main(words, prepare=prepare_raising(error)) == 1
+    given_up = f"detect_bag: given up after {failures} failed pictures in a row: {error}\n"
+    assert capsys.readouterr().err.endswith(given_up)
+    assert list(drive.parent.iterdir()) == [drive]
+
+
+def test_an_interrupt_leaves_nothing_half_written(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [str(drive), "--output", str(drive.parent / "found")]
+    assert main(words, prepare=prepare_raising(KeyboardInterrupt())) == 130
+    assert capsys.readouterr().err == "detect_bag: interrupted; what was unfinished is removed\n"
+    assert list(drive.parent.iterdir()) == [drive]
+
+
+def no_images(folder: Path) -> Path:
+    return record(folder / "bag", [text()], storage=MCAP, topics=["/chatter"])
+
+
+def two_topics(folder: Path) -> Path:
+    return record(folder / "bag", [raw(0)], storage=MCAP, topics=["/left", "/right"])
+
+
+def without_messages(folder: Path) -> Path:
+    return record(folder / "bag", [], storage=MCAP)
+
+
+def all_unreadable(folder: Path) -> Path:
+    return record(folder / "bag", [raw(0, encoding="32FC1")], storage=SQLITE)
+
+
+def without_its_end(folder: Path) -> Path:
+    bag = record(folder / "bag", [raw(number) for number in range(COUNT)], storage=MCAP)
+    os.truncate(bag / "bag.mcap", 300_000)
+    return bag
+
+
+def with_damaged_pages(folder: Path) -> Path:
+    """A database that opens, and breaks when its messages are read."""
+    bag = record(folder / "bag", [raw(number) for number in range(COUNT)], storage=SQLITE)
+    with (bag / "bag.db3").open("r+b") as file:
+        file.seek(60_000)
+        file.write(b"\xff" * 500_000)
+    return bag
+
+
+def without_metadata(folder: Path) -> Path:
+    bag = record(folder / "bag", [raw(0)], storage=MCAP)
+    (bag / "metadata.yaml").unlink()
+    return bag
+
+
+def not_a_recording(folder: Path) -> Path:
+    (folder / "bag.mcap").write_bytes(b"these are no messages")
+    return folder / "bag.mcap"
+
+
+def a_good_one(folder: Path) -> Path:
+    return record(folder / "bag", [raw(0)], storage=MCAP)
+
+
+@pytest.mark.parametrize(
+    ("make", "words", "told"),
+    [
+        pytest.param(no_images, [], "in it, only: /chatter. Record", id="no images"),
+        pytest.param(two_topics, [], "--topic which of its image topics:\n  /left  sensor", id="two topics"),
+        pytest.param(
+            two_topics,
+            ["--topic", "/up"],
+            "no image topic /up; name one of these:\n  /left",
+            id="no such topic",
+        ),
+        pytest.param(
+            all_unreadable, [], "of 1 pictures none could be used: see why above", id="all unreadable"
+        ),
+        pytest.param(without_messages, [], "is in it without a single message", id="no messages"),
+        pytest.param(without_its_end, [], "`mcap recover` may mend it", id="without its end"),
+        pytest.param(with_damaged_pages, [], "the recording cannot be read", id="damaged pages"),
+        pytest.param(without_metadata, [], "the recording cannot be read", id="without metadata"),
+        pytest.param(not_a_recording, [], "magic is invalid", id="not a recording"),
+        pytest.param(a_good_one, ["--output", "bag"], "exists and is not replaced", id="output exists"),
+        pytest.param(a_good_one, ["--output", "no/x"], "there is no such folder; make it", id="no folder"),
+        pytest.param(a_good_one, ["--set", "classes=[circel]"], "Did you mean 'circle'?", id="class"),
+        pytest.param(a_good_one, ["--set", "conf=0.4"], "'confidence_threshold'?", id="setting"),
+        pytest.param(a_good_one, ["--set", "iou_threshold=2"], "from 0 to 1", id="value"),
+        pytest.param(a_good_one, ["--set", "lazy=false"], "images that arrive", id="setting of the node"),
+        pytest.param(a_good_one, ["-p", "iou_threshold:=2"], "from 0 to 1", id="value as for a node"),
+        pytest.param(a_good_one, ["-p", "iou_threshold"], "expected NAME=VALUE", id="no value"),
+        pytest.param(a_good_one, ["-p", "classes:=[circle, 2]"], "'classes=[circle, 2]': ", id="two types"),
+        pytest.param(a_good_one, ["--set", "lazy"], "expected NAME=VALUE", id="no assignment"),
+        pytest.param(
+            a_good_one,
+            ["--set", "classes=[a"],
+            "'classes=[a': its value is no YAML that ROS reads: while parsing",
+            id="no YAML",
+        ),
+        pytest.param(a_good_one, ["--set", "weights=no.pt"], "there is no such file", id="no weights"),
+        pytest.param(a_good_one, ["--params-file", "no.yaml"], "no.yaml", id="no parameter file"),
+    ],
+)
+def test_an_error_says_what_to_do_and_leaves_nothing_behind(
+    make: Callable[[Path], Path],
+    words: list[str],
+    told: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    source = make(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    assert run([str(source), "--output", "found", *SET_MODEL, *words]) == 1
+    output, error = capsys.readouterr()
+    assert output == ""
+    assert error.startswith("detect_bag: ")
+    assert told in error
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        pytest.param(["drive"], "give --output", id="recording without output"),
+        pytest.param(["drive", "--output", "x", "--annotated", "y"], "give --images", id="drawings of it"),
+        pytest.param(["shots", "--topic", "/a"], "no recording", id="topic of pictures"),
+        pytest.param(["shots", "--images"], "no recording", id="images of pictures"),
+        pytest.param(["drive", "--output", "x", "--node", "a b"], "no full name of a node", id="node"),
+        pytest.param([], "SOURCE", id="nothing"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    words: list[str],
+    told: str,
+    drive: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(drive.parent)
+    Path("shots").mkdir()
+    with pytest.raises(SystemExit) as stopped:
+        main(words)
+    assert stopped.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("detect_bag: ")
+    assert told in line
+
+
+def test_without_rosbags_the_command_says_how_to_install_it(
+    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    monkeypatch.delitem(sys.modules, "yolov5_lifecycle.offline.detect_recording", raising=False)
+    assert main([str(drive), "--output", str(drive.parent / "found")]) == 1
+    assert f"{sys.executable} -m pip install rosbags\n" in capsys.readouterr().err

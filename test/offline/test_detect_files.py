@@ -1,0 +1,118 @@
+"""Pictures and videos through the detector: lines of JSON and annotated files."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from sensor_msgs.msg import Image
+from support.damaged_pictures import claiming_too_much
+from support.detected_offline import SET_MODEL, published, run
+from support.recorded_scene import (
+    COUNT,
+    SIZE_HW,
+    pictures,
+    shown,
+    video,
+)
+
+from yolov5_lifecycle.process.standard_streams import EXIT_NOBODY_READS
+from yolov5_lifecycle.ros.demo.child_process import entry_point
+from yolov5_lifecycle.ros.demo.ground_truth import Sighting
+
+
+def test_pictures_become_lines_and_annotated_pictures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, drawn = pictures(tmp_path / "shots"), tmp_path / "drawn"
+    (folder / "1.png").write_bytes(b"no picture")
+    (folder / "3.png").write_bytes(claiming_too_much())
+    (folder / "notes.txt").write_text("no picture either")
+    assert run([str(folder), "--annotated", str(drawn), *SET_MODEL]) == 0
+    output, error = capsys.readouterr()
+    lines = [json.loads(line) for line in output.splitlines()]
+    assert [line["file"] for line in lines] == [str(folder / "0.png"), str(folder / "2.png")]
+    assert [(line["height"], line["width"]) for line in lines] == [SIZE_HW] * 2
+    found = published(Image(height=240, width=320, encoding="rgb8", step=960, data=shown(0)[0].tobytes()))[0]
+    seen = Sighting.now(found)
+    assert [one["class_name"] for one in lines[0]["detections"]] == list(seen.class_names)
+    assert [one["score"] for one in lines[0]["detections"]] == list(seen.scores)
+    boxes_xyxy = [one["box_xyxy"] for one in lines[0]["detections"]]
+    np.testing.assert_allclose(boxes_xyxy, seen.boxes_xyxy, atol=1e-4)
+    assert f"detect_bag: {folder / '1.png'}: rejected: " in error
+    assert f"detect_bag: {folder / '3.png'}: rejected: " in error
+    assert "pictures    4: 2 detected, 2 rejected, 0 failed\n" in error
+    assert sorted(file.name for file in drawn.iterdir()) == ["0.png", "2.png"]
+    assert cv2.imread(str(drawn / "0.png")).shape == (*SIZE_HW, 3)
+
+
+def test_the_command_ends_quietly_when_nobody_reads_its_lines(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [entry_point("detect_bag"), str(pictures(tmp_path / "shots")), *SET_MODEL]
+    ended = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert ended.returncode == EXIT_NOBODY_READS
+    assert "Broken pipe" not in ended.stderr
+
+
+def test_a_video_becomes_lines_in_a_file_and_an_annotated_video(tmp_path: Path) -> None:
+    source, lines, drawn = video(tmp_path / "drive.avi"), tmp_path / "found.jsonl", tmp_path / "drawn.avi"
+    words = [str(source), "--output", str(lines), "--annotated", str(drawn), *SET_MODEL]
+    assert run([*words, "--set", "classes=[star]", "-p", "classes:=[circle]"]) == 0
+    found = [json.loads(line) for line in lines.read_text().splitlines()]
+    assert [line["frame"] for line in found] == list(range(COUNT))
+    assert {one["class_name"] for line in found for one in line["detections"]} == {"circle"}
+    capture = cv2.VideoCapture(str(drawn))
+    assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(12.5)
+    assert [capture.read()[0] for _ in range(COUNT + 1)] == [True] * COUNT + [False]
+    capture.release()
+
+
+def test_a_picture_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    video(tmp_path / "0.avi").rename("0")
+    assert run(["0", "--output", "found.jsonl", *SET_MODEL]) == 0
+    assert len(Path("found.jsonl").read_text().splitlines()) == COUNT
+
+
+@pytest.mark.parametrize(
+    ("source", "words", "told"),
+    [
+        pytest.param("empty", [], "has no pictures", id="empty folder"),
+        pytest.param("notes.txt", [], "neither as a picture nor as a video", id="a text"),
+        pytest.param("missing", [], "there is no such file or folder", id="missing"),
+        pytest.param(
+            "missing", ["--topic", "/x"], "there is no such file or folder", id="missing, with a topic"
+        ),
+        pytest.param("shots/0.png", ["--output", "notes.txt"], "exists and is not", id="lines exist"),
+        pytest.param("shots", ["--annotated", "empty"], "exists and is not", id="drawings exist"),
+        pytest.param(
+            "shots/0.png", ["--annotated", "x.foo"], "x.foo: OpenCV cannot write", id="picture suffix"
+        ),
+        pytest.param("drive.avi", ["--annotated", "x.foo"], "ends in .mp4 or .avi", id="video suffix"),
+    ],
+)
+def test_an_error_with_files_says_why_and_leaves_nothing_behind(
+    source: str,
+    words: list[str],
+    told: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    pictures(tmp_path / "shots")
+    video(tmp_path / "drive.avi")
+    Path("empty").mkdir()
+    Path("notes.txt").write_text("keep me")
+    before = sorted(tmp_path.rglob("*"))
+    assert run([source, *SET_MODEL, *words]) == 1
+    assert told in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+    assert Path("notes.txt").read_text() == "keep me"

@@ -1,0 +1,113 @@
+"""Parameters and sources of the camera: a wrong one ends the process with the reason."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+from pathlib import Path
+
+import pytest
+from support.calibration_file import calibration_url
+from support.camera_process import END_S, camera_process
+from support.colcon_workspace import REPOSITORY
+from support.detector_process import as_arguments
+from support.grey_pictures import grey_folder
+
+from yolov5_lifecycle.ros.camera.settings import CameraSettings
+
+CAMERA_PAGE = REPOSITORY / "docs" / "camera.md"
+RAW_QOS = "qos_overrides./image_raw.publisher"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return grey_folder(tmp_path)
+
+
+def parameter_rows() -> list[tuple[str, object, str]]:
+    section = CAMERA_PAGE.read_text().partition("\n## Parameters\n")[2].partition("\n## ")[0]
+    cells = re.findall(r"^\| `(\w+)` \| `(.*?)` \| (.*) \|$", section, re.MULTILINE)
+    return [(name, json.loads(default), description) for name, default, description in cells]
+
+
+def test_the_page_of_the_camera_lists_its_parameters() -> None:
+    assert parameter_rows() == [
+        (name, field.default, field.description) for name, field in CameraSettings.model_fields.items()
+    ]
+
+
+def test_a_hanging_source_does_not_delay_the_end(ros_domain: int, tmp_path: Path) -> None:
+    hanging = tmp_path / "video.mp4"
+    os.mkfifo(hanging)
+    with (
+        camera_process(ros_domain, "--ros-args", *as_arguments({"source": str(hanging)})) as camera,
+        hanging.open("wb"),  # waits until the camera reads
+    ):
+        assert camera.stop(signal.SIGINT, timeout_s=END_S) == 0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        pytest.param({"source": "/nowhere.mp4"}, "'/nowhere.mp4' is neither", id="no file"),
+        pytest.param({"width": 20, "height": 20}, "at least 64 pixels", id="too small a scene"),
+    ],
+)
+def test_a_source_that_cannot_be_opened_ends_the_process_with_the_reason(
+    ros_domain: int, parameters: dict[str, object], told: str
+) -> None:
+    with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
+        assert camera.wait(END_S) == 1
+    assert told in camera.output
+
+
+def test_images_of_another_size_than_the_calibration_end_the_process_with_the_reason(
+    ros_domain: int, folder: Path
+) -> None:
+    arguments = as_arguments({"source": str(folder), "camera_info_url": calibration_url(folder, 64, 48)})
+    with camera_process(ros_domain, "--ros-args", *arguments) as camera:
+        assert camera.wait(END_S) == 1
+    assert "The images are 32 x 24, but camera_info_url has the calibration for 64 x 48" in camera.output
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        pytest.param({"rate": "-1.0", "seed": "-1"}, ["rate: -1.0", "seed: -1"], id="ranges"),
+        pytest.param({"encoding": "yuv"}, ["encoding: 'yuv'", "'bgr8'"], id="choice"),
+        pytest.param({"rate": "fast"}, ["rate: 'fast'"], id="type"),
+        pytest.param({"camera_info_url": "x.yaml"}, ["camera_info_url: ", "file:///PATH"], id="calibration"),
+        pytest.param({"width": 640}, ["width and height go together"], id="one side"),
+        pytest.param({"use_sim_time": "1"}, ["'use_sim_time'"], id="a parameter of ROS's own"),
+        pytest.param({"sorce": "0"}, ["sorce", "Did you mean 'source'?"], id="unknown name"),
+        pytest.param(
+            {f"{RAW_QOS}.reliability": "maybe"}, ["`reliability`: `maybe`"], id="quality of service"
+        ),
+        pytest.param({f"{RAW_QOS}.deph": 5}, ["Did you mean", f"{RAW_QOS}.depth"], id="unknown quality"),
+    ],
+)
+def test_a_wrong_parameter_is_explained(
+    ros_domain: int, parameters: dict[str, object], told: list[str]
+) -> None:
+    with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
+        assert camera.wait(END_S) == 2
+    assert all(word in camera.output for word in told), camera.output
+    assert "Traceback" not in camera.output
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        pytest.param(["--help"], 0, "rate ", id="help"),
+        pytest.param(["--source", "0"], 2, "not understood: --source 0", id="unknown flag"),
+        pytest.param(
+            ["--ros-args", "--params-file", "/nowhere.yaml"], 2, "/nowhere.yaml", id="parameter file"
+        ),
+    ],
+)
+def test_the_command_line_is_explained(ros_domain: int, words: list[str], code: int, told: str) -> None:
+    with camera_process(ros_domain, *words) as camera:
+        assert camera.wait(END_S) == code
+    assert told in camera.output

@@ -1,0 +1,34 @@
+"""A signal and the transition `shutdown` end the installed detector's process."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+from support.detector_process import (
+    PARAMETERS,
+    as_arguments,
+    detector_process,
+)
+from support.served_node import STATES
+
+from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
+
+
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("state", STATES)
+def test_a_signal_ends_the_process_cleanly(state: str, signal_number: signal.Signals) -> None:
+    with detector_process(*as_arguments(PARAMETERS)) as detector:
+        detector.bring_to(state)
+        if state == "active":
+            detector.look()
+        assert detector.process.stop(signal_number, timeout_s=PATIENCE_S) == 0
+    assert "Traceback" not in detector.process.output
+
+
+def test_the_transition_shutdown_is_answered_and_ends_the_process_cleanly() -> None:
+    with detector_process(*as_arguments(PARAMETERS)) as detector:
+        detector.bring_to("active")
+        assert detector.transition("shutdown")
+        assert detector.process.wait(PATIENCE_S) == 0
+    assert "Traceback" not in detector.process.output

@@ -1,0 +1,79 @@
+"""How commands and nodes begin: command line, version, and what a machine may lack."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from importlib.metadata import version
+
+import pytest
+from support.colcon_workspace import REPOSITORY
+
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        pytest.param(["--help"], 0, ["confidence_threshold  ", "Default: 0.25"], id="help"),
+        pytest.param(
+            ["--device", "cpu", "--ros-args", "--params-file", "/nowhere.yaml"],
+            2,
+            ["not understood: --device cpu. Parameters are given as `detector --ros-args -p device:=VALUE`"],
+            id="stray words",
+        ),
+        pytest.param(
+            ["--ros-args", "-p", "use_sim_time:=1"], 2, ["'use_sim_time'"], id="a parameter of ROS's own"
+        ),
+    ],
+)
+def test_the_command_line_is_explained(words: list[str], code: int, told: list[str]) -> None:
+    with ChildProcess("detector", [entry_point("detector"), *words], os.environ) as process:
+        assert process.wait(60) == code
+    assert all(word in process.output for word in told), process.output
+    assert "Traceback" not in process.output
+
+
+COMMANDS = ("camera", "convert", "demo", "detect_bag", "detector", "fetch_weights")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_says_its_version(command: str) -> None:
+    run = subprocess.run([entry_point(command), "--version"], capture_output=True, text=True, timeout=60)
+    expected = f"{command} {version('yolov5_lifecycle')} (yolov5_lifecycle)\n"
+    assert (run.returncode, run.stdout, run.stderr) == (0, expected, "")
+
+
+@pytest.mark.parametrize("command", ["detector", "convert"])
+def test_too_few_threads_are_said_in_one_line(command: str) -> None:
+    if os.geteuid() != 0 or (setpriv := shutil.which("setpriv")) is None:
+        pytest.skip("needs setpriv (util-linux) and root, whom no limit holds otherwise")
+    capabilities = "+dac_read_search,+dac_override"  # the environment may be root's own
+    limited = f'ulimit -u 2 && exec "$0" {entry_point(command)} IN OUT'
+    run = subprocess.run(
+        [setpriv, "--reuid=54321", "--clear-groups", f"--inh-caps={capabilities}",
+         f"--ambient-caps={capabilities}", "bash", "-c", limited, sys.executable],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert run.returncode == 1, run.stderr
+    (line,) = run.stderr.splitlines()
+    assert line.startswith(f"{command}: ")
+    assert "threads are needed, 1 can be started: raise the limit of processes (`ulimit -u`" in line
+
+
+@pytest.mark.parametrize(
+    ("command", "package"),
+    [("detector", "torch"), ("detector", "pydantic"), ("detector", "rclpy"), ("camera", "cv2")],
+)
+def test_a_python_that_lacks_a_package_is_named_in_one_line(command: str, package: str) -> None:
+    without = f"import sys; sys.modules['{package}'] = None"
+    program = f"{without}; from yolov5_lifecycle.ros.{command}.command import main; main()"
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=60
+    )
+    assert (run.returncode, run.stdout) == (1, "")
+    (line,) = run.stderr.splitlines()
+    assert line.startswith(f"{command}: {sys.executable} cannot import")
+    assert package in line.partition(". The node")[0]

@@ -1,0 +1,187 @@
+"""Where a camera's images come from: the scene, folders, picture and video files, devices."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+
+import pytest
+from support.damaged_pictures import claiming_too_much
+from support.grey_pictures import GREYS, grey_folder, grey_video, nearest_grey
+from support.hostile_pictures import HOSTILE_JPEGS
+
+from yolov5_lifecycle.sources.scene import Scene
+from yolov5_lifecycle.sources.source import open_source
+from yolov5_lifecycle.sources.source_error import SourceError
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return grey_folder(tmp_path)
+
+
+@pytest.fixture
+def video(tmp_path: Path) -> Path:
+    return grey_video(tmp_path / "video.avi")
+
+
+def greys(source: Path, count: int, *, loop: bool) -> list[int]:
+    """The brightness of the first pictures, to the nearest of GREYS."""
+    frames = islice(open_source(str(source), loop=loop).frames, count)
+    return [nearest_grey(frame.picture) for frame in frames]
+
+
+def test_the_scene_comes_with_its_truth() -> None:
+    frames = list(islice(open_source("synthetic", seed=4, size_hw=(120, 160)).frames, 3))
+    for index, frame in enumerate(frames):
+        pixels, truth = Scene(4, (120, 160)).frame(index)
+        assert (frame.picture.pixels == pixels).all()
+        assert frame.truth is not None
+        assert (frame.truth.boxes_xyxy == truth.boxes_xyxy).all()
+
+
+@pytest.mark.parametrize("source", ["folder", "video"])
+def test_files_come_in_order_and_end(source: str, request: pytest.FixtureRequest) -> None:
+    assert greys(request.getfixturevalue(source), 10, loop=False) == [*GREYS]
+
+
+@pytest.mark.parametrize("source", ["folder", "video"])
+def test_files_repeat_with_loop(source: str, request: pytest.FixtureRequest) -> None:
+    assert greys(request.getfixturevalue(source), 10, loop=True) == [*GREYS, *GREYS, *GREYS[:2]]
+
+
+def test_one_picture_is_a_source(folder: Path) -> None:
+    assert greys(folder / "10.png", 3, loop=True) == [170, 170, 170]
+    assert greys(folder / "10.png", 3, loop=False) == [170]
+
+
+@pytest.mark.parametrize("source", ["folder", "video"])
+def test_pictures_of_files_get_the_size_that_was_asked_for(
+    source: str, request: pytest.FixtureRequest
+) -> None:
+    path = request.getfixturevalue(source)
+    frames = [next(open_source(str(path), size_hw=size_hw).frames) for size_hw in (None, (12, 40))]
+    assert [frame.picture.size_hw for frame in frames] == [(24, 32), (12, 40)]
+
+
+@pytest.mark.parametrize(("source", "rate_hz"), [("video", 10.0), ("folder", 30.0)])
+def test_a_video_has_its_own_rate_and_pictures_a_usual_one(
+    source: str, rate_hz: float, request: pytest.FixtureRequest
+) -> None:
+    assert open_source(str(request.getfixturevalue(source))).rate_hz == pytest.approx(rate_hz)
+
+
+def test_a_source_that_is_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"no/such\.mp4' is neither 'synthetic'"):
+        open_source(str(tmp_path / "no/such.mp4"))
+
+
+def test_a_folder_without_pictures_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="has no pictures"):
+        open_source(str(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["text.mp4", "text"])
+def test_a_file_that_is_no_video_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("this is no video")
+    with pytest.raises(SourceError, match="neither as a picture nor as a video"):
+        open_source(str(tmp_path / name))
+
+
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        ("4711", "Device 4711 cannot be opened"),
+        ("/dev/video4711", "There is no device /dev/video4711. There "),
+        ("/dev/zero", "/dev/zero is a device, but no camera. There "),
+        ("x" * 5000, "is neither 'synthetic'"),
+    ],
+)
+def test_a_device_that_is_not_there_is_refused(source: str, told: str) -> None:
+    with pytest.raises(SourceError, match=told):
+        open_source(source)
+
+
+@pytest.mark.parametrize("source", ["9" * 10, "9" * 5000], ids=len)
+def test_a_number_that_no_device_has_is_refused(source: str) -> None:
+    with pytest.raises(SourceError, match="nor the number of a device"):
+        open_source(source)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        pytest.param(b"damaged", "9.png cannot be read", id="no picture"),
+        pytest.param(
+            claiming_too_much(), "9.png cannot be read.* OpenCV refuses the image: ", id="too large a claim"
+        ),
+        pytest.param(
+            HOSTILE_JPEGS["a large frame behind TEM"][0],
+            "9.png cannot be read.* found marker FF01",
+            id="a large frame in disguise",
+        ),
+        pytest.param(b"", "9.png cannot be read", id="nothing"),
+    ],
+)
+def test_a_damaged_picture_of_a_folder_is_skipped_and_reported_once(
+    folder: Path, content: bytes, told: str
+) -> None:
+    (folder / "9.png").write_bytes(content)
+    reports: list[str] = []
+    frames = islice(open_source(str(folder), report=reports.append).frames, 9)
+    assert [nearest_grey(frame.picture) for frame in frames] == [grey for grey in GREYS if grey != 90] * 3
+    assert len(reports) == 2
+    assert re.search(f"skipped: {re.escape(str(folder))}/{told}", reports[0])
+    assert reports[1] == "1 of 4 pictures were skipped."
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_a_folder_without_a_readable_picture_ends_with_the_reason(folder: Path, loop: bool) -> None:
+    for path in folder.glob("*.png"):
+        path.write_bytes(b"damaged")
+    with pytest.raises(SourceError, match="None of the 4 pictures can be read"):
+        list(open_source(str(folder), loop=loop).frames)
+
+
+def test_of_many_damaged_pictures_only_the_first_are_named(folder: Path) -> None:
+    for number in range(20, 40):
+        (folder / f"{number}.png").write_bytes(b"damaged")
+    reports: list[str] = []
+    assert len(list(open_source(str(folder), loop=False, report=reports.append).frames)) == len(GREYS)
+    assert reports[9].endswith("Further ones are only counted.")
+    assert reports[10:] == ["20 of 24 pictures were skipped."]
+
+
+def test_a_damaged_picture_alone_is_refused(folder: Path) -> None:
+    (folder / "9.png").write_bytes(b"damaged")
+    with pytest.raises(SourceError, match=r"9\.png cannot be read as a picture"):
+        next(open_source(str(folder / "9.png")).frames)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir], ids=["pipe", "folder"])
+def test_what_is_called_like_a_picture_and_is_none_is_skipped(
+    folder: Path, make: Callable[[Path], object]
+) -> None:
+    make(folder / "7.png")
+    reports: list[str] = []
+    assert len(list(open_source(str(folder), loop=False, report=reports.append).frames)) == len(GREYS)
+    assert "7.png is not a regular file" in reports[0]
+
+
+def test_a_pipe_among_the_pictures_is_not_waited_for(folder: Path) -> None:
+    (folder / "9.png").unlink()
+    os.mkfifo(folder / "9.png")
+    reports: list[str] = []
+    assert len(list(islice(open_source(str(folder), report=reports.append).frames, 3))) == 3
+    assert "9.png is not a regular file" in reports[0]
+
+
+def test_a_video_that_goes_away_ends_with_the_reason(video: Path) -> None:
+    frames = open_source(str(video), loop=True).frames
+    assert len(list(islice(frames, len(GREYS)))) == len(GREYS)
+    video.unlink()
+    with pytest.raises(SourceError, match="can be read no longer"):
+        next(frames)

@@ -1,0 +1,41 @@
+"""The command `detect_bag` with the embedded model, which is prepared once."""
+
+from __future__ import annotations
+
+import functools
+
+from sensor_msgs.msg import CompressedImage, Image
+from vision_msgs.msg import Detection2DArray
+
+from support.colcon_workspace import REPOSITORY
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
+from yolov5_lifecycle.detection.draw import annotate
+from yolov5_lifecycle.detection.prepared_model import prepare_model
+from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.ros import messages
+from yolov5_lifecycle.settings.settings import Settings
+
+MODEL = {
+    "weights": str(REPOSITORY / "weights" / "shapes.safetensors"),
+    "image_size": 320,
+    "device": "cpu",
+    "runtime": "torch",
+}
+SET_MODEL = [word for name, value in MODEL.items() for word in ("--set", f"{name}={value}")]
+
+prepare_once = functools.cache(prepare_model)
+run = functools.partial(main, prepare=prepare_once)
+
+
+def published(message: Image | CompressedImage) -> tuple[Detection2DArray, Image]:
+    """What the node publishes for `message`: detections and annotated image."""
+    settings = Settings.model_validate(MODEL)
+    detector = prepare_once(settings, USUAL_SOURCE_HW).detector
+    picture = messages.picture(message)
+    detections = detector.detect(picture, selection(settings, detector.class_names))
+    drawn = annotate(picture, detections, detector.class_names)
+    return (
+        messages.detection_array(detections, detector.class_names, message.header),
+        messages.image_message(drawn, f"{picture.order}8", message.header),
+    )

@@ -1,0 +1,59 @@
+"""The processes that run the tests at the same time: how many, what each has alone, what they make once."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from yolov5_lifecycle.ros.demo.domain import DOMAINS, own_domain
+
+_NUMBER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+_COUNT = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+_MAX_COUNT = 12
+_WORKER_BYTES = 2 << 30
+"""What a worker and the processes that it starts need."""
+
+
+def suitable_count() -> int:
+    """How many workers this machine has room for: more than cores, because they often wait for each other."""
+    free_bytes = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return max(1, min(_cores() * 3 // 2, free_bytes // _WORKER_BYTES, _MAX_COUNT))
+
+
+def _cores() -> int:
+    """Cores that this process may use; a container may have the time of fewer than it sees."""
+    cores = len(os.sched_getaffinity(0))
+    limit = Path("/sys/fs/cgroup/cpu.max")
+    quota, _, period = limit.read_text().partition(" ") if limit.is_file() else ("max", "", "")
+    return cores if quota == "max" else max(1, min(cores, int(quota) // int(period)))
+
+
+def worker_domain() -> AbstractContextManager[int]:
+    """Exclusive ROS domain that no other worker uses before or after.
+
+    Nodes of a finished test stay in their domain until they are garbage. The last domains come first, as
+    `demo` takes the first free one.
+    """
+    return own_domain(DOMAINS[-1 - _NUMBER :: -_COUNT])
+
+
+def made_once(folder: Path, make: Callable[[Path], None]) -> Path:
+    """`folder` after the first worker to ask for it has called `make(folder)`."""
+    with folder.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = folder.with_suffix(".done")
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            done.touch()
+    return folder
+
+
+def run_folder(temporary: Path) -> Path:
+    """The folder that all workers of this run share; `temporary` is the base folder of this one."""
+    return temporary.parent if "PYTEST_XDIST_WORKER" in os.environ else temporary
