@@ -21,7 +21,8 @@ from vision_msgs.msg import (
 )
 
 from yolov5_lifecycle.detection.detections import Detections, FoundObject
-from yolov5_lifecycle.images.from_message import compressed_picture, raw_picture
+from yolov5_lifecycle.images.compressed import compressed_picture
+from yolov5_lifecycle.images.encodings import raw_picture
 from yolov5_lifecycle.images.image import Picture
 
 

@@ -35,9 +35,9 @@ from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.messages import picture
+from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 from yolov5_lifecycle.sources.source import open_source
-from yolov5_lifecycle.sources.source_error import SourceError
 
 README = REPOSITORY / "README.md"
 CAMERA_PAGE = REPOSITORY / "docs" / "camera.md"
