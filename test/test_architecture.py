@@ -121,11 +121,22 @@ def test_what_does_not_need_a_library_imports_without_it(
 
 def test_importing_the_package_loads_no_library_and_changes_no_environment_variable() -> None:
     program = (
-        "import os, sys; before = dict(os.environ); import yolov5_lifecycle; "
+        "import os, sys; before = dict(os.environ); import yolov5_lifecycle; dir(yolov5_lifecycle); "
         "print(before == dict(os.environ), sorted({'torch', 'numpy', 'cv2', 'pydantic'} & set(sys.modules)))"
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert run.stdout == "True []\n"
+
+
+def test_importing_the_detector_loads_no_runtime_and_no_torch() -> None:
+    program = (
+        "import sys; from yolov5_lifecycle import Detector; "
+        "print(sorted(name for name in sys.modules if name.startswith('yolov5_lifecycle.runtimes.')), "
+        "sorted({'torch', 'onnxruntime', 'openvino', 'pydantic'} & set(sys.modules)))"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    # The interface, which has the error that the detector raises.
+    assert run.stdout == "['yolov5_lifecycle.runtimes.runtime'] []\n"
 
 
 def test_no_module_has_more_than_300_lines() -> None:

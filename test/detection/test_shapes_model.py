@@ -8,8 +8,9 @@ from support.colcon_workspace import REPOSITORY
 
 from tools.shapes.evaluate import PICTURES, UNSEEN_SEED, evaluate, moving, stills
 from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
-from yolov5_lifecycle.detection.detector import Detector, load_detector
+from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import Order, Picture
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 

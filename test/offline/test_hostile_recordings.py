@@ -25,7 +25,7 @@ from yolov5_lifecycle.offline.picture_files import VideoFile
 from yolov5_lifecycle.offline.recorded_types import TYPES
 from yolov5_lifecycle.offline.recording import RecordedImage, RecordingError, open_recording
 from yolov5_lifecycle.offline.recording_limits import LimitError, unpacked_message
-from yolov5_lifecycle.sources.source_error import SourceError
+from yolov5_lifecycle.sources.frames import SourceError
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"

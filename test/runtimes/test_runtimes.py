@@ -15,7 +15,7 @@ from torch import Tensor
 
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.runtimes.denormals import are_zero, denormals_as_zero
+from yolov5_lifecycle.runtimes.networks_by_size import are_zero
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
@@ -209,13 +209,3 @@ def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(
     runtime(np.zeros((64, 64, 3), np.uint8), "rgb")
     assert seen == [True]
     assert not are_zero()
-
-
-def test_a_thread_that_took_denormal_numbers_for_zero_does_so_afterwards() -> None:
-    torch.set_flush_denormal(True)
-    try:
-        with denormals_as_zero():
-            assert are_zero()
-        assert are_zero()
-    finally:
-        torch.set_flush_denormal(False)

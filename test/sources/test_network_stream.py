@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.sources.network_stream import (
     Capture,
     is_stream,
@@ -21,7 +22,6 @@ from yolov5_lifecycle.sources.network_stream import (
     without_secrets,
 )
 from yolov5_lifecycle.sources.source import open_source
-from yolov5_lifecycle.sources.source_error import SourceError
 
 URL = "rtsp://user:secret@camera/stream"
 

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.sources.frames import PictureSource, SourceError, SourceFrame
 from yolov5_lifecycle.sources.playback import Playback
-from yolov5_lifecycle.sources.source import PictureSource, SourceFrame
-from yolov5_lifecycle.sources.source_error import SourceError
 
 PATIENCE_S = 60.0
 

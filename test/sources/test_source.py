@@ -13,9 +13,9 @@ from support.damaged_pictures import claiming_too_much
 from support.grey_pictures import GREYS, grey_folder, grey_video, nearest_grey
 from support.hostile_pictures import HOSTILE_JPEGS
 
+from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.sources.scene import Scene
 from yolov5_lifecycle.sources.source import open_source
-from yolov5_lifecycle.sources.source_error import SourceError
 
 
 @pytest.fixture

@@ -3,31 +3,34 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.streaming.frame_balance import Outcome
-from yolov5_lifecycle.streaming.worker import Worker
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
+from yolov5_lifecycle.streaming.worker import RateLimit, Worker
 
 PATIENCE_S = 10.0
 
 
 class Line:
-    """A worker on a line of numbers, with a gate that holds it while it works."""
+    """A worker on a line of numbers, with a gate that holds it while it works; it is its own pipeline."""
 
     def __init__(self) -> None:
-        self.delivered: list[int] = []
+        self.published: list[int] = []
         self.failures: list[tuple[Outcome, str]] = []
         self.threads: set[int] = set()
         self.gate = threading.Event()
         self.gate.set()
         self.entered = threading.Event()
         self.ended = threading.Semaphore(0)
-        self.worker: Worker[int] = Worker(on_failure=self._fail, on_success=self.ended.release)
+        self.now_s = 1000.0
+        self.worker: Worker[int, int] = Worker(
+            on_failure=self._fail, on_success=self.ended.release, clock=lambda: self.now_s
+        )
 
-    def process(self, number: int) -> Callable[[], None]:
+    def detect(self, number: int) -> int:
         self.threads.add(threading.get_ident())
         self.entered.set()
         assert self.gate.wait(PATIENCE_S)
@@ -35,7 +38,11 @@ class Line:
             raise ImageError(f"{number} is no image")
         if number == 0:
             raise RuntimeError("zero")
-        return lambda: self.delivered.append(number)
+        return number
+
+    def publish(self, result: int) -> None:
+        self.threads.add(threading.get_ident())
+        self.published.append(result)
 
     def feed(self, number: int) -> None:
         """Offer one frame and wait until it ended."""
@@ -67,17 +74,17 @@ def line() -> Iterator[Line]:
     assert balance.received == sum(balance.outcomes.values()) + balance.pending
 
 
-def test_frames_are_delivered_in_order_by_one_thread(line: Line) -> None:
-    line.worker.start(line.process)
+def test_frames_are_detected_and_published_in_order_by_one_thread(line: Line) -> None:
+    line.worker.start(line)
     for number in (1, 2, 3):
         line.feed(number)
-    assert line.delivered == [1, 2, 3]
+    assert line.published == [1, 2, 3]
     assert len(line.threads) == 1
     assert line.count(Outcome.DETECTED) == 3
 
 
 def test_a_newer_frame_replaces_the_one_that_waits(line: Line) -> None:
-    line.worker.start(line.process)
+    line.worker.start(line)
     line.hold(1)
     for number in (2, 3, 4):
         line.worker.offer(number)
@@ -85,7 +92,7 @@ def test_a_newer_frame_replaces_the_one_that_waits(line: Line) -> None:
     line.gate.set()
     assert line.ended.acquire(timeout=PATIENCE_S)
     assert line.ended.acquire(timeout=PATIENCE_S)
-    assert line.delivered == [1, 4]
+    assert line.published == [1, 4]
     assert line.count(Outcome.STALE) == 2
 
 
@@ -94,12 +101,35 @@ def test_before_start_frames_are_inactive(line: Line) -> None:
     assert line.count(Outcome.INACTIVE) == 1
 
 
-def test_a_skipped_frame_is_only_counted(line: Line) -> None:
-    line.worker.start(line.process)
-    line.worker.offer(1, skip=True)
+def test_a_frame_above_the_rate_is_only_counted(line: Line) -> None:
+    line.worker.start(line, max_rate_hz=10.0)
+    line.feed(1)
     line.feed(2)
-    assert line.delivered == [2]
+    line.worker.offer(3)
+    line.now_s += 0.1
+    line.feed(4)
+    assert line.published == [1, 2, 4]
     assert line.count(Outcome.SKIPPED) == 1
+
+
+def test_another_rate_applies_from_the_next_frame_and_the_same_one_goes_on(line: Line) -> None:
+    line.worker.start(line, max_rate_hz=0.001)
+    line.feed(1)
+    line.feed(2)
+    line.worker.start(line, max_rate_hz=0.001)
+    line.worker.offer(3)
+    line.worker.start(line, max_rate_hz=10.0)
+    line.feed(4)
+    assert line.published == [1, 2, 4]
+
+
+def test_a_rate_limit_ends_with_the_stop(line: Line) -> None:
+    for number in (1, 2):
+        line.worker.start(line, max_rate_hz=0.001)
+        line.feed(number)
+        line.feed(number)
+        assert line.worker.stop(PATIENCE_S)
+    assert line.published == [1, 1, 2, 2]
 
 
 @pytest.mark.parametrize(
@@ -112,38 +142,39 @@ def test_a_skipped_frame_is_only_counted(line: Line) -> None:
 def test_a_bad_frame_is_counted_and_the_next_one_detected(
     line: Line, number: int, outcome: Outcome, message: str
 ) -> None:
-    line.worker.start(line.process)
+    line.worker.start(line)
     line.feed(number)
     line.feed(7)
     assert line.failures == [(outcome, message)]
     assert line.count(outcome) == 1
-    assert line.delivered == [7]
+    assert line.published == [7]
 
 
 def test_stop_waits_for_the_frame_in_work_and_flushes_the_waiting_one(line: Line) -> None:
-    line.worker.start(line.process)
+    line.worker.start(line)
     line.hold(1)
     line.worker.offer(2)
     opener = threading.Timer(0.05, line.gate.set)
     opener.start()
     assert line.worker.stop(PATIENCE_S)
-    assert line.delivered == [1]
+    assert line.published == [1]
     assert line.count(Outcome.FLUSHED) == 1
     assert line.worker.balance().pending == 0
 
 
 def test_the_time_spent_on_the_current_frame_is_reported(line: Line) -> None:
     assert line.worker.busy_s() == 0
-    line.worker.start(line.process)
+    line.worker.start(line)
     line.hold(1)
-    assert 0 < line.worker.busy_s() < line.worker.busy_s()
+    line.now_s += 2.5
+    assert line.worker.busy_s() == 2.5
     line.gate.set()
     assert line.ended.acquire(timeout=PATIENCE_S)
     assert line.worker.busy_s() == 0
 
 
 def test_a_hung_frame_is_abandoned_and_its_late_result_dropped(line: Line) -> None:
-    line.worker.start(line.process)
+    line.worker.start(line)
     line.hold(1)
     assert line.worker.abandoned_threads() == 0
     assert not line.worker.stop(0.01)
@@ -152,24 +183,60 @@ def test_a_hung_frame_is_abandoned_and_its_late_result_dropped(line: Line) -> No
     (hung,) = (thread for thread in threading.enumerate() if thread.ident in line.threads)
     line.gate.set()
     hung.join(PATIENCE_S)
-    assert line.delivered == []
+    assert line.published == []
     assert line.worker.abandoned_threads() == 0
-    line.worker.start(line.process)
+    line.worker.start(line)
     line.feed(2)
-    assert line.delivered == [2]
+    assert line.published == [2]
     assert len(line.threads) == 2
 
 
-def test_a_new_process_takes_over_at_the_next_frame(line: Line) -> None:
-    line.worker.start(line.process)
+class Negated:
+    """Another pipeline: it publishes the number with its sign changed."""
+
+    def __init__(self, published: list[int]) -> None:
+        self._published = published
+
+    def detect(self, number: int) -> int:
+        return -number
+
+    def publish(self, result: int) -> None:
+        self._published.append(result)
+
+
+def test_a_new_pipeline_takes_over_at_the_next_frame(line: Line) -> None:
+    line.worker.start(line)
     line.feed(1)
-    line.worker.start(lambda number: lambda: line.delivered.append(-number))
+    line.worker.start(Negated(line.published))
     line.feed(2)
-    assert line.delivered == [1, -2]
+    assert line.published == [1, -2]
+
+
+def test_a_frame_goes_through_one_pipeline_although_another_one_comes_meanwhile(line: Line) -> None:
+    line.worker.start(line)
+    line.hold(1)
+    line.worker.start(Negated(line.published))
+    line.gate.set()
+    assert line.ended.acquire(timeout=PATIENCE_S)
+    assert line.published == [1]
+
+
+class Unpublishable(Negated):
+    """A pipeline that detects and cannot publish."""
+
+    def publish(self, result: int) -> None:
+        raise RuntimeError("no publisher")
+
+
+def test_a_result_that_cannot_be_published_is_a_failed_frame(line: Line) -> None:
+    line.worker.start(Unpublishable(line.published))
+    line.feed(1)
+    assert line.failures == [(Outcome.FAILED, "no publisher")]
+    assert line.count(Outcome.FAILED) == 1
 
 
 def test_rest_ends_when_the_frame_in_work_does_although_frames_go_on(line: Line) -> None:
-    line.worker.start(line.process)
+    line.worker.start(line)
     line.hold(1)
     assert not line.worker.rest(0.01)
     line.worker.offer(2)
@@ -177,7 +244,7 @@ def test_rest_ends_when_the_frame_in_work_does_although_frames_go_on(line: Line)
     opener = threading.Timer(0.05, line.gate.set)
     opener.start()
     assert line.worker.rest(PATIENCE_S)
-    assert 1 in line.delivered
+    assert 1 in line.published
 
 
 def test_rest_without_work_returns_at_once(line: Line) -> None:
@@ -185,14 +252,38 @@ def test_rest_without_work_returns_at_once(line: Line) -> None:
 
 
 def test_close_reports_an_abandoned_thread(line: Line) -> None:
-    line.worker.start(line.process)
+    line.worker.start(line)
     line.hold(1)
     assert not line.worker.close(0.01)
     line.gate.set()
 
 
 def test_close_ends_the_thread(line: Line) -> None:
-    line.worker.start(line.process)
+    line.worker.start(line)
     line.feed(1)
     assert line.worker.close(PATIENCE_S)
     assert not {thread.ident for thread in threading.enumerate()} & line.threads
+
+
+@pytest.mark.parametrize("limit_hz", [1.0, 7.0, 10.0, 20.0, 29.0])
+def test_a_stream_is_thinned_to_the_limit_within_two_percent(limit_hz: float) -> None:
+    limit = RateLimit(limit_hz)
+    admitted = sum(limit.admits(1000 + index / 30) for index in range(30 * 100))
+    assert admitted / 100 == pytest.approx(limit_hz, rel=0.02)
+
+
+def test_a_slower_stream_passes_whole() -> None:
+    limit = RateLimit(10.0)
+    assert all(limit.admits(index / 5) for index in range(100))
+
+
+def test_zero_is_no_limit() -> None:
+    limit = RateLimit(0.0)
+    assert all(limit.admits(0.0) for _ in range(10))
+
+
+def test_a_pause_does_not_save_up_a_burst() -> None:
+    limit = RateLimit(10.0)
+    limit.admits(0.0)
+    admitted = sum(limit.admits(100 + index / 1000) for index in range(100))
+    assert admitted <= 2

@@ -34,7 +34,7 @@ from yolov5_lifecycle.ros.messages import image_message
 from yolov5_lifecycle.settings.field import Change
 from yolov5_lifecycle.settings.settings import SETTINGS
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
-from yolov5_lifecycle.streaming.frame_balance import Outcome
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 NODE = "/yolov5"
 WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"

@@ -8,9 +8,7 @@ from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
 from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
 from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.empty_frames import EmptyRun
-from yolov5_lifecycle.streaming.frame_balance import FrameCounter
-from yolov5_lifecycle.streaming.rate import LatencySummary
+from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameCounter, LatencySummary
 
 LARGE = 921_600
 TOPIC = TopicStatus(

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.detector import Detector, load_detector
+from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import Picture
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, Truth, random_scene
 

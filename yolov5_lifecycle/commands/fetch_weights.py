@@ -18,11 +18,10 @@ from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, WeightsFile, exp
 from yolov5_lifecycle.commands.command_parser import CommandParser
 from yolov5_lifecycle.commands.convert import convert, report
 from yolov5_lifecycle.commands.download import DownloadError, Progress, download
-from yolov5_lifecycle.commands.progress import show_progress
 from yolov5_lifecycle.models.architecture import SIZES
 from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.process.standard_streams import complain, write_output
+from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.settings.settings import Settings, SettingsError, validated
 from yolov5_lifecycle.unfinished import open_itself
 

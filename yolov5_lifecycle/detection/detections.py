@@ -44,6 +44,11 @@ class Detections:
     def __len__(self) -> int:
         return len(self.scores)
 
+    def objects(self, class_names: Sequence[str]) -> list[FoundObject]:
+        """The rows as objects with their class names, highest score first."""
+        rows = zip(self.class_ids.tolist(), self.scores.tolist(), self.boxes_xyxy.tolist(), strict=True)
+        return [FoundObject(class_names[class_id], score, tuple(box)) for class_id, score, box in rows]
+
 
 def _check(column: str, values: NDArray[np.generic], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
     if values.shape != shape or values.dtype != dtype:
@@ -69,11 +74,3 @@ class FoundObject:
         """Width and height."""
         x1, y1, x2, y2 = self.box_xyxy
         return x2 - x1, y2 - y1
-
-
-def found_objects(detections: Detections, class_names: Sequence[str]) -> list[FoundObject]:
-    """The rows of `detections` as objects with class names, highest score first."""
-    rows = zip(
-        detections.class_ids.tolist(), detections.scores.tolist(), detections.boxes_xyxy.tolist(), strict=True
-    )
-    return [FoundObject(class_names[class_id], score, tuple(box)) for class_id, score, box in rows]

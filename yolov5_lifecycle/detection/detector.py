@@ -10,21 +10,19 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.nms import Selection, select
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import Order, Picture
 from yolov5_lifecycle.models.architecture import image_size_problem
-from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
-from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 
 USUAL_SOURCE_HW = (480, 640)
 
 
 class Detector:
-    """Detects objects in images. Owns `runtime`; stateless between images.
+    """Detects objects in images; for one thread at a time. Owns `runtime`; stateless between images.
 
     `class_names` by class id. `image_size`: longer side of the network input in pixels, a multiple of
     `stride`, the largest stride of the model; else ValueError. `choice`: why this runtime was selected.
+    `selection`: the thresholds and classes of a call; may be replaced.
     """
 
     def __init__(
@@ -36,12 +34,20 @@ class Detector:
         stride: int,
         choice: str = "as set",
     ) -> None:
-        _check_image_size(image_size, stride)
+        check_image_size(image_size, stride)
         self.runtime = runtime
         self.choice = choice
         self.class_names = tuple(class_names)
         self.image_size = image_size
         self.stride = stride
+        self.selection = Selection()
+
+    def __call__(self, pixels: NDArray[np.uint8], *, order: Order = "bgr") -> Detections:
+        """Detections in an image (H, W, 3) of dtype uint8, as cv2.imread returns it; see `detect`.
+
+        Raises ImageError for anything else, such as None from cv2.imread.
+        """
+        return self.detect(Picture(pixels, order), self.selection)
 
     def detect(self, picture: Picture, selection: Selection) -> Detections:
         """Detections in pixels of `picture`, clipped to it; boxes entirely in the padding are dropped.
@@ -86,31 +92,7 @@ class Detector:
             )
 
 
-def load_detector(
-    model: Model,
-    *,
-    device: str = "auto",
-    precision: str = "auto",
-    image_size: int = 640,
-    runtime: str = "auto",
-) -> Detector:
-    """Load a detector for `model`; the other arguments are the settings of the same names.
-
-    With `auto` the fastest runtime is measured and cached, see `choose_runtime`. Raises DeviceError and
-    RuntimeAbsentError (both ValueErrors), ValueError for the image size, InferenceError when measuring fails.
-    """
-    stride = max(model.architecture.strides)
-    _check_image_size(image_size, stride)
-    choice = Choice(runtime, "as set")
-    if runtime == "auto":
-        frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
-        choice = choose_runtime(model, device=device, precision=precision, frame_hw=frame_hw)
-    loaded = load_runtime(model, choice.runtime, device=device, precision=precision)
-    return Detector(
-        loaded, class_names=model.class_names, image_size=image_size, stride=stride, choice=choice.reason
-    )
-
-
-def _check_image_size(image_size: int, stride: int) -> None:
+def check_image_size(image_size: int, stride: int) -> None:
+    """Raise ValueError unless `image_size` is a positive multiple of `stride`."""
     if problem := image_size_problem(image_size, stride, whose="this model"):
         raise ValueError(f"Image size {problem}")

@@ -1,18 +1,24 @@
-"""Settings -> loaded and warmed-up model."""
+"""From settings to a loaded and warmed-up model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from yolov5_lifecycle.checkpoints.allowed_folders import confined
 from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
-from yolov5_lifecycle.detection.detector import Detector, load_detector
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
+from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.detection.selection import model_problems, selection
+from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.package_path import resolve_package
 from yolov5_lifecycle.process.memory import release_unused_memory
+from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
+from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.settings.field import Change
-from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, SettingsError, validated
 
 
 @dataclass(frozen=True)
@@ -87,6 +93,76 @@ def prepare_model(settings: Settings, source_hw: tuple[int, int]) -> PreparedMod
         detector.close()
         raise
     return PreparedModel(settings, detector, weights.path, weights.sha256)
+
+
+def load_detector(
+    model: Model,
+    *,
+    device: str = "auto",
+    precision: str = "auto",
+    image_size: int = 640,
+    runtime: str = "auto",
+) -> Detector:
+    """Load a detector for `model`; the other arguments are the settings of the same names.
+
+    With `auto` the fastest runtime is measured and cached, see `choose_runtime`. Raises DeviceError and
+    RuntimeAbsentError (both ValueErrors), ValueError for the image size, InferenceError when measuring fails.
+    """
+    stride = max(model.architecture.strides)
+    check_image_size(image_size, stride)
+    choice = Choice(runtime, "as set")
+    if runtime == "auto":
+        frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
+        choice = choose_runtime(model, device=device, precision=precision, frame_hw=frame_hw)
+    loaded = load_runtime(model, choice.runtime, device=device, precision=precision)
+    return Detector(
+        loaded, class_names=model.class_names, image_size=image_size, stride=stride, choice=choice.reason
+    )
+
+
+def load_model(
+    weights: str | os.PathLike[str],
+    *,
+    weights_sha256: str = "",
+    device: str | int = "auto",
+    runtime: str = "auto",
+    precision: str = "auto",
+    image_size: int = 640,
+    confidence_threshold: float = 0.25,
+    iou_threshold: float = 0.45,
+    max_detections: int = 1000,
+    classes: Sequence[str | int] = (),
+    agnostic_nms: bool = False,
+) -> Detector:
+    """Load a weights file (.pt or .safetensors) and warm the network up: a detector to call with images.
+
+    The arguments are the node's parameters of the same names, with their defaults and rules. `weights` may
+    begin with ~ or package://PACKAGE. Sets no environment variable, unlike the commands; docs/performance.md
+    says which matter.
+
+    Raises SettingsError with every invalid argument, WeightsError for the file, DeviceError and
+    RuntimeAbsentError, all ValueErrors; OSError; InferenceError.
+    """
+    values: dict[str, object] = {
+        "weights": os.fspath(weights),
+        "weights_sha256": weights_sha256,
+        "device": device,
+        "runtime": runtime,
+        "precision": precision,
+        "image_size": image_size,
+        "confidence_threshold": confidence_threshold,
+        "iou_threshold": iou_threshold,
+        "max_detections": max_detections,
+        "classes": list(classes) if isinstance(classes, tuple) else classes,
+        "agnostic_nms": agnostic_nms,
+    }
+    settings = validated({name: SETTINGS_BY_NAME[name].coerced(value) for name, value in values.items()})
+    model = prepare_model(settings, USUAL_SOURCE_HW)
+    if problems := model_problems(settings, model.detector.class_names):
+        model.close()
+        raise SettingsError(problems)
+    model.detector.selection = selection(settings, model.detector.class_names)
+    return model.detector
 
 
 def check_place(settings: Settings) -> None:

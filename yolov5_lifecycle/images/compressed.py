@@ -26,6 +26,11 @@ _VALUES: dict[str, type[np.unsignedinteger[Any]]] = {
 """Encodings whose PNG holds raw sensor values rather than a viewable image, and their dtype."""
 
 
+def compressed_picture(image: Any) -> Picture:
+    """Decode a sensor_msgs/CompressedImage, deserialised by any library. Raises ImageError."""
+    return decode_compressed(image.data, format_text=image.format)
+
+
 def decode_compressed(data: Any, *, format_text: str = "") -> Picture:
     """Decode a JPEG or PNG file; `data` as for `decode_raw`.
 

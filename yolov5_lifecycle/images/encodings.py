@@ -158,6 +158,18 @@ ENCODINGS: Mapping[str, _Layout] = MappingProxyType(
 """Supported encodings of sensor_msgs/Image by name; docs/images.md has a table."""
 
 
+def raw_picture(image: Any) -> Picture:
+    """Decode a sensor_msgs/Image, deserialised by any library; see `decode_raw`. Raises ImageError."""
+    return decode_raw(
+        image.data,
+        encoding=image.encoding,
+        height=image.height,
+        width=image.width,
+        step=image.step,
+        is_bigendian=bool(image.is_bigendian),
+    )
+
+
 def decode_raw(
     data: Any, *, encoding: str, height: int, width: int, step: int, is_bigendian: bool
 ) -> Picture:

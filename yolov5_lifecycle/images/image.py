@@ -30,16 +30,23 @@ class Picture:
     order: Order
 
     def __post_init__(self) -> None:
-        shape, dtype = self.pixels.shape, self.pixels.dtype
-        if len(shape) != 3 or shape[2] != 3 or dtype != np.uint8:
-            raise ImageError(f"Pixels must be uint8 of shape (H, W, 3), found {dtype} of shape {shape}.")
-        check_size(shape[0], shape[1])
+        _check_pixels(self.pixels)
 
     @property
     def size_hw(self) -> tuple[int, int]:
         """Height and width in pixels."""
         height, width, _ = self.pixels.shape
         return height, width
+
+
+def _check_pixels(pixels: object) -> None:
+    if not isinstance(pixels, np.ndarray):  # such as None, which cv2.imread returns
+        found = type(pixels).__name__
+        raise ImageError(f"Pixels must be a uint8 array of shape (H, W, 3), found {found}.")
+    if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
+        found = f"{pixels.dtype} of shape {pixels.shape}"
+        raise ImageError(f"Pixels must be uint8 of shape (H, W, 3), found {found}.")
+    check_size(pixels.shape[0], pixels.shape[1])
 
 
 def check_size(height: int, width: int) -> None:

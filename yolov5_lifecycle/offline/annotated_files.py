@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.atomic_file import OutputError
-from yolov5_lifecycle.detection.detections import Detections, found_objects
+from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.encodings import encoded
 from yolov5_lifecycle.images.image import Picture
 
@@ -73,6 +73,6 @@ def detection_line(
     height, width = picture.size_hw
     found = [
         {"class_name": one.class_name, "score": one.score, "box_xyxy": one.box_xyxy}
-        for one in found_objects(detections, class_names)
+        for one in detections.objects(class_names)
     ]
     return json.dumps({**identity, "width": width, "height": height, "detections": found}) + "\n"

@@ -13,22 +13,20 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_parser import CommandParser
-from yolov5_lifecycle.commands.progress import show_progress
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_files import detect_files
 from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineDetector
-from yolov5_lifecycle.process.standard_streams import complain
+from yolov5_lifecycle.process.standard_streams import complain, show_progress
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
 from yolov5_lifecycle.settings.settings import Problem, Settings, SettingsError, validated
-from yolov5_lifecycle.streaming.frame_balance import Outcome
-from yolov5_lifecycle.streaming.rate import RateLimit
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _OF_THE_NODE = ("autostart", "bond_timeout", "image_reliability", "image_transport", "lazy", "max_rate")
 """Settings without effect offline; a parameter file may contain them, command-line arguments may not."""
 _RECORDING_SUFFIXES = (".mcap", ".db3")
 _MAX_TOLD = 10
-_PROGRESS_HZ = 10.0
+_PROGRESS_PERIOD_S = 0.1
 _EPILOG = """\
 examples:
   detect_bag drive --output drive_detections --set weights=best.pt
@@ -127,7 +125,7 @@ class _Terminal:
     def __init__(self, *, shows_progress: bool) -> None:
         self._shows_progress = shows_progress
         self._lost = 0
-        self._rate_limit = RateLimit()
+        self._due_s = 0.0
         self._is_line_open = False
 
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
@@ -139,7 +137,9 @@ class _Terminal:
             _complain("further ones are only counted")
 
     def progress(self, account: Account) -> None:
-        if self._shows_progress and self._rate_limit.admits(time.monotonic(), _PROGRESS_HZ):
+        now_s = time.monotonic()
+        if self._shows_progress and now_s >= self._due_s:
+            self._due_s = now_s + _PROGRESS_PERIOD_S
             of_all = f" of {account.expected}" if account.expected else ""
             text = f"{account.balance.received}{of_all} pictures, {account.rate_hz:.1f} per second"
             show_progress(f"{text:<60}")  # padded to overwrite a longer text

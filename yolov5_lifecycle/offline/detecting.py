@@ -15,7 +15,7 @@ from yolov5_lifecycle.images.image import ImageError, Picture
 from yolov5_lifecycle.offline.recording import StoredPicture
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.settings import Settings, SettingsError
-from yolov5_lifecycle.streaming.frame_balance import FrameBalance, FrameCounter, Outcome
+from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
 
 Stored = TypeVar("Stored", bound=StoredPicture)
 

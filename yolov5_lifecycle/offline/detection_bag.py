@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import Writer
 
-from yolov5_lifecycle.detection.detections import Detections, FoundObject, found_objects
+from yolov5_lifecycle.detection.detections import Detections, FoundObject
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.images.image import Picture
 from yolov5_lifecycle.offline.recorded_types import TYPES
@@ -45,7 +45,7 @@ class DetectionBag:
             labels = _label_info(self._class_names, self._threshold, header.stamp)
             self._add(self._labels, timestamp_ns, labels)
             self._is_labelled = True
-        found = found_objects(detections, self._class_names)
+        found = detections.objects(self._class_names)
         self._add(self._detections, timestamp_ns, detection_array(found, header))
         if self._images is not None:
             drawn = annotate(picture, detections, self._class_names)

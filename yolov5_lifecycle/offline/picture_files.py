@@ -9,13 +9,13 @@ from pathlib import Path
 import cv2
 
 from yolov5_lifecycle.images.image import ImageError, Picture
+from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.sources.source import (
     PICTURE_RATE_HZ,
     PICTURE_SUFFIXES,
     open_source,
     picture_paths,
 )
-from yolov5_lifecycle.sources.source_error import SourceError
 
 
 @dataclass(frozen=True)

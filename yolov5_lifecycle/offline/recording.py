@@ -13,7 +13,8 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2.reader import DirectoryReader
 
-from yolov5_lifecycle.images.from_message import compressed_picture, raw_picture
+from yolov5_lifecycle.images.compressed import compressed_picture
+from yolov5_lifecycle.images.encodings import raw_picture
 from yolov5_lifecycle.images.image import ImageError, Picture
 from yolov5_lifecycle.offline.recorded_types import TYPES
 from yolov5_lifecycle.offline.recording_limits import (

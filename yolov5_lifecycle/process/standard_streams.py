@@ -1,4 +1,4 @@
-"""Handling of closed, full and broken standard streams."""
+"""Output to standard streams, which may be closed, full or broken."""
 
 from __future__ import annotations
 
@@ -69,6 +69,14 @@ def complain(command: str, problem: object) -> None:
     """Write `problem`, which may contain untrusted text, to stderr if possible."""
     with suppress(OSError):
         sys.stderr.write(in_lines(f"{command}: {problem}") + "\n")
+        sys.stderr.flush()
+
+
+def show_progress(text: str, *, done: bool = False) -> None:
+    """Overwrite the previous progress line with `text`; `done` ends it. No-op if stderr is no terminal."""
+    if sys.stderr.isatty():
+        end = "\n" if done else ""
+        sys.stderr.write(f"\r{text}{end}")
         sys.stderr.flush()
 
 

@@ -20,8 +20,9 @@ from vision_msgs.msg import (
     VisionClass,
 )
 
-from yolov5_lifecycle.detection.detections import Detections, FoundObject, found_objects
-from yolov5_lifecycle.images.from_message import compressed_picture, raw_picture
+from yolov5_lifecycle.detection.detections import Detections, FoundObject
+from yolov5_lifecycle.images.compressed import compressed_picture
+from yolov5_lifecycle.images.encodings import raw_picture
 from yolov5_lifecycle.images.image import Picture
 
 
@@ -58,7 +59,7 @@ def _array_of(values: NDArray[np.uint8]) -> array[int]:
 
 def detection_array(detections: Detections, class_names: Sequence[str], header: Header) -> Detection2DArray:
     """Detection2DArray message in source pixels, with the header of the source image."""
-    found = found_objects(detections, class_names)
+    found = detections.objects(class_names)
     return Detection2DArray(header=header, detections=[_detection(one, header) for one in found])
 
 

@@ -12,9 +12,8 @@ from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes.cache_folder import cache_folder
 from yolov5_lifecycle.runtimes.compiled_store import CompiledStore
 from yolov5_lifecycle.runtimes.compiler import Compiler, Engine, Run
-from yolov5_lifecycle.runtimes.denormals import denormals_as_zero
+from yolov5_lifecycle.runtimes.networks_by_size import NetworksBySize
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.runtimes.size_cache import SizeCache
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
 
@@ -29,7 +28,7 @@ class CompiledRuntime:
 
     def __init__(self, compiler: Compiler, engine: Engine) -> None:
         self._engine = engine
-        self._compiled: SizeCache[_Compiled] | None = SizeCache(
+        self._compiled = NetworksBySize(
             lambda size_hw: _Compiled(compiler.run(size_hw), compiler.head, size_hw)
         )
 
@@ -52,19 +51,20 @@ class CompiledRuntime:
         self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
     ) -> NDArray[np.float32]:
         """See `Runtime`; the first frame of each size waits for the compiler."""
-        compiled = self._compiled  # an abandoned thread may run while another closes
-        if compiled is None:
-            raise InferenceError("The runtime was closed; load the model again.")
+        height, width, _ = frame.shape
         try:
-            with denormals_as_zero():  # in this thread; the engine does so in its own threads
-                return compiled[frame.shape[0], frame.shape[1]](frame, order, least_objectness)
+            # Denormal floats are zero in this thread; the engine sees to its own threads.
+            with self._compiled.running((height, width)) as compiled:
+                return compiled(frame, order, least_objectness)
+        except InferenceError:  # it was closed
+            raise
         except self._engine.errors as error:
             problem = str(error).partition("\n")[0]
         raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
 
     def close(self) -> None:
         """See `Runtime`."""
-        self._compiled = None
+        self._compiled.close()
 
 
 class _Compiled:

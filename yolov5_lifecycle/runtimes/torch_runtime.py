@@ -15,9 +15,8 @@ from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network, fuse
 from yolov5_lifecycle.runtimes.cuda_graph import RecordedNetwork
-from yolov5_lifecycle.runtimes.denormals import denormals_as_zero
+from yolov5_lifecycle.runtimes.networks_by_size import NetworksBySize
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
-from yolov5_lifecycle.runtimes.size_cache import SizeCache
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
 
 _PRECISIONS = {torch.float32: "fp32", torch.float16: "fp16"}
@@ -37,7 +36,7 @@ class TorchRuntime:
         self._device = device
         self._dtype = dtype
         prepared = _prepared(network, device, dtype)
-        self._forwards: SizeCache[Forward] | None = SizeCache(
+        self._forwards: NetworksBySize[Forward] = NetworksBySize(
             lambda size_hw: _forward(prepared, size_hw, device=device, dtype=dtype)
         )
 
@@ -72,13 +71,13 @@ class TorchRuntime:
         self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
     ) -> NDArray[np.float32]:
         """See `Runtime`; DeviceLostError when CUDA no longer works in this process."""
-        forwards = self._forwards  # an abandoned thread may run while another closes
-        if forwards is None:
-            raise InferenceError("The runtime was closed; load the model again.")
+        height, width, _ = frame.shape
         rgb = cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) if order == "bgr" else frame
         try:
-            with denormals_as_zero():
-                return self._run(forwards, torch.from_numpy(rgb), least_objectness)
+            with torch.inference_mode(), self._forwards.running((height, width)) as forward:
+                return _likely(forward(torch.from_numpy(rgb)), least_objectness)
+        except InferenceError:  # it was closed
+            raise
         except torch.OutOfMemoryError as error:
             problem = f"{_first_line(error)} Use a smaller image_size or model."
         except RuntimeError as error:
@@ -88,14 +87,7 @@ class TorchRuntime:
 
     def close(self) -> None:
         """See `Runtime`."""
-        self._forwards = None
-
-    @torch.inference_mode()
-    def _run(self, forwards: SizeCache[Forward], rgb: Tensor, least_objectness: float) -> NDArray[np.float32]:
-        raw = forwards[rgb.shape[0], rgb.shape[1]](rgb)
-        # Filtered on the device, as all rows would be 8 MB to copy from a GPU; NaN rows are kept.
-        rows: NDArray[np.float32] = raw[~(raw[:, 4] < least_objectness)].cpu().numpy()
-        return rows
+        self._forwards.close()
 
     def _failure(self, problem: str) -> InferenceError:
         """The error to raise for a failed frame."""
@@ -125,6 +117,13 @@ def _forward(
         problem = _first_line(error.__context__ or error)  # the latter may only mention an earlier error
     _log.warning("The network is run step by step, as CUDA could not record it: %s", problem)
     return eager
+
+
+def _likely(raw: Tensor, least_objectness: float) -> NDArray[np.float32]:
+    """The rows of `raw` whose objectness is not below `least_objectness`; NaN rows are kept."""
+    # Filtered on the device, as all rows would be 8 MB to copy from a GPU.
+    rows: NDArray[np.float32] = raw[~(raw[:, 4] < least_objectness)].cpu().numpy()
+    return rows
 
 
 def _prepared(network: Network, device: torch.device, dtype: torch.dtype) -> Network:

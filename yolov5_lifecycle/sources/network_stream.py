@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.sources.source_error import SourceError
+from yolov5_lifecycle.sources.frames import SourceError
 
 SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "http", "https", "udp", "tcp", "rtp", "srt")
 MIN_DELAY_S = 1.0

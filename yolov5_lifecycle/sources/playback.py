@@ -8,8 +8,7 @@ import traceback
 from collections.abc import Callable
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.sources.source import PictureSource, SourceFrame
-from yolov5_lifecycle.sources.source_error import SourceError
+from yolov5_lifecycle.sources.frames import PictureSource, SourceError, SourceFrame
 
 _POLL_S = 0.02
 

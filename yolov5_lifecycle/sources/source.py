@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -15,9 +14,9 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.images.compressed import decode_image_file
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, Picture
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.sources.frames import PictureSource, SourceError, SourceFrame
 from yolov5_lifecycle.sources.network_stream import Report, Wait, is_stream, open_stream, sleep
-from yolov5_lifecycle.sources.scene import Scene, Truth
-from yolov5_lifecycle.sources.source_error import SourceError
+from yolov5_lifecycle.sources.scene import Scene
 
 SYNTHETIC = "synthetic"
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
@@ -29,25 +28,6 @@ _MAX_FILE_BYTES = 1 << 30
 _DEFAULT_SCENE_HW = (480, 640)
 _MAX_REPORTED = 10
 """Number of skipped images that are reported by name; further ones are only counted."""
-
-
-@dataclass(frozen=True)
-class SourceFrame:
-    """One image and, for the synthetic scene only, its ground truth."""
-
-    picture: Picture
-    truth: Truth | None = None
-
-
-@dataclass(frozen=True)
-class PictureSource:
-    """Frames and their nominal rate.
-
-    `rate_hz` is None for a device, which delivers frames at its own pace.
-    """
-
-    frames: Iterator[SourceFrame]
-    rate_hz: float | None
 
 
 def _keep_silent(_: str) -> None:

@@ -1,33 +1,62 @@
-"""Worker: one long-lived inference thread with a slot for the newest frame."""
+"""Worker: one long-lived inference thread with a rate limit and a slot for the newest frame."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.streaming.frame_balance import FrameBalance, FrameCounter, Outcome
+from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
 
 Frame = TypeVar("Frame")
-Deliver = Callable[[], None]
-Process = Callable[[Frame], Deliver]
-"""Processes a frame and returns a publish callback. Raises ImageError when the frame is unreadable."""
+Result = TypeVar("Result")
+AnyFrame = TypeVar("AnyFrame", contravariant=True)
 
 MAX_ABANDONED_THREADS = 3
 """Each holds the memory of its model and image; beyond this limit, restart the process."""
 
 
-class Worker(Generic[Frame]):
-    """Runs `process` on the newest frame, one at a time, always in the same thread.
+class Pipeline(Protocol[AnyFrame, Result]):
+    """What the worker does with a frame, in its thread."""
+
+    def detect(self, frame: AnyFrame) -> Result:
+        """The result for `frame`. Raises ImageError when the frame is unreadable."""
+
+    def publish(self, result: Result) -> None:
+        """Publish what `detect` returned; not called for a frame that was abandoned."""
+
+
+class RateLimit:
+    """Admits at most `max_rate_hz` events per second on average; 0 admits all."""
+
+    def __init__(self, max_rate_hz: float) -> None:
+        self.max_rate_hz = max_rate_hz
+        self._due_s = 0.0
+
+    def admits(self, now_s: float) -> bool:
+        """Whether the event at `now_s` (monotonic seconds) is within the limit.
+
+        It keeps a schedule, not a minimum gap: 20 Hz out of a 30 Hz stream gives 20, not 15.
+        """
+        if self.max_rate_hz <= 0:
+            return True
+        if now_s < self._due_s:
+            return False
+        self._due_s = max(self._due_s + 1 / self.max_rate_hz, now_s)
+        return True
+
+
+class Worker(Generic[Frame, Result]):
+    """Runs a pipeline on the newest frame, one at a time, always in the same thread.
 
     Torch keeps a thread pool and warm caches per calling thread, so the thread survives every start and stop.
     Only a hung thread is abandoned: its frame counts as failed, its late result is dropped, and a new thread
     takes over. An abandoned thread ends when its frame does.
 
     `on_failure(outcome, error)` and `on_success()` are called in the worker's thread after a frame has been
-    counted.
+    counted. `clock` returns monotonic seconds.
     """
 
     def __init__(
@@ -35,34 +64,39 @@ class Worker(Generic[Frame]):
         *,
         on_failure: Callable[[Outcome, Exception], None],
         on_success: Callable[[], None],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._on_failure = on_failure
         self._on_success = on_success
+        self._clock = clock
         self._changed = threading.Condition()
         self._counter = FrameCounter()
-        self._process: Process[Frame] | None = None
+        self._pipeline: Pipeline[Frame, Result] | None = None
+        self._rate_limit = RateLimit(0.0)
         self._slot: Frame | None = None
         self._busy = False
         self._begun_s = 0.0
-        self._delivering = False
+        self._publishing = False
         self._jobs_done = 0
         self._closed = False
         self._abandoned: list[threading.Thread] = []
         self._thread = self._new_thread()
         self._thread.start()
 
-    def start(self, process: Process[Frame]) -> None:
-        """Start with `process`, or switch to it from the next frame on."""
+    def start(self, pipeline: Pipeline[Frame, Result], *, max_rate_hz: float = 0.0) -> None:
+        """Start with `pipeline` and `max_rate_hz`, or switch to them from the next frame on; 0: no limit."""
         with self._changed:
-            self._process = process
+            self._pipeline = pipeline
+            if max_rate_hz != self._rate_limit.max_rate_hz:
+                self._rate_limit = RateLimit(max_rate_hz)
 
-    def offer(self, frame: Frame, *, skip: bool = False) -> None:
-        """Submit a frame; it replaces a waiting one. With `skip` it is only counted."""
+    def offer(self, frame: Frame) -> None:
+        """Submit a frame; it replaces a waiting one, unless the rate limit drops it."""
         with self._changed:
             self._counter.receive()
-            if self._process is None:
+            if self._pipeline is None:
                 self._counter.finish(Outcome.INACTIVE)
-            elif skip:
+            elif not self._rate_limit.admits(self._clock()):
                 self._counter.finish(Outcome.SKIPPED)
             else:
                 if self._slot is not None:
@@ -76,14 +110,15 @@ class Worker(Generic[Frame]):
         False: the thread hung. It was abandoned and a new one is ready for the next start.
         """
         with self._changed:
-            self._process = None
+            self._pipeline = None
+            self._rate_limit = RateLimit(0.0)
             if self._slot is not None:
                 self._slot = None
                 self._counter.finish(Outcome.FLUSHED)
             rested = self._changed.wait_for(lambda: not self._busy, timeout_s)
             if not rested:
                 # A publish in progress cannot be cancelled; publishing never takes long.
-                self._changed.wait_for(lambda: not self._delivering)
+                self._changed.wait_for(lambda: not self._publishing)
                 rested = not self._busy
             if not rested:
                 self._counter.finish(Outcome.FAILED)
@@ -116,7 +151,7 @@ class Worker(Generic[Frame]):
     def busy_s(self) -> float:
         """Seconds since processing of the current frame began; 0 when idle."""
         with self._changed:
-            return time.monotonic() - self._begun_s if self._busy else 0.0
+            return self._clock() - self._begun_s if self._busy else 0.0
 
     def abandoned_threads(self) -> int:
         """Number of abandoned threads still processing their frame."""
@@ -136,24 +171,24 @@ class Worker(Generic[Frame]):
     def _is_abandoned(self) -> bool:
         return threading.current_thread() is not self._thread
 
-    def _next_job(self) -> tuple[Process[Frame], Frame] | None:
+    def _next_job(self) -> tuple[Pipeline[Frame, Result], Frame] | None:
         with self._changed:
             self._changed.wait_for(lambda: self._slot is not None or self._closed or self._is_abandoned())
-            if self._closed or self._is_abandoned() or self._slot is None or self._process is None:
+            if self._closed or self._is_abandoned() or self._slot is None or self._pipeline is None:
                 return None
             frame, self._slot = self._slot, None
             self._busy = True
-            self._begun_s = time.monotonic()
-            return self._process, frame
+            self._begun_s = self._clock()
+            return self._pipeline, frame
 
-    def _work(self, process: Process[Frame], frame: Frame) -> None:
+    def _work(self, pipeline: Pipeline[Frame, Result], frame: Frame) -> None:
         error: Exception | None = None
         outcome = Outcome.DETECTED
         try:
-            deliver = process(frame)
-            if not self._may_deliver():
+            result = pipeline.detect(frame)
+            if not self._may_publish():
                 return
-            deliver()
+            pipeline.publish(result)
         except ImageError as unreadable:
             outcome, error = Outcome.REJECTED, unreadable
         except Exception as failure:  # noqa: BLE001 - counted and reported; the next frame is processed
@@ -161,11 +196,11 @@ class Worker(Generic[Frame]):
         if self._finish(outcome):
             self._report(outcome, error)
 
-    def _may_deliver(self) -> bool:
+    def _may_publish(self) -> bool:
         with self._changed:
             if self._is_abandoned():
                 return False
-            self._delivering = True
+            self._publishing = True
             return True
 
     def _finish(self, outcome: Outcome) -> bool:
@@ -174,7 +209,7 @@ class Worker(Generic[Frame]):
                 return False
             self._counter.finish(outcome)
             self._jobs_done += 1
-            self._busy = self._delivering = False
+            self._busy = self._publishing = False
             self._changed.notify_all()
             return True
 

@@ -17,8 +17,7 @@ from yolov5_lifecycle.ros.detector.image_input import RecentImages
 from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
 from yolov5_lifecycle.ros.detector.status import DISCOVERY_S, EMPTY_S, SILENCE_S, SLOW_S, Status
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.empty_frames import EmptyFrames, EmptyRun
-from yolov5_lifecycle.streaming.frame_balance import FrameCounter, Outcome
+from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameCounter, Outcome
 
 NO_CAMERA = TopicStatus(name="/yolov5/image_raw", missing_s=DISCOVERY_S + 1)
 SMALL = 230_400
@@ -155,17 +154,6 @@ def test_scores_that_are_mere_noise_are_not_reported() -> None:
     assert BLIND.empty is not None
     noise = dataclasses.replace(BLIND, empty=dataclasses.replace(BLIND.empty, best_missed=0.0))
     assert "152 frames, nothing even above 0.05: if there was something" in noise.remark
-
-
-def test_empty_frames_are_counted_until_something_is_found() -> None:
-    frames = EmptyFrames(0.5)
-    assert (frames.run.frames, frames.run.duration_s) == (0, 0.0)
-    for now_s, best_missed in ((3.0, 0.1), (4.0, 0.4), (6.0, 0.0)):
-        frames.add(now_s, 0, best_missed)
-    assert (frames.run.frames, frames.run.duration_s, frames.run.threshold) == (3, 3.0, 0.5)
-    assert frames.run.best_missed == 0.4
-    frames.add(7.0, 1, 0.0)
-    assert frames.run == EmptyRun(0.5)
 
 
 def test_a_reason_is_logged_once_a_minute_whatever_its_numbers(ros_domain: int) -> None:

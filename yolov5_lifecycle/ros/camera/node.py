@@ -24,8 +24,9 @@ from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
 from yolov5_lifecycle.ros.start_arguments import initialize, start_arguments
 from yolov5_lifecycle.settings.settings import SettingsError
+from yolov5_lifecycle.sources.frames import PictureSource, SourceFrame
 from yolov5_lifecycle.sources.playback import Playback
-from yolov5_lifecycle.sources.source import PictureSource, SourceFrame, open_source
+from yolov5_lifecycle.sources.source import open_source
 
 _DELIVERY_S = 1.0
 _END_S = 2.0  # longer than the delivery of the current frame may take

@@ -20,9 +20,8 @@ from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.camera.transport import IMAGE_FORMS, ImageForm, Transport
 from yolov5_lifecycle.ros.messages import detection_array
 from yolov5_lifecycle.sources.calibration import Calibration
+from yolov5_lifecycle.sources.frames import SourceError, SourceFrame
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth
-from yolov5_lifecycle.sources.source import SourceFrame
-from yolov5_lifecycle.sources.source_error import SourceError
 
 _RELIABILITIES = {"reliable": ReliabilityPolicy.RELIABLE, "best_effort": ReliabilityPolicy.BEST_EFFORT}
 

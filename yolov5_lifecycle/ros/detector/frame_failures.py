@@ -9,7 +9,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
-from yolov5_lifecycle.streaming.frame_balance import Outcome
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _RECENT_S = 2.0
 

@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.ros.detector.background import Background
-from yolov5_lifecycle.ros.detector.last_picture import LastPicture
+from yolov5_lifecycle.ros.detector.pipeline import LastPicture
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.field import Change
 from yolov5_lifecycle.settings.settings import Settings

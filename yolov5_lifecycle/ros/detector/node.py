@@ -20,9 +20,9 @@ from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
-from yolov5_lifecycle.ros.detector.last_picture import LastPicture
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader
 from yolov5_lifecycle.ros.detector.outputs import Outputs
+from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastPicture
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.detector.status import Status
@@ -79,7 +79,7 @@ class DetectorNode(LifecycleNode):
         self.too_many_abandoned = False
         self._max_abandoned_threads = max_abandoned_threads
         self._failures = FrameFailures(self, on_too_many=self._give_up, on_device_lost=self._lose_device)
-        self._worker: Worker[ReceivedFrame] = Worker(
+        self._worker: Worker[ReceivedFrame, DetectedFrame] = Worker(
             on_failure=self._failures.failed, on_success=self._failures.succeeded
         )
         self._topic = ImageTopic(self, "raw")

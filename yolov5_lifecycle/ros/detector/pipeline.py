@@ -3,20 +3,36 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import Picture
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.last_picture import LastPicture
 from yolov5_lifecycle.ros.detector.outputs import Outputs
-from yolov5_lifecycle.streaming.empty_frames import EmptyFrames
-from yolov5_lifecycle.streaming.rate import LatencyWindow
+from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
+
+
+@dataclass
+class LastPicture:
+    """Height and width of the last image, used to warm up new models; initially a usual size.
+
+    Written by the inference thread.
+    """
+
+    size_hw: tuple[int, int] = USUAL_SOURCE_HW
+
+
+@dataclass(frozen=True)
+class DetectedFrame:
+    """A frame with its image and what was detected in it."""
+
+    frame: ReceivedFrame
+    picture: Picture
+    detections: Detections
 
 
 @dataclass(frozen=True)
@@ -30,19 +46,20 @@ class Pipeline:
     empty_frames: EmptyFrames
     last_picture: LastPicture
 
-    def __call__(self, frame: ReceivedFrame) -> Callable[[], None]:
-        """Detect; return a function that publishes the result. Raises ImageError for an unreadable image."""
+    def detect(self, frame: ReceivedFrame) -> DetectedFrame:
+        """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
         picture = messages.picture(frame.message)
         self.last_picture.size_hw = picture.size_hw
-        detections = self.detector.detect(picture, self.selection)
-        return lambda: self._deliver(frame, picture, detections)
+        return DetectedFrame(frame, picture, self.detector.detect(picture, self.selection))
 
-    def _deliver(self, frame: ReceivedFrame, picture: Picture, detections: Detections) -> None:
-        header, class_names = frame.message.header, self.detector.class_names
+    def publish(self, result: DetectedFrame) -> None:
+        """Publish the detections and, if it has subscribers, the annotated image."""
+        detections, header = result.detections, result.frame.message.header
+        class_names = self.detector.class_names
         self.outputs.detections.publish(messages.detection_array(detections, class_names, header))
         now_s = time.monotonic()
-        self.latencies.add(now_s, (now_s - frame.received_s) * 1e3)
+        self.latencies.add(now_s, (now_s - result.frame.received_s) * 1e3)
         self.empty_frames.add(now_s, len(detections), detections.best_missed)
         if self.outputs.image_subscribers:
-            drawn = annotate(picture, detections, class_names)
-            self.outputs.publish_image(Picture(drawn, picture.order), header)
+            drawn = annotate(result.picture, detections, class_names)
+            self.outputs.publish_image(Picture(drawn, result.picture.order), header)

@@ -14,13 +14,11 @@ from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, InputStatus, ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
-from yolov5_lifecycle.ros.detector.last_picture import LastPicture
 from yolov5_lifecycle.ros.detector.outputs import Outputs
-from yolov5_lifecycle.ros.detector.pipeline import Pipeline
+from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastPicture, Pipeline
 from yolov5_lifecycle.settings.field import Change
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.empty_frames import EmptyFrames
-from yolov5_lifecycle.streaming.rate import LatencyWindow, RateLimit
+from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
 from yolov5_lifecycle.streaming.worker import Worker
 
 Made = TypeVar("Made")
@@ -45,7 +43,7 @@ class Detection:
         model: PreparedModel,
         topic: ImageTopic,
         outputs: Outputs,
-        worker: Worker[ReceivedFrame],
+        worker: Worker[ReceivedFrame, DetectedFrame],
         last_picture: LastPicture,
     ) -> None:
         self._node = node
@@ -53,7 +51,6 @@ class Detection:
         self._outputs = outputs
         self._worker = worker
         self._last_picture = last_picture
-        self._rate_limit = RateLimit()
         self.losses = ImageLosses()
         self.problem = ""
         self.latencies = LatencyWindow()
@@ -62,7 +59,7 @@ class Detection:
         self.settings = settings
         self._input: ImageInput | None = None
         topic.follow(settings.image_transport)
-        worker.start(self._pipeline(settings, model))
+        self._start(settings, model)
 
     def look(self, topic: TopicStatus) -> InputStatus | None:
         """Update the subscription to what the publishers offer; return its status, None without one."""
@@ -78,7 +75,7 @@ class Detection:
     def apply(self, settings: Settings, model: PreparedModel) -> None:
         """Use `settings` and `model` from the next frame on; the caller closes a replaced model."""
         self.empty_frames = EmptyFrames(settings.confidence_threshold)
-        self._worker.start(self._pipeline(settings, model))
+        self._start(settings, model)
         resubscribe = self.settings.differing(settings, Change.RESUBSCRIBE)
         has_moved = self.settings.image_transport != settings.image_transport
         self.settings, self.model = settings, model
@@ -104,7 +101,7 @@ class Detection:
             self._node,
             topic=self._topic,
             reliability=self.settings.image_reliability,
-            on_frame=self._offer,
+            on_frame=self._worker.offer,
             losses=self.losses,
         )
 
@@ -140,10 +137,8 @@ class Detection:
         self.model.close(is_at_rest=rested)
         return rested
 
-    def _pipeline(
-        self, settings: Settings, model: PreparedModel
-    ) -> Callable[[ReceivedFrame], Callable[[], None]]:
-        return Pipeline(
+    def _start(self, settings: Settings, model: PreparedModel) -> None:
+        pipeline = Pipeline(
             detector=model.detector,
             selection=selection(settings, model.detector.class_names),
             outputs=self._outputs,
@@ -151,9 +146,7 @@ class Detection:
             empty_frames=self.empty_frames,
             last_picture=self._last_picture,
         )
-
-    def _offer(self, frame: ReceivedFrame) -> None:
-        self._worker.offer(frame, skip=not self._rate_limit.admits(frame.received_s, self.settings.max_rate))
+        self._worker.start(pipeline, max_rate_hz=settings.max_rate)
 
     def _unsubscribe(self) -> None:
         if self._input is not None:

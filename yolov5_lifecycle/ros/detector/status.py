@@ -11,9 +11,7 @@ from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
 from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.empty_frames import EmptyRun
-from yolov5_lifecycle.streaming.frame_balance import FrameBalance, Outcome
-from yolov5_lifecycle.streaming.rate import LatencySummary
+from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameBalance, LatencySummary, Outcome
 
 MANY_LOST = 4
 """More than one image lost per this many received is reported, given at least FEWEST_IMAGES."""

@@ -1,4 +1,4 @@
-"""Rates and latencies."""
+"""Rates, latencies and runs of frames without detections."""
 
 from __future__ import annotations
 
@@ -6,31 +6,7 @@ import math
 
 import pytest
 
-from yolov5_lifecycle.streaming.rate import LatencyWindow, RateLimit
-
-
-@pytest.mark.parametrize("limit_hz", [1.0, 7.0, 10.0, 20.0, 29.0])
-def test_a_stream_is_thinned_to_the_limit_within_two_percent(limit_hz: float) -> None:
-    limit = RateLimit()
-    admitted = sum(limit.admits(1000 + index / 30, limit_hz) for index in range(30 * 100))
-    assert admitted / 100 == pytest.approx(limit_hz, rel=0.02)
-
-
-def test_a_stream_below_the_limit_is_not_thinned() -> None:
-    limit = RateLimit()
-    assert all(limit.admits(index / 5, 10.0) for index in range(100))
-
-
-def test_zero_is_no_limit() -> None:
-    limit = RateLimit()
-    assert all(limit.admits(0.0, 0.0) for _ in range(10))
-
-
-def test_a_pause_does_not_save_up_a_burst() -> None:
-    limit = RateLimit()
-    limit.admits(0.0, 10.0)
-    admitted = sum(limit.admits(100 + index / 1000, 10.0) for index in range(100))
-    assert admitted <= 2
+from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
 
 
 def test_an_empty_window_has_no_latency() -> None:
@@ -73,3 +49,14 @@ def test_a_look_in_the_moment_of_the_first_event_gives_a_number() -> None:
     window = LatencyWindow(begin_s=100.0)
     window.add(100.0, 1.0)
     assert math.isfinite(window.summary(100.0).rate_hz)
+
+
+def test_empty_frames_are_counted_until_something_is_found() -> None:
+    frames = EmptyFrames(0.5)
+    assert (frames.run.frames, frames.run.duration_s) == (0, 0.0)
+    for now_s, best_missed in ((3.0, 0.1), (4.0, 0.4), (6.0, 0.0)):
+        frames.add(now_s, 0, best_missed)
+    assert (frames.run.frames, frames.run.duration_s, frames.run.threshold) == (3, 3.0, 0.5)
+    assert frames.run.best_missed == 0.4
+    frames.add(7.0, 1, 0.0)
+    assert frames.run == EmptyRun(0.5)

@@ -1,0 +1,78 @@
+"""A frame meets few files, and docs/architecture.md lists them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+import pytest
+from support.colcon_workspace import REPOSITORY
+from support.detector_process import WEIGHTS, scene_image, scene_truth
+from support.pages import table
+from support.runtime_names import EVERY_RUNTIME
+from support.served_node import ServedNode
+
+from yolov5_lifecycle.detection.prepared_model import prepare_model
+
+PACKAGE = f"{REPOSITORY / 'yolov5_lifecycle'}/"
+MAX_FILES = 18
+LISTED = {row[0].strip("`") for row in table(REPOSITORY / "docs" / "architecture.md", "One frame")}
+OF_ENGINE = {f"runtimes/{name}.py" for name in ("compiled_runtime", "onnxruntime_runtime", "sparse_head")}
+INSTEAD = {
+    "onnxruntime": OF_ENGINE,
+    "openvino": OF_ENGINE - {"runtimes/onnxruntime_runtime.py"} | {"runtimes/openvino_runtime.py"},
+    "torch": {"runtimes/torch_runtime.py", "models/network.py"},
+}
+"""What each runtime has in the place of `OF_ENGINE`."""
+
+
+class CalledFiles:
+    """The files of the package with a function that runs while `is_on`, in threads that begin after `noted`.
+
+    In the inference thread all count; in the executor those that the callback for images calls.
+    """
+
+    def __init__(self) -> None:
+        self.is_on = False
+        self.files: set[str] = set()
+
+    @contextmanager
+    def noted(self) -> Iterator[None]:
+        threading.setprofile(self._note)
+        try:
+            yield
+        finally:
+            threading.setprofile(None)
+
+    def _note(self, frame: FrameType, event: str, _: object) -> None:
+        if self.is_on and event == "call" and frame.f_code.co_filename.startswith(PACKAGE):
+            callers = list(own_files(frame))
+            if callers[-1] in ("streaming/worker.py", "ros/detector/image_input.py"):
+                self.files.update(callers)
+
+
+def own_files(frame: FrameType | None) -> Iterator[str]:
+    """The package's files on the stack, innermost first."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith(PACKAGE):
+            yield frame.f_code.co_filename.removeprefix(PACKAGE)
+        frame = frame.f_back
+
+
+@pytest.mark.usefixtures("ros_domain")
+@pytest.mark.parametrize("runtime", EVERY_RUNTIME)
+def test_the_files_that_a_frame_meets_are_those_of_the_page(runtime: str) -> None:
+    called = CalledFiles()
+    parameters = [f"weights:={WEIGHTS}", f"runtime:={runtime}", "device:=cpu", "image_size:=320"]
+    with called.noted(), ServedNode(prepare_model, parameters=parameters) as served:
+        served.bring_to("active")
+        served.publish(scene_image())  # what is imported or made once is not the way of a frame
+        served.wait_for(lambda: len(served.detections) == 1, "the detections of the first image")
+        called.is_on = True
+        served.publish(scene_image())
+        served.wait_for(lambda: len(served.detections) == 2, "the detections of the second image")
+    assert len(served.detections[1].detections) >= len(scene_truth().scores) - 1
+    assert called.files == LISTED - OF_ENGINE | INSTEAD[runtime]
+    assert len(called.files) <= MAX_FILES

@@ -1,0 +1,171 @@
+"""The package as a library: three names, the settings of the node, and no ROS."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.colcon_workspace import REPOSITORY
+from support.pages import README, blocks
+
+import yolov5_lifecycle
+from yolov5_lifecycle import Detections, Detector, load_model
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.images.image import ImageError
+from yolov5_lifecycle.models.model import WeightsError
+from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, SettingsError
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
+
+WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
+IMAGE = REPOSITORY / "docs" / "images" / "shapes.jpg"
+SHOWN = Counter(circle=1, square=2, triangle=1, star=2)
+"""What is to be seen in the image."""
+
+
+@pytest.fixture(scope="module")
+def image() -> NDArray[np.uint8]:
+    return np.asarray(cv2.imread(str(IMAGE)), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def detector() -> Iterator[Detector]:
+    detector = load_model(WEIGHTS, device="cpu", runtime="torch")
+    yield detector
+    detector.close()
+
+
+def names(detections: Detections) -> Counter[str]:
+    return Counter(found.class_name for found in detections.objects(CLASS_NAMES))
+
+
+def without_ros(program: str) -> str:
+    """What `program` prints in a clone of the repository, where rclpy cannot be imported."""
+    blocked = f"import sys\nsys.modules['rclpy'] = None\n{program}"
+    run = subprocess.run(
+        [sys.executable, "-c", blocked], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+def test_the_readme_detects_in_an_image_without_ros() -> None:
+    (program,) = blocks(README, "python")
+    lines = without_ros(program).splitlines()
+    assert Counter(line.partition(" ")[0] for line in lines) == SHOWN
+
+
+def test_the_page_on_python_detects_what_it_asks_for() -> None:
+    program, prepared = blocks(REPOSITORY / "docs" / "python.md", "python")
+    lines = without_ros(prepared + program).splitlines()
+    assert Counter(line.partition(" ")[0] for line in lines) == Counter(circle=1, star=2)
+
+
+def test_the_public_names_are_listed_and_no_other_is_there() -> None:
+    public = ["Detections", "Detector", "load_model"]
+    assert yolov5_lifecycle.__all__ == public
+    assert set(public) <= set(dir(yolov5_lifecycle))
+    with pytest.raises(AttributeError, match="'yolov5_lifecycle' has no attribute 'load_modell'"):
+        yolov5_lifecycle.load_modell  # noqa: B018 - the attribute is what is tried
+
+
+def test_a_keyword_is_a_setting_with_its_default() -> None:
+    weights, *keywords = inspect.signature(load_model).parameters.values()
+    assert weights.name == "weights"
+    assert {keyword.name: keyword.default for keyword in keywords} == {
+        keyword.name: SETTINGS_BY_NAME[keyword.name].default for keyword in keywords
+    }
+
+
+def test_an_image_is_detected_in_either_order_of_colours(
+    detector: Detector, image: NDArray[np.uint8]
+) -> None:
+    found = detector(image)
+    assert names(found) == SHOWN
+    turned = detector(image[..., ::-1], order="rgb")
+    np.testing.assert_allclose(found.scores, turned.scores, rtol=1e-5)
+
+
+def test_the_selection_of_a_loaded_model_may_be_replaced(
+    detector: Detector, image: NDArray[np.uint8]
+) -> None:
+    usual = detector.selection
+    assert usual == Selection()
+    try:
+        detector.selection = replace(usual, max_detections=1)
+        assert len(detector(image)) == 1
+    finally:
+        detector.selection = usual
+
+
+def test_the_settings_are_those_that_were_given() -> None:
+    detector = load_model(
+        str(WEIGHTS),
+        device="cpu",
+        runtime="torch",
+        precision="fp32",
+        image_size=320,
+        confidence_threshold=1,
+        iou_threshold=0.5,
+        max_detections=7,
+        classes=("circle", 3),
+        agnostic_nms=True,
+    )
+    assert (detector.image_size, detector.runtime.name, detector.class_names) == (320, "torch", CLASS_NAMES)
+    assert detector.selection == Selection(
+        confidence_threshold=1.0,
+        iou_threshold=0.5,
+        max_detections=7,
+        classes=frozenset({0, 3}),
+        agnostic_nms=True,
+    )
+
+
+def test_every_wrong_value_is_told_in_the_words_of_the_node() -> None:
+    with pytest.raises(SettingsError) as refused:
+        load_model(WEIGHTS, device="gpu", confidence_threshold=25, image_size=True)
+    told = str(refused.value).splitlines()
+    assert told == [
+        "device: 'gpu' must be auto, cpu, cuda, cuda:N, N or mps. Did you mean 'cuda'?",
+        "image_size: True is not an integer from 64 to 4096, a multiple of 32. The default is 640.",
+        "confidence_threshold: 25.0 is not a number from 0 to 1. The default is 0.25.",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "told"),
+    [
+        pytest.param({"weights": "absent.pt"}, WeightsError, "absent.pt", id="missing-file"),
+        pytest.param({"weights_sha256": "0" * 64}, WeightsError, "0000", id="another-digest"),
+        pytest.param({"classes": ["circel"]}, SettingsError, "Did you mean 'circle'?", id="unknown-class"),
+        pytest.param({"classes": "circle"}, SettingsError, r"Did you mean \[circle\]", id="no-list"),
+        pytest.param({"image_size": 650}, SettingsError, "650", id="image-size"),
+    ],
+)
+def test_what_cannot_be_loaded_is_refused(
+    settings: dict[str, Any], error: type[Exception], told: str
+) -> None:
+    values = {"weights": WEIGHTS, "device": "cpu", "runtime": "torch", **settings}
+    with pytest.raises(error, match=told):
+        load_model(**values)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "told"),
+    [
+        pytest.param(None, "found NoneType", id="failed-imread"),
+        pytest.param(np.zeros((8, 8), np.uint8), r"found uint8 of shape \(8, 8\)", id="grey"),
+        pytest.param(np.zeros((8, 8, 3)), "found float64", id="float"),
+    ],
+)
+def test_what_is_no_image_is_refused(detector: Detector, pixels: Any, told: str) -> None:
+    with pytest.raises(ImageError, match=told):
+        detector(pixels)

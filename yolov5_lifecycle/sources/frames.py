@@ -1,0 +1,32 @@
+"""What an image source delivers: frames at a rate, or an error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.sources.scene import Truth
+
+
+class SourceError(ValueError):
+    """A source that is missing, unreadable or lost; the message says which and what to do."""
+
+
+@dataclass(frozen=True)
+class SourceFrame:
+    """One image and, for the synthetic scene only, its ground truth."""
+
+    picture: Picture
+    truth: Truth | None = None
+
+
+@dataclass(frozen=True)
+class PictureSource:
+    """Frames and their nominal rate.
+
+    `rate_hz` is None for a device, which delivers frames at its own pace.
+    """
+
+    frames: Iterator[SourceFrame]
+    rate_hz: float | None
