@@ -10,7 +10,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from yolov5_lifecycle.settings.field import Change, Setting
+from yolov5_lifecycle.settings.schema import Change, Setting
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 REPOSITORY = Path(__file__).parents[1]

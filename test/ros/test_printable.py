@@ -19,7 +19,7 @@ from support.detector_process import as_arguments, detector_process, parameter_f
 from yolov5_lifecycle.commands.convert import main as convert
 from yolov5_lifecycle.offline.detect_bag import main as detect_bag
 from yolov5_lifecycle.printable import MAX_LINE, MAX_TEXT, in_lines, in_one_line
-from yolov5_lifecycle.settings.field import Change
+from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 ESCAPES = "\x1b[2J\x1b]0;title\x07\x9b31m\r\n[INFO] [1.0] [yolov5]: forged\u202egnp.\u2066\u200b\x00\x08\x7f"

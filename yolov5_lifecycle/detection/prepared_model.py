@@ -11,7 +11,7 @@ from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
 from yolov5_lifecycle.detection.detector import Detector, load_detector
 from yolov5_lifecycle.package_path import resolve_package
 from yolov5_lifecycle.process.memory import release_unused_memory
-from yolov5_lifecycle.settings.field import Change
+from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
 
 

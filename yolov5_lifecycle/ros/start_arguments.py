@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +12,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.settings.parameter_file import ParameterFileError, read_parameter_file
+from yolov5_lifecycle.settings.parameter_file import ParameterFileError, names_node, read_parameter_file
 from yolov5_lifecycle.settings.parameter_yaml import ParameterYamlError, Value, parameter_value
 
 _FLAG = "--params-file"
 _ASSIGNMENT_FLAGS = ("-p", "--param")
+_MAX_NAMES = 5
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,22 @@ def initialize(arguments: StartArguments) -> StartArguments:
         arguments = arguments.without_files(_refusal(str(error)))
         _initialize(arguments.words)
     return arguments
+
+
+def misaddressed_files(files: Iterable[ParameterFile], node_name: str) -> Iterator[str]:
+    """One warning per file that has parameters for other nodes only, which ROS ignores silently.
+
+    `node_name` is fully qualified.
+    """
+    for file in files:
+        names = list(file.nodes)
+        if names and not any(names_node(name, node_name) for name in names):
+            more = ", ..." if len(names) > _MAX_NAMES else ""
+            yield (
+                f"nothing in the parameter file {file.path} takes effect: it is for "
+                f"{', '.join(names[:_MAX_NAMES])}{more}, and this node is {node_name}. Write that, or /**, "
+                "at its top."
+            )
 
 
 def _read(path: str) -> ParameterFile | str:

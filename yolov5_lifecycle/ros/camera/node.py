@@ -23,7 +23,7 @@ from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
 from yolov5_lifecycle.ros.start_arguments import initialize, start_arguments
-from yolov5_lifecycle.settings.settings import SettingsError
+from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.sources.playback import Playback
 from yolov5_lifecycle.sources.source import PictureSource, SourceFrame, open_source
 

@@ -17,6 +17,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from yolov5_lifecycle.ros.rclpy_internals import take_message
+
 TOPIC = "bond"
 CONNECT_S = 10.0
 """Time to wait for the other side to connect; the protocol's default."""
@@ -121,10 +123,10 @@ class _Side:
 
     def _take_waiting(self) -> None:
         for _ in range(_DEPTH):
-            taken = self._subscription.handle.take_message(self._status_type, False)
-            if taken is None:
+            message = take_message(self._subscription, self._status_type)
+            if message is None:
                 return
-            self._take(taken[0])
+            self._take(message)
 
     def _take(self, message: Any) -> None:
         is_other_side = message.id == self._node.get_name() and message.instance_id != self._instance_id

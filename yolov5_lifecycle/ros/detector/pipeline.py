@@ -7,16 +7,25 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import Picture
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.last_picture import LastPicture
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.streaming.empty_frames import EmptyFrames
 from yolov5_lifecycle.streaming.rate import LatencyWindow
+
+
+@dataclass
+class LastPicture:
+    """Height and width of the last image, used to warm up new models; initially a usual size.
+
+    Written by the inference thread.
+    """
+
+    size_hw: tuple[int, int] = USUAL_SOURCE_HW
 
 
 @dataclass(frozen=True)
