@@ -47,7 +47,7 @@ def test_harmless_text_stays_and_a_long_one_says_how_long_it_was() -> None:
     assert in_one_line("größer als 3\n") == "größer als 3"
     assert in_lines("one\n  two\n\tthree") == "one\n  two\n    three"
     assert in_lines("one\ntwo\n  three") == "one\n  two\n    three"
-    assert in_one_line("x" * 300_000).endswith("... (300000 letters)")
+    assert in_one_line("x" * 300_000).endswith("... (300000 characters)")
     assert len(in_one_line("x" * 300_000)) == MAX_LINE
     assert len(in_lines("x\n" * 300_000)) == MAX_TEXT
 

@@ -91,10 +91,10 @@ def misaddressed_files(files: Iterable[ParameterFile], node_name: str) -> Iterat
         names = list(file.nodes)
         if names and not any(names_node(name, node_name) for name in names):
             more = ", ..." if len(names) > _MAX_NAMES else ""
+            others = ", ".join(names[:_MAX_NAMES]) + more
             yield (
-                f"nothing in the parameter file {file.path} takes effect: it is for "
-                f"{', '.join(names[:_MAX_NAMES])}{more}, and this node is {node_name}. Write that, or /**, "
-                "at its top."
+                f"the parameter file {file.path} has no effect: it is for {others}, but this node is "
+                f"{node_name}. Use that name, or /**, as its top-level key."
             )
 
 
@@ -107,7 +107,7 @@ def _read(path: str) -> ParameterFile | str:
 
 
 def _unreadable(reason: str) -> str:
-    return f"the parameter file cannot be read: {reason} Correct the file and start again."
+    return f"the parameter file cannot be read: {reason} Correct the file and restart the node."
 
 
 def _clashes(words: Sequence[str], files: Mapping[str, ParameterFile]) -> Iterator[str]:
@@ -122,7 +122,7 @@ def _clashes(words: Sequence[str], files: Mapping[str, ParameterFile]) -> Iterat
         if type(value) is not type(before):
             yield in_one_line(
                 f"{name}: {before!r} in {where} and {value!r} in {place} are of two types, and ROS may use "
-                "either: write both in the same type, or leave one out, and start again."
+                "either: give both the same type, or remove one, and restart the node."
             )
 
 

@@ -205,7 +205,7 @@ def test_nobody_who_joins_ends_the_heartbeats_after_the_time_of_the_protocol(sid
     side.now_s += CONNECT_S
     side.wait_for_more()
     side.now_s += 0.1
-    side.wait_for_log("no lifecycle manager joined the bond within 10 s; detection goes on")
+    side.wait_for_log("no lifecycle manager joined the bond within 10 s; detection continues")
     side.expect_silence()
 
 
@@ -213,7 +213,7 @@ def test_the_end_of_the_bond_by_the_manager_is_acknowledged_and_ends_the_heartbe
     side.send(is_active=True)
     side.wait_for_log("bonded with the lifecycle manager")
     side.send(is_active=False)
-    side.wait_for_log("the lifecycle manager ended the bond; detection goes on")
+    side.wait_for_log("the lifecycle manager ended the bond; detection continues")
     side.send(is_active=True)
     side.expect_silence()
     assert [message.active for message in side.heard].count(False) == 1
@@ -231,11 +231,11 @@ def test_a_manager_that_falls_silent_is_told_once_and_the_heartbeats_go_on(side:
     side.send(is_active=True)
     side.wait_for_log("bonded with the lifecycle manager")
     side.now_s += 4.1
-    side.wait_for_log("no heartbeat of the lifecycle manager for 4 s; detection goes on")
+    side.wait_for_log("no heartbeat from the lifecycle manager for 4 s; detection continues")
     side.wait_for_more()
     side.send(is_active=True)
     side.wait_for_log("bonded with the lifecycle manager", count=2)
-    side.wait_for_log("no heartbeat of the lifecycle manager", count=1)
+    side.wait_for_log("no heartbeat from the lifecycle manager", count=1)
     assert all(message.active for message in side.heard)
 
 

@@ -112,8 +112,8 @@ class CameraNode(Node):
     def _report_size(self, size_hw: tuple[int, int]) -> None:
         """Log size, rate and topics at the start and whenever the size changes."""
         rate_hz = self._settings.rate or self._source_rate_hz
-        rate = f"at {rate_hz:g} images per second" if rate_hz else "as the source gives them"
-        kind = self._settings.encoding if self._size_hw is None else "another size than before"
+        rate = f"at {rate_hz:g} images per second" if rate_hz else "at the rate of the source"
+        kind = self._settings.encoding if self._size_hw is None else "size changed"
         self._size_hw = size_hw
         self.get_logger().info(f"publishing {size_hw[1]} x {size_hw[0]} ({kind}) {rate} on {self._topics}")
 

@@ -193,7 +193,7 @@ class DetectorNode(LifecycleNode):
             self.report("\n  ".join(self._start_problems))
         else:
             name = self.get_fully_qualified_name()
-            self.get_logger().info(f"unconfigured; go on with: ros2 lifecycle set {name} configure")
+            self.get_logger().info(f"unconfigured; next step: ros2 lifecycle set {name} configure")
 
     def _release(self) -> TransitionCallbackReturn:
         """Release everything that configure and activate created, from any state."""

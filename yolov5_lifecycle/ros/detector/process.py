@@ -72,7 +72,7 @@ def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandon
             max_abandoned_threads=max_abandoned_threads,
         )
     except (RuntimeError, ParameterException) as error:
-        return refuse("detector", f"ROS refuses to start: {error}")
+        return refuse("detector", f"cannot start: {error}")
     for warning in (*shortages, *misaddressed_files(given.files, node.get_fully_qualified_name())):
         node.get_logger().warning(warning)
     executor = SingleThreadedExecutor()

@@ -36,7 +36,7 @@ _NEW_CLASSES = (
 )
 
 _LEFT = "the node left the active state while the new model was loading; nothing was changed."
-_SUPERSEDED = "superseded by a later request that needs another model, too; nothing was changed."
+_SUPERSEDED = "superseded by a later request that loads another model; nothing was changed."
 
 
 class Active(Protocol):

@@ -130,7 +130,7 @@ class Detection:
         except Exception as error:  # noqa: BLE001 - rclpy raises several types; reported and retried
             problem = (
                 f"cannot subscribe to {self._topic.name}: {in_one_line(str(error))}. Nothing is detected "
-                "until it can; it tries again every second"
+                "meanwhile; retrying every second"
             )
             if problem != self.problem:
                 self._node.get_logger().error(problem)
