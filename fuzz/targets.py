@@ -23,7 +23,8 @@ from yolov5_lifecycle.models.model import Model, WeightsError
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError, assigned_value
-from yolov5_lifecycle.settings.settings import SETTINGS, SettingsError, validated
+from yolov5_lifecycle.settings.schema import SettingsError
+from yolov5_lifecycle.settings.settings import SETTINGS, validated
 
 Taken = TypeVar("Taken")
 Refusal = TypeVar("Refusal", bound=Exception)

@@ -17,7 +17,7 @@ from rcl_interfaces.srv import (
     SetParametersAtomically,
 )
 
-from yolov5_lifecycle.ros.request_bound import MAX_ITEMS
+from yolov5_lifecycle.ros.services import MAX_ITEMS
 
 _NODE = "/yolov5"
 _MEGABYTE = 1_000_000

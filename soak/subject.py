@@ -114,7 +114,7 @@ def subject_in(domain: int, **variables: str) -> Iterator[Subject]:
     """A process in `domain` with `variables` added to its environment."""
     command = [*_COMMAND, *as_arguments(PARAMETERS)]
     with ChildProcess("detector", command, environment(domain) | variables) as process:
-        process.wait_for_output("go on with", _START_S)
+        process.wait_for_output("next step: ", _START_S)
         with closing(Observer("client", domain=domain, check=process.check_running)) as observer:
             yield Subject(process, observer, domain)
 

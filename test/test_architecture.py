@@ -1,4 +1,4 @@
-"""Folders import downwards only, no folder imports itself in a circle, and only ros/ knows ROS."""
+"""Folders import downwards only, without circles; only ros/ knows ROS, one file of it rclpy's internals."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import ast
 import subprocess
 import sys
 from graphlib import CycleError, TopologicalSorter
+from inspect import getfile
 from itertools import chain
 from pathlib import Path
 
 import pytest
+from rclpy.lifecycle import LifecycleNodeMixin
+from rclpy.node import Node
 from support.colcon_workspace import REPOSITORY
 
 PACKAGE = REPOSITORY / "yolov5_lifecycle"
@@ -40,6 +43,12 @@ RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders
 # What a user starts, and what makes a detector or a selection from settings.
 EDGE = ("settings.", "commands.", "offline.", "ros.", "detection.prepared_model", "detection.selection")
 WITHOUT_TORCH = ("images", "settings", "streaming", "sources", "process")
+
+PRIVATE_BY_NAME_ONLY = {
+    "os._exit",  # documented
+    "storage.metadata._replace",  # documented: every named tuple has it
+    "pickle._Unpickler",  # the C unpickler allocates as many memo entries as a file claims
+}
 
 
 def module_name(path: Path) -> str:
@@ -117,6 +126,43 @@ def test_what_does_not_need_a_library_imports_without_it(
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
+
+
+def private_attributes(path: Path) -> set[str]:
+    """Private attributes of something other than `self` and `cls`, also as a constant in getattr."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        owner, name = None, ""
+        if isinstance(node, ast.Attribute):
+            owner, name = node.value, node.attr
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr", "hasattr"):
+            owner, name = node.args[0], ast.unparse(node.args[1]).strip("'")
+        if name.startswith("_") and not name.endswith("__") and owner is not None:
+            names.add(f"{ast.unparse(owner)}.{name}")
+    return {name for name in names if not name.startswith(("self._", "cls._"))}
+
+
+@every_module
+def test_private_parts_of_other_packages_are_used_in_one_file(module: str) -> None:
+    if module != "ros.rclpy_internals":
+        assert private_attributes(MODULES[module]) - PRIVATE_BY_NAME_ONLY == set()
+
+
+def attributes_set(path: Path) -> set[str]:
+    """Attributes that the classes in the file set on `self`."""
+    attributes = (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Attribute))
+    return {
+        node.attr
+        for node in attributes
+        if isinstance(node.ctx, ast.Store) and ast.unparse(node.value) == "self"
+    }
+
+
+@pytest.mark.parametrize("module", [module for module in MODULES if module.endswith(".node")])
+def test_a_node_sets_no_attribute_of_rclpys_nodes(module: str) -> None:
+    upstream = {name for base in (Node, LifecycleNodeMixin) for name in attributes_set(Path(getfile(base)))}
+    assert "_parameters" in upstream
+    assert attributes_set(MODULES[module]) & upstream == set()
 
 
 def test_importing_the_package_loads_no_library_and_changes_no_environment_variable() -> None:

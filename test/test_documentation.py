@@ -32,15 +32,15 @@ from support.pages import (
 )
 from support.served_node import Preparations, ServedNode
 
-from yolov5_lifecycle.detection.class_filter import ClassFilterError, class_ids
 from yolov5_lifecycle.detection.nms import WORTH_TELLING
+from yolov5_lifecycle.detection.selection import ClassFilterError, class_ids
 from yolov5_lifecycle.images.encodings import ENCODINGS
 from yolov5_lifecycle.offline.detect_bag import command_parser, wanted_settings
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.parameter_values import coerced
 from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED
-from yolov5_lifecycle.settings.settings import SETTINGS, meant_setting, validated
+from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAME, validated
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 SOURCE_FOLDERS = [REPOSITORY, REPOSITORY / "yolov5_lifecycle"]
@@ -50,7 +50,7 @@ def settings_of(text: str) -> dict[str, Any]:
     """The parameters in a parameter file, in the types that the node gives them; QoS is not among them."""
     (node,) = yaml.safe_load(text).values()
     return {
-        name: coerced(Parameter(name, value=value)).value
+        name: coerced(Parameter(name, value=value), SETTINGS_BY_NAME).value
         for name, value in node["ros__parameters"].items()
         if name != "qos_overrides"
     }
@@ -117,7 +117,9 @@ def test_a_parameter_of_the_readme_has_its_true_default() -> None:
     defaults = {setting.name: setting.default for setting in SETTINGS}
     for row in table(README, "Parameters"):
         name, shown = (cell.strip("`") for cell in row[:2])
-        assert coerced(Parameter(name, value=yaml.safe_load(shown))).value == plain(defaults[name]), name
+        assert coerced(Parameter(name, value=yaml.safe_load(shown)), SETTINGS_BY_NAME).value == plain(
+            defaults[name]
+        ), name
 
 
 def test_the_topics_of_the_readme_are_those_of_the_node() -> None:
@@ -216,7 +218,7 @@ def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() 
     assert len(rows) > 5
     for row in rows:
         for name in re.findall(r"`([^`]+)`", row[0]):
-            assert meant_setting(name) == row[1].strip("`")
+            assert SCHEMA.meant(name) == row[1].strip("`")
 
 
 def test_every_reason_for_silence_is_explained() -> None:

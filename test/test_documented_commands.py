@@ -43,7 +43,7 @@ from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.parameter_values import coerced
-from yolov5_lifecycle.settings.settings import SETTINGS, validated
+from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME, validated
 
 NOT_RUN = {
     "sudo ": "changes the machine",
@@ -112,7 +112,7 @@ def check_param(verb: str, node: str, name: str = "", value: str = "") -> None:
     assert node == NODE
     if verb == "set":
         given = parameter_value_to_python(get_parameter_value(value))
-        validated({name: coerced(Parameter(name, value=given)).value})
+        validated({name: coerced(Parameter(name, value=given), SETTINGS_BY_NAME).value})
     else:
         assert verb in ("get", "describe", "dump")
         assert (name == "") if verb == "dump" else (name in {setting.name for setting in SETTINGS})
@@ -141,7 +141,8 @@ def check_service(verb: str, service: str, service_type: str, request: str) -> N
         ParameterMessage(name=parameter["name"], value=ParameterValue(**parameter["value"]))
         for parameter in yaml.safe_load(request)["parameters"]
     ]
-    validated({message.name: coerced(Parameter.from_parameter_msg(message)).value for message in messages})
+    parameters = [coerced(Parameter.from_parameter_msg(message), SETTINGS_BY_NAME) for message in messages]
+    validated({parameter.name: parameter.value for parameter in parameters})
 
 
 CHECKS: dict[str, Callable[..., None]] = {

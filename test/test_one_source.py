@@ -11,7 +11,7 @@ from support.colcon_workspace import REPOSITORY
 
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.selection import selection
-from yolov5_lifecycle.settings.field import Setting
+from yolov5_lifecycle.settings.schema import Setting
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 

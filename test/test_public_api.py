@@ -22,7 +22,8 @@ from yolov5_lifecycle import Detections, Detector, load_model
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.models.model import WeightsError
-from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, SettingsError
+from yolov5_lifecycle.settings.schema import SettingsError
+from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"

@@ -18,7 +18,7 @@ from yolov5_lifecycle.models.model import MAX_CLASSES, MAX_NAME_LENGTH
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 from yolov5_lifecycle.ros.parameter_values import MAX_ENTRIES
 from yolov5_lifecycle.ros.parameters import MAX_REASON_LENGTH, MAX_SUGGESTIONS
-from yolov5_lifecycle.ros.request_bound import MAX_ITEMS
+from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.runtimes.compiled_store import MOST_BYTES
 from yolov5_lifecycle.settings.parameter_yaml import MAX_DEPTH, MAX_SCALARS
 from yolov5_lifecycle.settings.parameter_yaml import MAX_FILE_BYTES as MAX_PARAMETER_FILE_BYTES

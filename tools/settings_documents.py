@@ -10,7 +10,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from yolov5_lifecycle.settings.field import Change, Setting
+from yolov5_lifecycle.settings.schema import Change, Setting
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 REPOSITORY = Path(__file__).parents[1]
@@ -75,9 +75,8 @@ def reference_page() -> str:
             "",
             *changes,
             "",
-            "Accepted as meant: an integer where a number is asked (`confidence_threshold: 1`), a bare",
-            "index as device (`device: 0` is `cuda:0`), a list of indices as classes (`classes: [0, 2]`), an",
-            "empty list.",
+            "Converted automatically: an integer to a number (`confidence_threshold: 1`), a device index",
+            "(`device: 0` is `cuda:0`), a list of class indices (`classes: [0, 2]`), an empty list.",
             "",
         ]
     )

@@ -37,5 +37,5 @@ def _printable(line: str) -> str:
 
 
 def _cut(text: str, length: int, limit: int) -> str:
-    end = f"... ({length} letters)"
+    end = f"... ({length} characters)"
     return text[: max(0, limit - len(end))] + end

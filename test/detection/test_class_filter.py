@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from yolov5_lifecycle.detection.class_filter import ClassFilterError, class_ids
+from yolov5_lifecycle.detection.selection import ClassFilterError, class_ids
 
 NAMES = ("person", "bicycle", "traffic light", "3", "person")
 

@@ -20,9 +20,8 @@ from rclpy.parameter import Parameter
 from support.served_node import CLASS_NAMES, Preparations, ServedNode
 
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
-from yolov5_lifecycle.ros.parameters import MAX_REASON_LENGTH, MAX_SUGGESTIONS
-from yolov5_lifecycle.ros.request_bound import MAX_ITEMS
-from yolov5_lifecycle.ros.services import MAX_RESULTS
+from yolov5_lifecycle.ros.parameters import MAX_REASON_LENGTH, MAX_SUGGESTIONS, SettingsParameters
+from yolov5_lifecycle.ros.services import MAX_ITEMS, MAX_RESULTS
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
 
 
@@ -183,12 +182,18 @@ class FailingDetection:
 
     def __init__(self) -> None:
         self.model = ClassesOnly()
+        self.preparation = None
         self.settings = Settings()
 
-    def apply(self, settings: Settings, model: Any) -> None:
-        if settings.confidence_threshold > 0.5:
+    def apply(self, before: Settings, after: Settings, preparation: Any) -> None:
+        if after.confidence_threshold > 0.5:
             raise RuntimeError("the subscription failed")
-        self.settings = settings
+        self.settings = after
+
+
+class AlwaysActive:
+    def __init__(self, detection: Any) -> None:
+        self.detection = detection
 
 
 class ClassesOnly:
@@ -205,11 +210,11 @@ def test_a_change_that_cannot_take_effect_leaves_nothing_behind(ros_domain: int)
     context = rclpy.Context()
     rclpy.init(context=context, args=[])
     node = rclpy.create_node("yolov5", context=context)
-    detection: Any = FailingDetection()
-    kept: list[Settings] = []
+    detection = FailingDetection()
     nothing: Any = None
+    parameters = SettingsParameters(node, review=nothing, commit=nothing)
     reconfiguration = Reconfiguration(
-        node, loader=nothing, running=lambda: detection, on_commit=kept.append, arguments=()
+        node, parameters=parameters, loader=nothing, active=AlwaysActive(detection)
     )
     set_one_by_one = reconfiguration.handlers()["set_parameters"]
     request = SetParameters.Request(parameters=messages(confidence_threshold=0.75))
@@ -217,7 +222,7 @@ def test_a_change_that_cannot_take_effect_leaves_nothing_behind(ros_domain: int)
         with pytest.raises(RuntimeError, match="the subscription failed"):
             set_one_by_one(request, SetParameters.Response()).send(None)
         assert node.get_parameter("confidence_threshold").value == 0.25
-        assert reconfiguration.parameters.settings() == detection.settings == kept[-1] == Settings()
+        assert parameters.settings() == detection.settings == Settings()
     finally:
         node.destroy_node()
         rclpy.shutdown(context=context)

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.ros.parameter_values import coerced, plain_values
-from yolov5_lifecycle.settings.settings import SETTINGS, Settings, SettingsError, validated
+from yolov5_lifecycle.settings.schema import SettingsError
+from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME, Settings, validated
 
 INTEGERS = st.integers(-(2**63), 2**63 - 1)
 TEXTS = st.text(max_size=8) | st.sampled_from(sorted({word for s in SETTINGS for word in s.choices}))
@@ -31,9 +32,9 @@ def test_any_parameter_becomes_a_setting_or_is_refused(name: str, value: object,
         parameter = Parameter(name, Parameter.Type.STRING_ARRAY, value)
     else:
         parameter = Parameter(name, value=value)
-    meant = coerced(parameter, may_be_unset=may_be_unset)
+    meant = coerced(parameter, SETTINGS_BY_NAME, may_be_unset=may_be_unset)
     assert meant.name == name
-    settings = outcome(plain_values([meant]))
+    settings = outcome(plain_values([meant], SETTINGS_BY_NAME))
     if isinstance(settings, SettingsError):
         assert {problem.setting for problem in settings.problems} <= {name, "precision", "image_size"}
         assert all(len(problem.message) < 500 for problem in settings.problems)

@@ -19,7 +19,7 @@ from support.detector_process import as_arguments, detector_process, parameter_f
 from yolov5_lifecycle.commands.convert import main as convert
 from yolov5_lifecycle.offline.detect_bag import main as detect_bag
 from yolov5_lifecycle.printable import MAX_LINE, MAX_TEXT, in_lines, in_one_line
-from yolov5_lifecycle.settings.field import Change
+from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 ESCAPES = "\x1b[2J\x1b]0;title\x07\x9b31m\r\n[INFO] [1.0] [yolov5]: forged\u202egnp.\u2066\u200b\x00\x08\x7f"
@@ -47,7 +47,7 @@ def test_harmless_text_is_unchanged_and_a_long_one_is_cut_with_its_length() -> N
     assert in_one_line("größer als 3\n") == "größer als 3"
     assert in_lines("one\n  two\n\tthree") == "one\n  two\n    three"
     assert in_lines("one\ntwo\n  three") == "one\n  two\n    three"
-    assert in_one_line("x" * 300_000).endswith("... (300000 letters)")
+    assert in_one_line("x" * 300_000).endswith("... (300000 characters)")
     assert len(in_one_line("x" * 300_000)) == MAX_LINE
     assert len(in_lines("x\n" * 300_000)) == MAX_TEXT
 

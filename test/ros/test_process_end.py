@@ -139,8 +139,8 @@ def hang(observer: Observer, process: ChildProcess) -> None:
     send_until(observer, lambda: "hanging" in process.output, "the model")
 
 
-LOADER_LEFT = "a model is still being loaded or freed: its thread is left behind"
-INFERENCE_LEFT = "inference still has not ended: its thread is left behind"
+LOADER_LEFT = "a model is still being loaded or freed: its thread is abandoned"
+INFERENCE_LEFT = "inference has still not finished: its thread is abandoned"
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def test_qos_overrides_of_a_parameter_file_apply_in_every_cycle_of_a_process(
         pytest.param(f"{CAMERA}.subscription.reliability", 1, "1 is not one of system_default", id="number"),
         pytest.param(f"{CAMERA}.subscription.history", "last", "Did you mean 'keep_last'", id="history"),
         pytest.param(f"{CAMERA}.subscription.depth", 0, "0 is not an integer from 1", id="no depth"),
-        pytest.param(f"{CAMERA}.subscription.depth", "deep", "'deep' is not a whole", id="a word for depth"),
+        pytest.param(f"{CAMERA}.subscription.depth", "deep", "'deep' is not an int", id="a word for depth"),
         pytest.param(f"{CAMERA}.subscription.depth", 10_001, "not an integer from 1 to", id="too deep"),
         pytest.param(f"{CAMERA}.subscription.depth", True, "True is not an integer", id="truth for depth"),
         pytest.param(f"{CAMERA}.subscription.durability", "volatile", "no such topic", id="other policy"),
@@ -111,7 +111,7 @@ def test_a_wrong_override_is_named_with_the_remedy(
         (problem,) = qos_problems(node)
         assert problem.setting == f"qos_overrides.{name}"
         assert re.search(reason, problem.message)
-        assert problem.message.endswith("Correct it and start again.")
+        assert problem.message.endswith("Correct it and restart the node.")
 
 
 @pytest.mark.parametrize("reliability", ["system_default", "reliable", "best_effort", "best_available"])
@@ -174,7 +174,7 @@ def test_the_setting_and_an_override_cannot_both_say_the_reliability(ros_domain:
     arguments = [*REMAP, *override, "-p", "image_reliability:=best_effort"]
     with ServedNode(Preparations(), arguments=arguments) as served:
         assert not served.transition("configure")
-        served.wait_for_log("both say how to subscribe")
+        served.wait_for_log("both set the reliability of the subscription")
         assert served.set(image_reliability="auto") == (True, "")
         served.bring_to("active")
         done, reason = served.set(image_reliability="best_effort")

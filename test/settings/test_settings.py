@@ -7,15 +7,8 @@ import math
 
 import pytest
 
-from yolov5_lifecycle.settings.field import Change, Setting
-from yolov5_lifecycle.settings.settings import (
-    SETTINGS,
-    SETTINGS_BY_NAME,
-    Settings,
-    SettingsError,
-    unknown_setting,
-    validated,
-)
+from yolov5_lifecycle.settings.schema import Change, Setting, SettingsError
+from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAME, Settings, validated
 
 
 @pytest.mark.parametrize(
@@ -45,8 +38,8 @@ from yolov5_lifecycle.settings.settings import (
         pytest.param({"weights": 3}, "3 is not a string", id="number-for-path"),
         pytest.param({"classes": ("a", 3)}, "['a', 3] is not a list of at most", id="number-among-classes"),
         pytest.param({"classes": ("a", 3, 4)}, "['a', 3, 4] is not", id="two-numbers-among-classes"),
-        pytest.param({"autostart": "yes"}, "start it again with another value", id="read-only"),
-        pytest.param({"weights_dirs": ("a",)}, "start it again with another value", id="read-only-folders"),
+        pytest.param({"autostart": "yes"}, "restart the node with another value", id="read-only"),
+        pytest.param({"weights_dirs": ("a",)}, "restart the node with another value", id="read-only-folders"),
         pytest.param({"classes": "star"}, "Did you mean [star]?", id="class-without-list"),
         pytest.param({"classes": "[2, square]"}, 'Did you mean ["2", square]?', id="index-and-name"),
         pytest.param({"classes": (1.5,) * 10_000}, "is not a list of at most", id="numbers-instead-of-texts"),
@@ -79,7 +72,7 @@ def test_a_refusal_is_short_whatever_was_given(name: str, value: object) -> None
 
 
 def test_an_unknown_name_is_shown_in_one_short_line() -> None:
-    problem = str(unknown_setting("a\n\x1b[31m" + "x" * 1_000_000))
+    problem = str(SCHEMA.unknown("a\n\x1b[31m" + "x" * 1_000_000))
     assert problem.startswith("a ?[31mxxx")
     assert len(problem) < 200
 

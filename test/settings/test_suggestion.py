@@ -8,7 +8,7 @@ from difflib import SequenceMatcher
 import pytest
 
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
-from yolov5_lifecycle.settings.suggestion import MAX_LETTER_PAIRS, MAX_LETTERS, MAX_WORD_LENGTH, nearest
+from yolov5_lifecycle.settings.suggestion import MAX_CHARACTER_PAIRS, MAX_CHARACTERS, MAX_WORD_LENGTH, nearest
 
 
 class CountingMatcher(SequenceMatcher[str]):
@@ -65,5 +65,5 @@ def test_the_work_is_bounded_whatever_is_compared(length: int) -> None:
     matcher = CountingMatcher()
     known = [("ab" * length)[: length - 3] + f"{number:03}" for number in range(1000)]
     nearest(("ba" * length)[:length], known, matcher=matcher)
-    assert matcher.letters <= MAX_LETTERS
-    assert matcher.pairs <= MAX_LETTER_PAIRS
+    assert matcher.letters <= MAX_CHARACTERS
+    assert matcher.pairs <= MAX_CHARACTER_PAIRS

@@ -31,7 +31,7 @@ from yolov5_lifecycle.ros.demo.domain import isolated
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
 from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
 from yolov5_lifecycle.ros.messages import image_message
-from yolov5_lifecycle.settings.field import Change
+from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import SETTINGS
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 from yolov5_lifecycle.streaming.frame_statistics import Outcome

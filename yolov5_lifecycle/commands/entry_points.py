@@ -9,17 +9,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NoReturn
 
-from yolov5_lifecycle.commands.version import version_line
-from yolov5_lifecycle.process.environment import prepare_environment
-from yolov5_lifecycle.process.standard_streams import (
-    EXIT_NOBODY_READS,
-    complain,
-    flush_output,
-    open_standard_streams,
-    write_output,
-)
-from yolov5_lifecycle.process.termination import end_at_once, on_termination
-from yolov5_lifecycle.process.thread_limit import compute_threads, thread_problem
+from yolov5_lifecycle.commands.process_start import prepare_process
+from yolov5_lifecycle.process.standard_streams import EXIT_NOBODY_READS, complain, flush_output
+from yolov5_lifecycle.process.termination import on_termination
 
 MODULES: Mapping[str, str] = MappingProxyType(
     {
@@ -55,14 +47,7 @@ def _run(command: str) -> NoReturn:
     A signal during the imports ends the process at once; a later one unwinds the command, so that it removes
     unfinished files. The exit code is then 128 plus the signal number.
     """
-    open_standard_streams()
-    end_at_once()
-    prepare_environment()
-    if sys.argv[1:] == ["--version"]:
-        sys.exit(write_output(command, f"{version_line(command)}\n"))
-    if problem := thread_problem(2 * compute_threads()):
-        complain(command, problem)
-        sys.exit(1)
+    prepare_process(command)
     main = importlib.import_module(MODULES[command]).main
     on_termination(lambda number: sys.exit(128 + number))
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -22,7 +22,8 @@ from yolov5_lifecycle.models.architecture import SIZES
 from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
-from yolov5_lifecycle.settings.settings import Settings, SettingsError, validated
+from yolov5_lifecycle.settings.schema import SettingsError
+from yolov5_lifecycle.settings.settings import Settings, validated
 from yolov5_lifecycle.unfinished import open_itself
 
 URL = "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5{size}.pt"

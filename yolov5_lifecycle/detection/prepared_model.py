@@ -17,8 +17,8 @@ from yolov5_lifecycle.package_path import resolve_package
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.registry import load_runtime
-from yolov5_lifecycle.settings.field import Change
-from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, SettingsError, validated
+from yolov5_lifecycle.settings.schema import Change, SettingsError
+from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
 
 
 @dataclass(frozen=True)

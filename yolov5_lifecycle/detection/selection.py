@@ -1,13 +1,23 @@
-"""Settings that depend on the loaded model."""
+"""Which detections are reported: thresholds, NMS, and class names or indices -> class ids of a model."""
 
 from __future__ import annotations
 
-from yolov5_lifecycle.detection.class_filter import ClassFilterError, class_ids
+from collections import defaultdict
+from collections.abc import Sequence
+
 from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.settings.settings import Problem, Settings
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.settings.schema import Problem
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.settings.suggestion import did_you_mean
 
 MODEL_DEPENDENT = frozenset({"classes"})
 """The settings whose validity depends on the loaded model."""
+MAX_EXPLAINED = 3
+"""Number of unknown entries that are explained; the rest are only counted."""
+_MAX_INDEX_DIGITS = 9
+_SHOWN_CLASSES = 8
+_MAX_SHOWN = 60
 
 
 def model_problems(settings: Settings, class_names: tuple[str, ...]) -> list[Problem]:
@@ -28,3 +38,59 @@ def selection(settings: Settings, class_names: tuple[str, ...]) -> Selection:
         classes=class_ids(settings.classes, class_names),
         agnostic_nms=settings.agnostic_nms,
     )
+
+
+class ClassFilterError(ValueError):
+    """A filter entry that is not a class of the model."""
+
+
+def class_ids(entries: Sequence[str], class_names: Sequence[str]) -> frozenset[int] | None:
+    """Class ids (indices into `class_names`) that `entries` select; None (all classes) for an empty filter.
+
+    An entry is a class name or a decimal index; a class name takes precedence over an equal index.
+
+    Raises ClassFilterError naming the first entries that are not classes of the model.
+    """
+    if not entries:
+        return None
+    ids_by_name: defaultdict[str, list[int]] = defaultdict(list)
+    for class_id, name in enumerate(class_names):
+        ids_by_name[name].append(class_id)
+    found = {entry: ids_by_name.get(entry) or _index(entry, len(class_names)) for entry in entries}
+    if unknown := [entry for entry, ids in found.items() if not ids]:
+        raise ClassFilterError(_explanation(unknown, class_names))
+    return frozenset(class_id for ids in found.values() for class_id in ids)
+
+
+def _index(entry: str, count: int) -> list[int]:
+    """`entry` as a list of one class index; empty unless it is a decimal integer below `count`."""
+    digits = entry.lstrip("0") or "0"
+    if not _is_decimal(entry) or len(digits) > _MAX_INDEX_DIGITS or int(digits) >= count:
+        return []
+    return [int(digits)]
+
+
+def _is_decimal(entry: str) -> bool:
+    return entry.isascii() and entry.isdigit()
+
+
+def _explanation(unknown: Sequence[str], class_names: Sequence[str]) -> str:
+    explained = [_explain(entry, class_names) for entry in unknown[:MAX_EXPLAINED]]
+    if (rest := len(unknown) - MAX_EXPLAINED) > 0:
+        explained.append(f"{rest} more entries are not classes of the model either.")
+    return " ".join(explained)
+
+
+def _explain(entry: str, class_names: Sequence[str]) -> str:
+    count = len(class_names)
+    if _is_decimal(entry):
+        return (
+            f"Class index {_shown(entry)} is out of range: the model has {count} classes, 0 to {count - 1}."
+        )
+    shown = ", ".join(map(_shown, class_names[:_SHOWN_CLASSES])) + (", ..." if count > _SHOWN_CLASSES else "")
+    return f"'{_shown(entry)}' is not a class of the model ({shown}).{did_you_mean(entry, class_names)}"
+
+
+def _shown(text: str) -> str:
+    """`text` on one line, truncated."""
+    return in_one_line(text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "...")

@@ -19,7 +19,8 @@ from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineD
 from yolov5_lifecycle.process.standard_streams import complain, show_progress
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
-from yolov5_lifecycle.settings.settings import Problem, Settings, SettingsError, validated
+from yolov5_lifecycle.settings.schema import Problem, SettingsError
+from yolov5_lifecycle.settings.settings import Settings, validated
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _OF_THE_NODE = ("autostart", "bond_timeout", "image_reliability", "image_transport", "lazy", "max_rate")

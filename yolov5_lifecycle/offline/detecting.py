@@ -14,7 +14,8 @@ from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.image import ImageError, Picture
 from yolov5_lifecycle.offline.recording import StoredPicture
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
-from yolov5_lifecycle.settings.settings import Settings, SettingsError
+from yolov5_lifecycle.settings.schema import SettingsError
+from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
 
 Stored = TypeVar("Stored", bound=StoredPicture)

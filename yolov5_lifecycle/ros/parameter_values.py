@@ -1,16 +1,14 @@
-"""Conversion between settings and ROS parameters: types, descriptors and coerced values."""
+"""Conversion of ROS parameters to values of settings, and of requests to parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from collections.abc import Iterable, Mapping
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterValue
 from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.settings.field import Change, Setting
-from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
+from yolov5_lifecycle.settings.schema import Setting
 
 MAX_ENTRIES = 10_000
 """Max entries of one list in a request; also the limit of the longest setting, `classes`."""
@@ -37,40 +35,14 @@ def _read(message: ParameterMessage) -> Parameter:
     return Parameter.from_parameter_msg(message)
 
 
-def names_on_command_line(arguments: Sequence[str]) -> set[str]:
-    """Names of parameters set with `-p [node:]name:=value` (or `--param`)."""
-    assignments = [word for flag, word in pairwise(arguments) if flag in ("-p", "--param")]
-    return {assignment.partition(":=")[0].rpartition(":")[2] for assignment in assignments}
-
-
-def descriptor(setting: Setting) -> ParameterDescriptor:
-    """Descriptor shown by `ros2 param describe`, with the range that rclpy enforces."""
-    described = ParameterDescriptor(
-        description=setting.description,
-        additional_constraints=f"{setting.allowed}; {setting.change.value}",
-        read_only=setting.change is Change.READ_ONLY,
-    )
-    if setting.minimum is None or setting.maximum is None:
-        return described
-    if setting.type is int:
-        described.integer_range = [
-            IntegerRange(
-                from_value=int(setting.minimum), to_value=int(setting.maximum), step=int(setting.step or 1)
-            )
-        ]
-    else:
-        described.floating_point_range = [
-            FloatingPointRange(from_value=float(setting.minimum), to_value=float(setting.maximum))
-        ]
-    return described
-
-
-def coerced(parameter: Parameter, *, may_be_unset: bool = False) -> Parameter:
+def coerced(
+    parameter: Parameter, settings: Mapping[str, Setting], *, may_be_unset: bool = False
+) -> Parameter:
     """Convert `parameter` to the type of its setting if unambiguous; otherwise return it unchanged.
 
-    Follows `Setting.coerced`; in addition, an empty list may be of any type.
+    Follows `Setting.coerced`; in addition, an empty list may be of any type. `settings` by name.
     """
-    setting = SETTINGS_BY_NAME.get(parameter.name)
+    setting = settings.get(parameter.name)
     if setting is None:
         return parameter
     if setting.type is tuple and _is_empty(parameter, may_be_unset):
@@ -86,12 +58,12 @@ def _is_empty(parameter: Parameter, may_be_unset: bool) -> bool:
     return parameter.type_.name.endswith("ARRAY") and len(parameter.value) == 0
 
 
-def plain_values(parameters: Iterable[Parameter]) -> dict[str, object]:
-    """Values by name of the parameters that are settings."""
+def plain_values(parameters: Iterable[Parameter], settings: Mapping[str, Setting]) -> dict[str, object]:
+    """Values by name of the parameters that are among `settings`."""
     return {
         parameter.name: tuple(parameter.value) if _is_list(parameter.value) else parameter.value
         for parameter in parameters
-        if parameter.name in SETTINGS_BY_NAME
+        if parameter.name in settings
     }
 
 
@@ -99,5 +71,6 @@ def _is_list(value: object) -> bool:
     return hasattr(value, "__iter__") and not isinstance(value, (str, bytes))
 
 
-def ros_value(default: object) -> object:
-    return list(default) if isinstance(default, tuple) else default
+def ros_value(value: object) -> object:
+    """`value` of a setting as rclpy takes it."""
+    return list(value) if isinstance(value, tuple) else value

@@ -1,40 +1,21 @@
-"""Declaration, validation and storage of the node's ROS parameters, derived from Settings."""
+"""The detector's parameters: owner of the current settings, and of each change from proposal to storage."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
+from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.parameter_values import (
-    TYPES,
-    coerced,
-    descriptor,
-    names_on_command_line,
-    plain_values,
-    ros_value,
-)
-from yolov5_lifecycle.ros.proposal import Configuration, Proposal
-from yolov5_lifecycle.ros.qos_overrides import parameter_overrides, qos_contradictions, qos_problems
-from yolov5_lifecycle.settings.field import Setting
-from yolov5_lifecycle.settings.parameter_file import FOREIGN_PREFIXES
-from yolov5_lifecycle.settings.settings import (
-    SETTINGS,
-    SETTINGS_BY_NAME,
-    Problem,
-    Settings,
-    SettingsError,
-    meant_setting,
-    unknown_setting,
-    validated,
-)
+from yolov5_lifecycle.ros.declaration import Source, declare
+from yolov5_lifecycle.ros.parameter_values import coerced, plain_values, ros_value
+from yolov5_lifecycle.settings.schema import Change, Problem, SettingsError
+from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, Settings, validated
 
-Review = Callable[[Settings], list[Problem]]
-Commit = Callable[[Settings], None]
+Rule = Callable[[Settings], list[Problem]]
 Validate = Callable[[Mapping[str, object]], Settings]
 """See `validated`."""
 
@@ -42,66 +23,95 @@ MAX_SUGGESTIONS = 3
 """Max number of unknown names per request for which a similar name is suggested."""
 MAX_REASON_LENGTH = 2000
 """Max length of the refusal of one change, in characters."""
+_BY_EFFORT = (Change.RELOAD, Change.RESUBSCRIBE, Change.LIVE)
 
 
-class Source(Enum):
-    """Source of a setting's value."""
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """Values of all settings, with the resulting settings or problems. Compared by identity."""
 
-    DEFAULT = "default"
-    PARAMETER_FILE = "parameter file"
-    COMMAND_LINE = "command line"
-    RUN_TIME = "set at run time"
+    values: Mapping[str, object]
+    settings: Settings | None
+    """None if there are problems."""
+    problems: tuple[Problem, ...] = ()
 
 
-@dataclass(frozen=True)
-class _BadOverride:
-    """An invalid override, reported as a problem until the setting `corrected_by` is set."""
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """Changes that one request makes to `base`, the configuration it was validated against.
 
-    problem: Problem
-    corrected_by: str | None
+    It may be stored if `base` is still the current configuration and it has no `problems`.
+    """
+
+    base: Configuration
+    after: Configuration
+    """`base` itself if no setting changes."""
+    asked: tuple[Parameter, ...]
+    """Parameters as requested."""
+    parameters: tuple[Parameter, ...]
+    """Parameters to set: coerced to the types of their settings, without those that need no change."""
+    withdrawn: tuple[str, ...] = ()
+    """Overrides with unknown names that the request deletes."""
+    unknown: tuple[str, ...] = ()
+    """Requested names that are not parameters."""
+    problems: tuple[Problem, ...] = ()
+    """Why the request must be refused; excludes problems that `base` already has."""
+    is_direct: bool = False
+    """Whether the request was made in-process, through the methods of the rclpy node."""
+
+    @property
+    def kind(self) -> Change | None:
+        """The most expensive kind of change; None if no setting changes or the settings are invalid."""
+        before, after = self.base.settings, self.after.settings
+        if before is None or after is None:
+            return None
+        return next((kind for kind in _BY_EFFORT if before.differing(after, kind)), None)
+
+    def is_about(self, parameters: Sequence[Parameter], current: Configuration) -> bool:
+        """Whether it sets exactly these `parameters` (by identity) in the `current` configuration."""
+        return (
+            self.base is current
+            and len(parameters) == len(self.parameters)
+            and all(one is other for one, other in zip(parameters, self.parameters, strict=True))
+        )
 
 
 class SettingsParameters:
-    """Owns the declared parameters, the current configuration, and rclpy's parameter callbacks.
+    """Owns the current settings; everybody else asks it, or gets the frozen settings with a call.
 
     A bad override (YAML file or command line) never raises: the parameter is declared with its default and
     the problem is kept until the parameter is set again, so that configure can report all problems.
 
     `propose` validates a service request, `store` sets the proposed values. In-process calls of the node's
     set_parameters methods follow the same path inside rclpy's callbacks: `review(settings)` adds the checks
-    that need the loaded model, `commit(settings)` makes the change take effect. `arguments` are the
-    command-line arguments, to find the source of an override. `validate` creates settings from values.
+    that need the loaded model, `commit(before, after)` makes the change take effect.
+
+    `rules` are checked in addition to those of Settings, `start_problems` can only be solved by a restart.
+    `arguments` are the command-line arguments. `validate` creates settings from values.
     """
 
     def __init__(
         self,
         node: Node,
         *,
-        review: Review,
-        commit: Commit,
+        review: Rule,
+        commit: Callable[[Settings, Settings], None],
+        rules: Sequence[Rule] = (),
+        start_problems: Sequence[Problem] = (),
         arguments: Sequence[str] = (),
         validate: Validate = validated,
     ) -> None:
         self._node = node
         self._review = review
         self._commit = commit
+        self._rules = rules
+        self._start_problems = start_problems
         self._validate = validate
-        self._bad_overrides: dict[str, _BadOverride] = {}
-        self._sources = dict.fromkeys(SETTINGS_BY_NAME, Source.DEFAULT)
-        overrides = parameter_overrides(node)
-        on_command_line = names_on_command_line(arguments)
-        for setting in SETTINGS:
-            if (override := overrides.pop(setting.name, None)) is not None:
-                is_typed = setting.name in on_command_line
-                self._sources[setting.name] = Source.COMMAND_LINE if is_typed else Source.PARAMETER_FILE
-            self._declare(setting, override)
-        for name in overrides:
-            if not name.startswith(FOREIGN_PREFIXES):
-                self._bad_overrides[name] = _unknown_override(name, node.get_fully_qualified_name())
-        self._qos_problems = qos_problems(node)
-        self._current = self._configuration(
-            plain_values(node.get_parameter(setting.name) for setting in SETTINGS)
-        )
+        declaration = declare(node, SCHEMA, arguments=arguments)
+        self._sources = dict(declaration.sources)
+        self._invalid = dict(declaration.invalid)
+        self._unknown = list(declaration.unknown)
+        self._current = self._configuration(declaration.values)
         self._accepted: Proposal | None = None
         node.add_pre_set_parameters_callback(lambda parameters: [*self._proposal_of(parameters).parameters])
         node.add_on_set_parameters_callback(self._answer)
@@ -109,14 +119,18 @@ class SettingsParameters:
 
     def problems(self) -> list[Problem]:
         """Problems of the current values and of the overrides."""
-        bad = (override.problem for override in self._bad_overrides.values())
-        return [*bad, *self._qos_problems, *self._current.problems]
+        unknown = (self._unknown_override(name) for name in self._unknown)
+        return [*self._invalid.values(), *unknown, *self._start_problems, *self._current.problems]
 
     def settings(self) -> Settings:
         """The current settings; raises SettingsError if the values contradict each other."""
         if self._current.settings is None:
             raise SettingsError(list(self._current.problems))
         return self._current.settings
+
+    def value(self, name: str) -> Any:
+        """Value of one setting, valid by itself even if the values contradict each other."""
+        return self._current.values[name]
 
     def propose(self, asked: Sequence[Parameter], *, suggestions: int = MAX_SUGGESTIONS) -> Proposal:
         """Validate a service request, except for the checks that need the model; changes nothing.
@@ -126,9 +140,9 @@ class SettingsParameters:
         withdrawn = tuple(parameter.name for parameter in asked if self._is_withdrawn(parameter))
         rest = [parameter for parameter in asked if parameter.name not in withdrawn]
         unknown = tuple(p.name for p in rest if not self._node.has_parameter(p.name))
-        problems = [unknown_setting(name, suggest=index < suggestions) for index, name in enumerate(unknown)]
-        wanted = [parameter for parameter in map(coerced, rest) if not self._stays(parameter)]
-        proposal = self._proposal(wanted)
+        problems = [SCHEMA.unknown(name, suggest=index < suggestions) for index, name in enumerate(unknown)]
+        wanted = [coerced(parameter, SETTINGS_BY_NAME) for parameter in rest]
+        proposal = self._proposal([parameter for parameter in wanted if not self._stays(parameter)])
         return replace(
             proposal,
             asked=tuple(asked),
@@ -148,8 +162,7 @@ class SettingsParameters:
             result = self._node.set_parameters_atomically([*proposal.parameters])
             if not result.successful:
                 return result
-        for name in proposal.withdrawn:
-            self._bad_overrides.pop(name, None)
+        self._unknown = [name for name in self._unknown if name not in proposal.withdrawn]
         return SetParametersResult(successful=True)
 
     def present(self, parameters: Sequence[Parameter]) -> list[Parameter]:
@@ -167,7 +180,7 @@ class SettingsParameters:
 
     def _proposal(self, parameters: Sequence[Parameter]) -> Proposal:
         """Proposal for parameters that are already coerced."""
-        changed, base = plain_values(parameters), self._current
+        changed, base = plain_values(parameters, SETTINGS_BY_NAME), self._current
         after = self._configuration({**base.values, **changed}) if changed else base
         return Proposal(
             base=base,
@@ -182,17 +195,13 @@ class SettingsParameters:
             settings = self._validate(values)
         except SettingsError as error:
             return Configuration(values, None, tuple(error.problems))
-        if problems := qos_contradictions(self._node, settings):
+        if problems := [problem for rule in self._rules for problem in rule(settings)]:
             return Configuration(values, None, tuple(problems))
         return Configuration(values, settings)
 
     def _is_withdrawn(self, parameter: Parameter) -> bool:
         """Whether `parameter` deletes an override with an unknown name."""
-        return (
-            parameter.type_ is Parameter.Type.NOT_SET
-            and parameter.name in self._bad_overrides
-            and parameter.name not in SETTINGS_BY_NAME
-        )
+        return parameter.type_ is Parameter.Type.NOT_SET and parameter.name in self._unknown
 
     def _stays(self, parameter: Parameter) -> bool:
         """Whether `parameter` is read-only and already has this value.
@@ -205,25 +214,11 @@ class SettingsParameters:
         present = self._node.get_parameter(name)
         return (parameter.type_, parameter.value) == (present.type_, present.value)
 
-    def _declare(self, setting: Setting, override: Parameter | None) -> None:
-        parameter = Parameter(setting.name, TYPES[setting.type], ros_value(setting.default))
-        if override is not None:
-            wanted = coerced(override, may_be_unset=True)
-            problems = self._configuration(plain_values([wanted])).problems
-            if any(problem.setting == setting.name for problem in problems):
-                self._bad_overrides[setting.name] = _BadOverride(problems[0], setting.name)
-            else:
-                parameter = wanted
-        described = descriptor(setting)
-        if parameter.value != []:
-            self._node.declare_parameter(setting.name, parameter.value, described, ignore_override=True)
-            return
-        # An empty list must be declared by type and then set: rclpy would infer BYTE_ARRAY (ros2/rclpy#912).
-        # It may become read-only only after that.
-        self._node.declare_parameter(setting.name, parameter.type_, ignore_override=True)
-        self._node.set_parameters([parameter])
-        described.type = parameter.type_.value
-        self._node.set_descriptor(setting.name, described)
+    def _unknown_override(self, name: str) -> Problem:
+        problem = SCHEMA.unknown(name)
+        remedy = "Set that one, or remove this one" if SCHEMA.meant(name) else "Remove it"
+        command = f"ros2 param delete {self._node.get_fully_qualified_name()} {problem.setting}"
+        return Problem(problem.setting, f"{problem.message} {remedy}: {command}")
 
     # rclpy's callbacks compare their parameters with the accepted proposal. Parameters without a proposal
     # were set in-process, through the node's methods.
@@ -237,7 +232,8 @@ class SettingsParameters:
         return accepted
 
     def _direct_proposal(self, parameters: Sequence[Parameter]) -> Proposal:
-        proposal = replace(self._proposal([coerced(parameter) for parameter in parameters]), is_direct=True)
+        wanted = [coerced(parameter, SETTINGS_BY_NAME) for parameter in parameters]
+        proposal = replace(self._proposal(wanted), is_direct=True)
         settings = proposal.after.settings
         if proposal.problems or settings is None or proposal.after is proposal.base:
             return proposal
@@ -254,13 +250,11 @@ class SettingsParameters:
         self._current = proposal.after
         names = {parameter.name for parameter in parameters}
         self._sources |= dict.fromkeys(names & self._sources.keys(), Source.RUN_TIME)
-        self._bad_overrides = {
-            name: bad
-            for name, bad in self._bad_overrides.items()
-            if name not in names and bad.corrected_by not in names
-        }
-        if proposal.is_direct and not self.problems():  # else configure reports them
-            self._commit(self.settings())
+        self._invalid = {name: problem for name, problem in self._invalid.items() if name not in names}
+        self._unknown = [name for name in self._unknown if SCHEMA.meant(name) not in names]
+        before, after = proposal.base.settings, proposal.after.settings
+        if proposal.is_direct and before is not None and after is not None:
+            self._commit(before, after)
 
 
 def refusal(problems: Sequence[Problem]) -> SetParametersResult:
@@ -269,10 +263,3 @@ def refusal(problems: Sequence[Problem]) -> SetParametersResult:
     if len(reason) > MAX_REASON_LENGTH:
         reason = f"{reason[:MAX_REASON_LENGTH]}... ({len(problems)} problems)"
     return SetParametersResult(successful=False, reason=reason)
-
-
-def _unknown_override(name: str, node_name: str) -> _BadOverride:
-    meant, problem = meant_setting(name), unknown_setting(name)
-    remedy = "Set the right one, or drop this one" if meant else "Drop it"
-    message = f"{problem.message} {remedy}: ros2 param delete {node_name} {problem.setting}"
-    return _BadOverride(Problem(problem.setting, message), meant)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
-from rclpy.impl import rcutils_logger
 from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from yolov5_lifecycle.printable import in_lines
+from yolov5_lifecycle.ros.rclpy_internals import attribute_logs_to_callers_of
 
-# rclpy identifies a throttled message by the line of its caller; files in this list, such as this one, are
-# skipped when it looks for the caller.
-rcutils_logger._internal_callers.append(os.path.realpath(__file__))
+attribute_logs_to_callers_of(__file__)
 
 
 class PrintableLogger(RcutilsLogger):

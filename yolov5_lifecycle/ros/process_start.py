@@ -1,41 +1,29 @@
-"""Preparation of a node's process before the node's modules are imported."""
+"""Start of a node's process: prepared, then the node's modules are imported and run."""
 
 from __future__ import annotations
 
 import sys
 from typing import NoReturn
 
-from yolov5_lifecycle.commands.version import version_line
+from yolov5_lifecycle.commands.process_start import EXIT_UNABLE, prepare_process
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.process.environment import prepare_environment
 from yolov5_lifecycle.process.memory import prepare_heap
-from yolov5_lifecycle.process.standard_streams import complain, open_standard_streams, write_output
-from yolov5_lifecycle.process.termination import end_at_once
-from yolov5_lifecycle.process.thread_limit import compute_threads, thread_problem
-
-EXIT_UNABLE = 1
-"""Exit code if the machine or its Python lacks what the node needs."""
+from yolov5_lifecycle.process.standard_streams import complain
+from yolov5_lifecycle.ros.shared_memory import warn_before_import
 
 _ROS_THREADS = 12
 """Eight threads of Fast DDS, plus those of the node and rclpy."""
 
 
-def prepare_process(command: str) -> None:
-    """Exit with code 0 on SIGINT, SIGTERM and SIGHUP from now on; prepare streams, environment and heap.
+def prepare_node_process(command: str) -> None:
+    """Prepare the process; until the node handles signals itself, each ends it with code 0.
 
     The imports that follow take seconds, during which a signal would otherwise cause a traceback or kill
-    Python. They also start threads; exits with code 1 if too few can be started. Prints `--version` and exits
-    first, so that it works even where the imports fail.
+    Python. They also start threads.
     """
-    open_standard_streams()
-    end_at_once(0)
-    prepare_environment()
-    if sys.argv[1:] == ["--version"]:
-        sys.exit(write_output(command, f"{version_line(command)}\n"))
     prepare_heap()
-    if problem := thread_problem(_ROS_THREADS + 2 * compute_threads()):
-        complain(command, problem)
-        sys.exit(EXIT_UNABLE)
+    prepare_process(command, signal_code=0, further_threads=_ROS_THREADS)
+    warn_before_import(command)
 
 
 def refuse_python(command: str, error: ImportError) -> NoReturn:

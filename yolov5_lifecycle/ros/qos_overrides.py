@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSPolicyKind, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED, full_name
 from yolov5_lifecycle.settings.parameter_file import QOS_PREFIX
-from yolov5_lifecycle.settings.settings import Problem, Settings
+from yolov5_lifecycle.settings.schema import Problem
+from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 
 MAX_DEPTH = 10_000
@@ -19,12 +24,7 @@ _CHOICES = {
     "reliability": [name for name in ReliabilityPolicy.short_keys() if name != "unknown"],
 }
 _POLICIES = (*_CHOICES, "depth")
-
-
-def parameter_overrides(node: Node) -> dict[str, Parameter]:
-    """Overrides from parameter files and the command line by name, declared or not."""
-    # rclpy has no public way to list overrides of undeclared parameters.
-    return dict(getattr(node, "_parameter_overrides", {}))
+_REMEDY = "Correct it and restart the node."
 
 
 def qos_problems(node: Node) -> list[Problem]:
@@ -36,24 +36,24 @@ def qos_problems(node: Node) -> list[Problem]:
         if name not in policy_of and name.startswith(QOS_PREFIX):
             problems.append(Problem(name, _unknown(name, policy_of)))
         elif name in policy_of and (rule := _broken_rule(policy_of[name], override)):
-            problems.append(Problem(name, f"{override.value!r} is not {rule} Correct it and start again."))
+            problems.append(
+                Problem(name, f"{override.value!r} is not {rule} Correct it and restart the node.")
+            )
     return problems
 
 
-def qos_contradictions(node: Node, settings: Settings) -> list[Problem]:
-    """Settings that conflict with or duplicate a QoS override."""
+def qos_rules(node: Node) -> list[Callable[[Settings], list[Problem]]]:
+    """One rule per QoS override that conflicts with or duplicates a value of `image_reliability`."""
+    overrides = parameter_overrides(node)
+    names = [_name(node, topic, "reliability") for topic in SUBSCRIBED]
+    return [partial(_reliability_problems, name) for name in names if name in overrides]
+
+
+def _reliability_problems(override: str, settings: Settings) -> list[Problem]:
     if settings.image_reliability == "auto":
         return []
-    overrides = parameter_overrides(node)
-    names = [name for topic in SUBSCRIBED if (name := _name(node, topic, "reliability")) in overrides]
-    return [
-        Problem(
-            "image_reliability",
-            f"{settings.image_reliability!r} and {name} both say how to subscribe. Use 'auto', or start "
-            "without the override.",
-        )
-        for name in names
-    ]
+    reason = f"{settings.image_reliability!r} and {override} both set the reliability of the subscription."
+    return [Problem("image_reliability", f"{reason} Use 'auto', or start without the override.")]
 
 
 def overridden_reliability(node: Node, topic: str) -> ReliabilityPolicy | None:
@@ -83,14 +83,14 @@ def _unknown(name: str, known: dict[str, str]) -> str:
     if not hint:
         endpoints = dict.fromkeys(other.removeprefix(QOS_PREFIX).rpartition(".")[0] for other in known)
         hint = f" There are {', '.join(endpoints)}, each with {', '.join(_POLICIES)}."
-    return f"this node has no such topic or policy.{hint} Correct it and start again."
+    return f"this node has no such topic or policy.{hint} {_REMEDY}"
 
 
 def _broken_rule(policy: str, override: Parameter) -> str:
     """The rule that `override` violates, "" if it is valid."""
     if policy == "depth":
-        is_whole = override.type_ is Parameter.Type.INTEGER and 1 <= override.value <= MAX_DEPTH
-        return "" if is_whole else f"an integer from 1 to {MAX_DEPTH}."
+        is_valid = override.type_ is Parameter.Type.INTEGER and 1 <= override.value <= MAX_DEPTH
+        return "" if is_valid else f"an integer from 1 to {MAX_DEPTH}."
     value, choices = override.value, _CHOICES[policy]
     if value in choices:
         return ""

@@ -17,8 +17,8 @@ TRACER_BYTES = 8 << 10
 _SEGMENT_FACTOR = 1.05  # size of a profile's segment including its bookkeeping
 _MAX_PROFILE_BYTES = 1 << 20
 _REMEDY = (
-    "Give the container more (docker run --shm-size=1g, or --ipc=host), or remove what dead processes left: "
-    "`fastdds shm clean`, or {folder}/fastrtps_* while no ROS process runs."
+    "Give the container more (docker run --shm-size=1g, or --ipc=host), or remove the leftovers of dead "
+    "processes: `fastdds shm clean`, or {folder}/fastrtps_* while no ROS process runs."
 )
 
 
@@ -49,7 +49,7 @@ def shared_memory_problems(
         return []
     return [
         f"{folder} has {found >> 10} KiB free and Fast DDS needs {needed >> 10} KiB for this process: "
-        f"it uses UDP alone, where large images get lost. {_remedy(folder)}"
+        f"it uses only UDP, where large images get lost. {_remedy(folder)}"
     ]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +12,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.settings.parameter_file import ParameterFileError, read_parameter_file
+from yolov5_lifecycle.settings.parameter_file import ParameterFileError, names_node, read_parameter_file
 from yolov5_lifecycle.settings.parameter_yaml import ParameterYamlError, Value, parameter_value
 
 _FLAG = "--params-file"
 _ASSIGNMENT_FLAGS = ("-p", "--param")
+_MAX_NAMES = 5
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,22 @@ def initialize(arguments: StartArguments) -> StartArguments:
     return arguments
 
 
+def misaddressed_files(files: Iterable[ParameterFile], node_name: str) -> Iterator[str]:
+    """One warning per file that has parameters for other nodes only, which ROS ignores silently.
+
+    `node_name` is fully qualified.
+    """
+    for file in files:
+        names = list(file.nodes)
+        if names and not any(names_node(name, node_name) for name in names):
+            more = ", ..." if len(names) > _MAX_NAMES else ""
+            others = ", ".join(names[:_MAX_NAMES]) + more
+            yield (
+                f"the parameter file {file.path} has no effect: it is for {others}, but this node is "
+                f"{node_name}. Use that name, or /**, as its top-level key."
+            )
+
+
 def _read(path: str) -> ParameterFile | str:
     """Read the file at `path`; return it, or a description of the problem."""
     try:
@@ -90,7 +107,7 @@ def _read(path: str) -> ParameterFile | str:
 
 
 def _unreadable(reason: str) -> str:
-    return f"the parameter file cannot be read: {reason} Correct the file and start again."
+    return f"the parameter file cannot be read: {reason} Correct the file and restart the node."
 
 
 def _clashes(words: Sequence[str], files: Mapping[str, ParameterFile]) -> Iterator[str]:
@@ -105,7 +122,7 @@ def _clashes(words: Sequence[str], files: Mapping[str, ParameterFile]) -> Iterat
         if type(value) is not type(before):
             yield in_one_line(
                 f"{name}: {before!r} in {where} and {value!r} in {place} are of two types, and ROS may use "
-                "either: write both in the same type, or leave one out, and start again."
+                "either: give both the same type, or remove one, and restart the node."
             )
 
 

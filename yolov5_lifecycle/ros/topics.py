@@ -31,8 +31,8 @@ def endpoint_name(node: Node, topic: str) -> str:
 def remapping_problems(node: Node) -> list[str]:
     """One problem per name to which several topics of `node` are remapped."""
     return [
-        f"{' and '.join(topics)} are the same topic, {name}, and each needs its own: start the node with "
-        "other remappings"
+        f"{' and '.join(topics)} are remapped to the same topic, {name}: restart the node with "
+        "different remappings"
         for name, topics in _shared_topics(node).items()
     ]
 

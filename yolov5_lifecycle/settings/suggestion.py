@@ -7,9 +7,9 @@ from difflib import SequenceMatcher
 
 MAX_WORD_LENGTH = 100
 """Longer words get no suggestion and are never suggested."""
-MAX_LETTERS = 15_000
+MAX_CHARACTERS = 15_000
 """Total characters of the candidates that are compared by more than their length."""
-MAX_LETTER_PAIRS = 10_000
+MAX_CHARACTER_PAIRS = 10_000
 """Total character pairs of the candidates compared in full, which takes up to 0.5 us per pair."""
 _CUTOFF = 0.6
 
@@ -27,7 +27,7 @@ def nearest(word: str, known: Iterable[str], *, matcher: SequenceMatcher[str] | 
     best, found, pairs = _CUTOFF, None, 0
     for bound, folded, name in sorted(_promising(matcher, word, known), reverse=True):
         pairs += len(word) * len(folded)
-        if bound < best or pairs > MAX_LETTER_PAIRS:
+        if bound < best or pairs > MAX_CHARACTER_PAIRS:
             break
         matcher.set_seq1(folded)
         if (ratio := matcher.ratio()) > best or (found is None and ratio == best):
@@ -45,14 +45,14 @@ def _promising(
     matcher: SequenceMatcher[str], word: str, known: Iterable[str]
 ) -> Iterator[tuple[float, str, str]]:
     """Upper bound of similarity, case-folded word and word, for each candidate that may be close."""
-    letters = 0
+    characters = 0
     for name in known:
         # The ratio is 2 * matches / sum of lengths, and matches <= the length of the shorter word.
         if 2 * min(len(word), len(name)) < _CUTOFF * (len(word) + len(name)):
             continue
         folded = name.casefold()
-        letters += len(folded)
-        if letters > MAX_LETTERS:
+        characters += len(folded)
+        if characters > MAX_CHARACTERS:
             return
         matcher.set_seq1(folded)
         if (bound := matcher.quick_ratio()) >= _CUTOFF:

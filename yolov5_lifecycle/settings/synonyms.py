@@ -22,7 +22,7 @@ SYNONYMS = {
 """Names that YOLOv5's own scripts and other nodes use for a setting."""
 
 _TOPIC = "topics are remapped: -r '~/image_raw:=/camera/image_raw'."
-_BOND = "bond_timeout switches the bond on; its heartbeats come every 0.1 s."
+_BOND = "set bond_timeout to enable the bond; heartbeats are sent every 0.1 s."
 _SWITCH = "not needed: ~/image is published while it has subscribers."
 NOT_SETTINGS = {
     "image_topic": _TOPIC,

@@ -76,21 +76,24 @@ class EmptyRun:
         return self.ended_s - self.begun_s
 
 
+_NO_RUN = EmptyRun(threshold=0.0)
+
+
+@dataclass
 class EmptyFrames:
     """Counts consecutive frames without detections; one thread adds, any thread may read `run`."""
 
-    def __init__(self, threshold: float) -> None:
-        self._threshold = threshold
-        self.run = EmptyRun(threshold)
+    threshold: float
+    run: EmptyRun = _NO_RUN
 
     def add(self, now_s: float, found: int, best_missed: float) -> None:
         """Add a frame with `found` detections at `now_s` (monotonic seconds)."""
         if found:
-            self.run = EmptyRun(self._threshold)
+            self.run = EmptyRun(self.threshold)
         else:
             begun_s = self.run.begun_s if self.run.frames else now_s
             best_missed = max(best_missed, self.run.best_missed)
-            self.run = EmptyRun(self._threshold, self.run.frames + 1, begun_s, now_s, best_missed)
+            self.run = EmptyRun(self.threshold, self.run.frames + 1, begun_s, now_s, best_missed)
 
 
 @dataclass(frozen=True)

@@ -208,7 +208,7 @@ def test_heartbeats_end_when_no_manager_joins_in_time(side: OneSide) -> None:
     side.now_s += CONNECT_S
     side.wait_for_more()
     side.now_s += 0.1
-    side.wait_for_log("no lifecycle manager joined the bond within 10 s; detection goes on")
+    side.wait_for_log("no lifecycle manager joined the bond within 10 s; detection continues")
     side.wait_for_silence()
 
 
@@ -216,7 +216,7 @@ def test_the_end_of_the_bond_by_the_manager_is_acknowledged_and_ends_the_heartbe
     side.send(is_active=True)
     side.wait_for_log("bonded with the lifecycle manager")
     side.send(is_active=False)
-    side.wait_for_log("the lifecycle manager ended the bond; detection goes on")
+    side.wait_for_log("the lifecycle manager ended the bond; detection continues")
     side.send(is_active=True)
     side.wait_for_silence()
     assert [message.active for message in side.heard].count(False) == 1
@@ -234,11 +234,11 @@ def test_a_silent_manager_is_logged_once_and_the_heartbeats_go_on(side: OneSide)
     side.send(is_active=True)
     side.wait_for_log("bonded with the lifecycle manager")
     side.now_s += 4.1
-    side.wait_for_log("no heartbeat of the lifecycle manager for 4 s; detection goes on")
+    side.wait_for_log("no heartbeat from the lifecycle manager for 4 s; detection continues")
     side.wait_for_more()
     side.send(is_active=True)
     side.wait_for_log("bonded with the lifecycle manager", count=2)
-    side.wait_for_log("no heartbeat of the lifecycle manager", count=1)
+    side.wait_for_log("no heartbeat from the lifecycle manager", count=1)
     assert all(message.active for message in side.heard)
 
 

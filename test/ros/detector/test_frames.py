@@ -90,7 +90,7 @@ def test_a_hung_inference_does_not_block_deactivate(served: ServedNode, prepare:
     served.publish()
     served.wait_for(entered.is_set, "inference to hang")
     assert served.state() == "active"
-    hint = "at one image for more than 2 s: the model is too slow for this machine, or it hangs"
+    hint = "inference of one image takes more than 2 s: the model is too slow for this machine, or it hangs"
     served.wait_for(lambda: hint in served.status().message, "the hint")
     served.wait_for_log(hint)
     assert served.transition("deactivate"), "although inference still hangs"

@@ -45,7 +45,7 @@ def test_configure_refuses_topics_that_are_remapped_to_one(ros_domain: int, rule
         assert served.state() == "unconfigured"
         status = served.status()
         assert status.level == DiagnosticStatus.ERROR
-        assert f"{told} are the same topic" in status.message
+        assert f"{told} are remapped to the same topic" in status.message
         assert not served.escaped
 
 

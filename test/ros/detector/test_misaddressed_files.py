@@ -13,8 +13,7 @@ from support.detector_process import environment
 from support.worker import worker_domain
 
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.detector.misaddressed_files import warnings
-from yolov5_lifecycle.ros.start_arguments import ParameterFile, start_arguments
+from yolov5_lifecycle.ros.start_arguments import ParameterFile, misaddressed_files, start_arguments
 
 PARAMETERS = "ros__parameters: {secret: hidden}"
 TOPS = (
@@ -54,7 +53,7 @@ def test_the_node_warns_exactly_when_ros_ignores_a_file(
         path = file_for(tmp_path, top)
         with node_with(path, namespace) as node:
             is_obeyed = "secret" in node._parameter_overrides
-            told = list(warnings(files_of(path), node.get_fully_qualified_name()))
+            told = list(misaddressed_files(files_of(path), node.get_fully_qualified_name()))
         assert bool(told) is not is_obeyed, top
 
 
@@ -78,7 +77,7 @@ def test_the_node_warns_exactly_when_ros_ignores_a_file(
 def test_the_warning_has_the_names_in_the_file_and_nothing_else(tmp_path: Path, text: str, told: str) -> None:
     path = tmp_path / "parameters.yaml"
     path.write_text(text)
-    found = " ".join(warnings(files_of(path), "/yolov5"))
+    found = " ".join(misaddressed_files(files_of(path), "/yolov5"))
     assert (told in found) if told else (found == "")
     assert "secret" not in found
     assert "hidden" not in found

@@ -75,7 +75,9 @@ def _with_input(**changes: Any) -> Status:
             _with_input(silent_s=SILENCE_S + 5), "no image on /yolov5/image_raw for 7 s", id="silence"
         ),
         pytest.param(
-            dataclasses.replace(GOOD, busy_s=SLOW_S + 1), "at one image for more than 2 s", id="hanging"
+            dataclasses.replace(GOOD, busy_s=SLOW_S + 1),
+            "inference of one image takes more than 2 s",
+            id="hanging",
         ),
         pytest.param(
             dataclasses.replace(GOOD, recently_rejected="Encoding 'x' is not supported"),
@@ -153,7 +155,7 @@ def test_the_values_hold_every_count_and_the_configuration() -> None:
 def test_scores_that_are_mere_noise_are_not_reported() -> None:
     assert BLIND.empty is not None
     noise = dataclasses.replace(BLIND, empty=dataclasses.replace(BLIND.empty, best_missed=0.0))
-    assert "152 frames, nothing even above 0.05: if there was something" in noise.remark
+    assert "152 frames, nothing even above 0.05: if objects were visible" in noise.remark
 
 
 def test_a_reason_is_logged_once_a_minute_whatever_its_numbers(ros_domain: int) -> None:

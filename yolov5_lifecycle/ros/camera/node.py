@@ -23,7 +23,7 @@ from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
 from yolov5_lifecycle.ros.start_arguments import initialize, start_arguments
-from yolov5_lifecycle.settings.settings import SettingsError
+from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.sources.frames import PictureSource, SourceFrame
 from yolov5_lifecycle.sources.playback import Playback
 from yolov5_lifecycle.sources.source import open_source
@@ -113,8 +113,8 @@ class CameraNode(Node):
     def _report_size(self, size_hw: tuple[int, int]) -> None:
         """Log size, rate and topics at the start and whenever the size changes."""
         rate_hz = self._settings.rate or self._source_rate_hz
-        rate = f"at {rate_hz:g} images per second" if rate_hz else "as the source gives them"
-        kind = self._settings.encoding if self._size_hw is None else "another size than before"
+        rate = f"at {rate_hz:g} images per second" if rate_hz else "at the rate of the source"
+        kind = self._settings.encoding if self._size_hw is None else "size changed"
         self._size_hw = size_hw
         self.get_logger().info(f"publishing {size_hw[1]} x {size_hw[0]} ({kind}) {rate} on {self._topics}")
 

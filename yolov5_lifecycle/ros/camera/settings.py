@@ -5,22 +5,17 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import ErrorDetails, PydanticCustomError
-from rcl_interfaces.msg import ParameterDescriptor
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rclpy.node import Node
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.ros.camera.transport import Transport
-from yolov5_lifecycle.ros.qos_overrides import parameter_overrides
-from yolov5_lifecycle.settings.parameter_file import FOREIGN_PREFIXES, QOS_PREFIX
-from yolov5_lifecycle.settings.settings import Problem, SettingsError
+from yolov5_lifecycle.ros.declaration import declare
+from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
+from yolov5_lifecycle.settings.parameter_file import QOS_PREFIX
+from yolov5_lifecycle.settings.schema import Change, Problem, Schema, SettingsError, contradiction
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 from yolov5_lifecycle.sources.calibration import Calibration, CalibrationError, read_calibration
-
-
-def _number_as_text(value: object) -> object:
-    return str(value) if type(value) is int else value
 
 
 class CameraSettings(BaseModel):
@@ -28,50 +23,52 @@ class CameraSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    source: Annotated[str, BeforeValidator(_number_as_text)] = Field(
+    source: Annotated[str, Change.READ_ONLY] = Field(
         "synthetic",
         min_length=1,
-        description="synthetic (moving shapes), a device's number or path, the path of a video, picture or "
-        "folder, a URL such as rtsp://HOST/PATH, or a GStreamer pipeline that ends in appsink.",
+        description="synthetic (moving shapes), the number or path of a device, the path of a video, image "
+        "or folder, a URL such as rtsp://HOST/PATH, or a GStreamer pipeline that ends in appsink.",
     )
-    rate: float = Field(
+    rate: Annotated[float, Change.READ_ONLY] = Field(
         0.0,
         ge=0,
         le=1000,
-        description="Images per second. 0: what the video says or the device gives, 30 for anything else.",
+        description="Images per second. 0: the rate of the video or device, 30 for other sources.",
     )
-    width: int = Field(
+    width: Annotated[int, Change.READ_ONLY] = Field(
         0, ge=0, le=MAX_SIDE_PX, description="Width of the images in pixels. 0: that of the source."
     )
-    height: int = Field(
+    height: Annotated[int, Change.READ_ONLY] = Field(
         0, ge=0, le=MAX_SIDE_PX, description="Height of the images in pixels. 0: that of the source."
     )
-    loop: bool = Field(
+    loop: Annotated[bool, Change.READ_ONLY] = Field(
         True,
-        description="Begin again at the end of the files; connect again when a stream breaks off. "
-        "false: play once to all subscribers and end.",
+        description="Restart at the end of the files; reconnect when a stream breaks off. "
+        "false: play once to all subscribers and exit.",
     )
-    seed: int = Field(0, ge=0, description="Which synthetic scene to draw.")
-    image_transport: Transport = Field(
+    seed: Annotated[int, Change.READ_ONLY] = Field(0, ge=0, description="Seed of the synthetic scene.")
+    image_transport: Annotated[Transport, Change.READ_ONLY] = Field(
         "raw", description="raw: on image_raw. compressed: as JPEG on image_raw/compressed. both: on both."
     )
-    encoding: Literal["rgb8", "bgr8", "mono8", "rgba8", "bgra8"] = Field(
-        "rgb8", description="Layout of the pixels in a message; of a JPEG, once unpacked."
+    encoding: Annotated[Literal["rgb8", "bgr8", "mono8", "rgba8", "bgra8"], Change.READ_ONLY] = Field(
+        "rgb8", description="Encoding of the images; of a JPEG, after decompression."
     )
-    frame_id: str = Field("camera", description="Coordinate frame in the header of the images.")
-    camera_info_url: str = Field(
+    frame_id: Annotated[str, Change.READ_ONLY] = Field(
+        "camera", description="Coordinate frame in the header of the images."
+    )
+    camera_info_url: Annotated[str, Change.READ_ONLY] = Field(
         "",
         description="Calibration for camera_info: file:///PATH or package://PACKAGE/PATH of a YAML file as "
         "camera_calibration writes it. Empty: not calibrated.",
     )
-    reliability: Literal["reliable", "best_effort"] = Field(
-        "reliable", description="Reliability offered to subscribers."
+    reliability: Annotated[Literal["reliable", "best_effort"], Change.READ_ONLY] = Field(
+        "reliable", description="QoS reliability offered to subscribers."
     )
 
     @model_validator(mode="after")
     def _has_no_or_both_sides(self) -> CameraSettings:
         if bool(self.width) != bool(self.height):
-            raise PydanticCustomError("sides", "width and height go together: set both or none")
+            raise contradiction([Problem("width, height", "width and height go together: set both or none.")])
         return self
 
     @cached_property
@@ -84,12 +81,10 @@ class CameraSettings(BaseModel):
         except CalibrationError as error:
             raise SettingsError([Problem("camera_info_url", str(error))]) from None
         if self.size_hw not in (None, calibration.size_hw):
-            asked, known = (
-                f"{self.width} x {self.height}",
-                f"{calibration.image_width} x {calibration.image_height}",
-            )
+            asked = f"{self.width} x {self.height}"
+            known = f"{calibration.image_width} x {calibration.image_height}"
             raise SettingsError(
-                [Problem("width, height", f"{asked} asked for, the calibration is for {known}.")]
+                [Problem("width, height", f"{asked} requested, but the calibration is for {known}.")]
             )
         return calibration
 
@@ -99,26 +94,23 @@ class CameraSettings(BaseModel):
         return (self.height, self.width) if self.height else None
 
 
+SCHEMA = Schema(CameraSettings)
+
+
 def declared_settings(node: Node) -> CameraSettings:
-    """Read the settings from the parameter overrides of `node` and declare them as read-only parameters.
+    """Declare the settings as read-only parameters of `node`, with the values of its overrides.
 
     Raises SettingsError with every problem: invalid values and unknown names.
     """
-    values = {
-        name: parameter.value
-        for name, parameter in parameter_overrides(node).items()
-        if not name.startswith(FOREIGN_PREFIXES)
-    }
+    declaration = declare(node, SCHEMA)
+    problems = [*declaration.invalid.values(), *map(SCHEMA.unknown, declaration.unknown)]
     try:
-        settings = CameraSettings.model_validate(values)
-    except ValidationError as error:
-        problems = [_problem(details) for details in error.errors()]
-    else:
-        for name, field in CameraSettings.model_fields.items():
-            described = ParameterDescriptor(description=field.description, read_only=True)
-            node.declare_parameter(name, getattr(settings, name), described, ignore_override=True)
-        return settings
-    raise SettingsError(problems)
+        settings = SCHEMA.validated(declaration.values)
+    except SettingsError as error:
+        raise SettingsError([*problems, *error.problems]) from None
+    if problems:
+        raise SettingsError(problems)
+    return settings
 
 
 def check_qos_overrides(node: Node) -> None:
@@ -126,15 +118,5 @@ def check_qos_overrides(node: Node) -> None:
     taken = [f"{QOS_PREFIX}{name}" for name in node.get_parameters_by_prefix(QOS_PREFIX.removesuffix("."))]
     unused = [name for name in parameter_overrides(node) if name.startswith(QOS_PREFIX) and name not in taken]
     if unused:
-        reason = "no publisher here has this policy."
+        reason = "no publisher of this node has such a policy."
         raise SettingsError([Problem(name, f"{reason}{did_you_mean(name, taken)}") for name in unused])
-
-
-def _problem(details: ErrorDetails) -> Problem:
-    if details["type"] == "sides":
-        return Problem("width, height", f"{details['msg']}.")
-    name = str(details["loc"][0])
-    if details["type"] == "extra_forbidden":
-        return Problem(name, f"there is no such parameter.{did_you_mean(name, CameraSettings.model_fields)}")
-    default = CameraSettings.model_fields[name].default
-    return Problem(name, f"{details['input']!r}: {details['msg']}. The default is {default!r}.")

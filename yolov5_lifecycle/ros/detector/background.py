@@ -6,10 +6,18 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future as RosFuture
 
 Result = TypeVar("Result")
+
+
+def resume(waiting: RosFuture, result: object, executor: Executor) -> None:
+    """Let the callback that awaits `waiting` go on with `result`."""
+    waiting.set_result(result)
+    # Before rclpy 7.1.8, set_result does not wake the executor (ros2/rclpy#1374).
+    executor.wake()
 
 
 class Background:
@@ -33,12 +41,7 @@ class Background:
         assert executor is not None, "only a callback awaits, so there is an executor"
         done = RosFuture(executor=executor)
 
-        def resume(_: object) -> None:
-            done.set_result(None)
-            # Before rclpy 7.1.8, set_result does not wake the executor (ros2/rclpy#1374).
-            executor.wake()
-
-        future.add_done_callback(resume)
+        future.add_done_callback(lambda _: resume(done, None, executor))
         await done
         return future
 

@@ -17,6 +17,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from yolov5_lifecycle.ros.rclpy_internals import take_message
+
 TOPIC = "bond"
 CONNECT_S = 10.0
 """Time to wait for the other side to connect; the protocol's default."""
@@ -30,7 +32,7 @@ _DELIVERY_S = 0.1  # bondcpp waits this long, too, for the other side to receive
 class _State(Enum):
     WAITING = "waiting for the other side"
     ALIVE = "both sides send heartbeats"
-    DEAD = "broken, or never formed; for ever"
+    DEAD = "broken or never formed; final"
 
 
 def check_bond(timeout_s: float) -> None:
@@ -115,16 +117,16 @@ class _Side:
         if self._state is _State.ALIVE and not self._is_missed and now_s - self._heard_s > self._timeout_s:
             self._is_missed = True
             self._node.get_logger().warning(
-                f"no heartbeat of the lifecycle manager for {self._timeout_s:g} s; detection goes on"
+                f"no heartbeat from the lifecycle manager for {self._timeout_s:g} s; detection continues"
             )
         self._publish(is_active=True)
 
     def _take_waiting(self) -> None:
         for _ in range(_DEPTH):
-            taken = self._subscription.handle.take_message(self._status_type, False)
-            if taken is None:
+            message = take_message(self._subscription, self._status_type)
+            if message is None:
                 return
-            self._take(taken[0])
+            self._take(message)
 
     def _take(self, message: Any) -> None:
         is_other_side = message.id == self._node.get_name() and message.instance_id != self._instance_id
@@ -143,7 +145,7 @@ class _Side:
         self._state = _State.DEAD
         self._timer.cancel()
         self._node.get_logger().warning(
-            f"{reason}; detection goes on, without heartbeats until the next activation"
+            f"{reason}; detection continues without heartbeats until the next activation"
         )
 
     def _publish(self, *, is_active: bool) -> None:
@@ -165,6 +167,7 @@ def _status_type(timeout_s: float) -> Any:
     except ImportError as error:
         raise ValueError(
             f"bond_timeout {timeout_s:g} needs the ROS package 'bond', which is not installed ({error}). "
-            "Start again after `sudo apt install ros-jazzy-bond`, or with bond_timeout 0.0."
+            "Install it with `sudo apt install ros-jazzy-bond` or set bond_timeout to 0.0, then restart the "
+            "node."
         ) from None
     return Status

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from typing import NoReturn
 
-from yolov5_lifecycle.ros.process_start import prepare_process, refuse_python
-from yolov5_lifecycle.ros.shared_memory import warn_before_import
+from yolov5_lifecycle.ros.process_start import prepare_node_process, refuse_python
 
 
 def main() -> NoReturn:
     """Prepare the process, import the node and run it; exit with code 1 if an import fails."""
-    prepare_process("detector")
-    warn_before_import("detector")
-
+    prepare_node_process("detector")
     try:
         from yolov5_lifecycle.ros.detector import process
     except ImportError as error:

@@ -17,15 +17,21 @@ _RECENT_S = 2.0
 class FrameFailures:
     """Logs failures, throttled, and counts consecutive ones.
 
-    Calls `on_too_many(reason)` once the count reaches the current value of the parameter
-    `max_consecutive_failures`, and `on_device_lost(reason)` when no further frame can succeed. Both run in
-    the executor. Keeps strings only: an exception would keep the model alive through its traceback.
+    Calls `on_too_many(reason)` once the count reaches `max_consecutive()`, and `on_device_lost(reason)` when
+    no further frame can succeed. Both run in the executor. Keeps strings only: an exception would keep the
+    model alive through its traceback.
     """
 
     def __init__(
-        self, node: Node, *, on_too_many: Callable[[str], None], on_device_lost: Callable[[str], None]
+        self,
+        node: Node,
+        *,
+        max_consecutive: Callable[[], int],
+        on_too_many: Callable[[str], None],
+        on_device_lost: Callable[[str], None],
     ) -> None:
         self._node = node
+        self._max_consecutive = max_consecutive
         self._on_too_many = on_too_many
         self._on_device_lost = on_device_lost
         self._consecutive = 0
@@ -48,7 +54,7 @@ class FrameFailures:
         self._node.get_logger().error(f"inference failed: {told}", throttle_duration_sec=5.0)
         if isinstance(error, DeviceLostError):
             self._tell(self._on_device_lost, reason)
-        elif self._consecutive >= self._node.get_parameter("max_consecutive_failures").value:
+        elif self._consecutive >= self._max_consecutive():
             self._tell(self._on_too_many, f"{self._consecutive} failed frames in a row, the last: {reason}")
             self._consecutive = 0
 

@@ -11,7 +11,7 @@ from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.ros.detector.background import Background
 from yolov5_lifecycle.ros.detector.pipeline import LastPicture
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
-from yolov5_lifecycle.settings.field import Change
+from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
 
 Preparation = Future[PreparedModel]
@@ -66,7 +66,7 @@ class ModelLoader:
         """Free `model` after `after()`, which waits for its last frame and returns whether that finished."""
         freed = self._background.submit(lambda: model.close(is_at_rest=after()))
         if (error := (await self._background.finish(freed)).exception()) is not None:
-            self._node.get_logger().error(f"the replaced model could not be freed: {error}")
+            self._node.get_logger().error(f"the previous model could not be freed: {error}")
 
     def close(self) -> bool:
         """Cancel queued work without waiting; return False if a model is still being loaded or freed."""

@@ -16,6 +16,15 @@ from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
 
 
+@dataclass(frozen=True)
+class DetectedFrame:
+    """A frame with its image and what was detected in it."""
+
+    frame: ReceivedFrame
+    picture: Picture
+    detections: Detections
+
+
 @dataclass
 class LastPicture:
     """Height and width of the last image, used to warm up new models; initially a usual size.
@@ -24,15 +33,6 @@ class LastPicture:
     """
 
     size_hw: tuple[int, int] = USUAL_SOURCE_HW
-
-
-@dataclass(frozen=True)
-class DetectedFrame:
-    """A frame with its image and what was detected in it."""
-
-    frame: ReceivedFrame
-    picture: Picture
-    detections: Detections
 
 
 @dataclass(frozen=True)

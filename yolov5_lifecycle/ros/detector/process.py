@@ -16,11 +16,10 @@ from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.process.standard_streams import flush_output
 from yolov5_lifecycle.ros.command_line import explain, refuse
 from yolov5_lifecycle.ros.detector.finalized_period import FINALIZED_S, FinalizedPeriod
-from yolov5_lifecycle.ros.detector.misaddressed_files import warnings
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
-from yolov5_lifecycle.ros.start_arguments import initialize, start_arguments
+from yolov5_lifecycle.ros.start_arguments import initialize, misaddressed_files, start_arguments
 from yolov5_lifecycle.settings.settings import SETTINGS
 from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
@@ -73,8 +72,8 @@ def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandon
             max_abandoned_threads=max_abandoned_threads,
         )
     except (RuntimeError, ParameterException) as error:
-        return refuse("detector", f"ROS refuses to start: {error}")
-    for warning in (*shortages, *warnings(given.files, node.get_fully_qualified_name())):
+        return refuse("detector", f"cannot start: {error}")
+    for warning in (*shortages, *misaddressed_files(given.files, node.get_fully_qualified_name())):
         node.get_logger().warning(warning)
     executor = SingleThreadedExecutor()
     executor.add_node(node)

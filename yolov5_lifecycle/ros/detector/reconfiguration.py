@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Generator, Sequence
-from typing import Any
+from collections.abc import Awaitable, Generator
+from typing import Any, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
@@ -11,15 +11,14 @@ from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import MODEL_DEPENDENT, model_problems
-from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader
+from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.reload_turns import ReloadTurns
 from yolov5_lifecycle.ros.detector.session import Detection
 from yolov5_lifecycle.ros.parameter_values import read_parameters
-from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters, Validate, refusal
-from yolov5_lifecycle.ros.proposal import Proposal
+from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, Proposal, SettingsParameters, refusal
 from yolov5_lifecycle.ros.services import Handler
-from yolov5_lifecycle.settings.field import Change
-from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Problem, Settings, validated
+from yolov5_lifecycle.settings.schema import Change, Problem
+from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
 _AT_A_TIME = 10
 """Parameters of one request processed before other callbacks are served."""
@@ -36,32 +35,28 @@ _NEW_CLASSES = (
     "set_parameters_atomically, or while the node is inactive."
 )
 
+_LEFT = "the node left the active state while the new model was loading; nothing was changed."
+_SUPERSEDED = "superseded by a later request that loads another model; nothing was changed."
+
+
+class Active(Protocol):
+    """What a change applies to: `detection` while the node is active, else None."""
+
+    @property
+    def detection(self) -> Detection | None: ...
+
 
 class Reconfiguration:
-    """Handlers of the services that set parameters.
-
-    `running()` returns the active `Detection`, None unless active; `on_commit(settings)` is called with every
-    valid change. `validate` creates settings from values.
-    """
+    """Handlers of the services that set parameters."""
 
     def __init__(
-        self,
-        node: Node,
-        *,
-        loader: ModelLoader,
-        running: Callable[[], Detection | None],
-        on_commit: Callable[[Settings], None],
-        arguments: Sequence[str],
-        validate: Validate = validated,
+        self, node: Node, *, parameters: SettingsParameters, loader: ModelLoader, active: Active
     ) -> None:
         self._node = node
+        self._parameters = parameters
         self._loader = loader
-        self._running = running
-        self._on_commit = on_commit
+        self._active = active
         self._turns = ReloadTurns(node)
-        self.parameters = SettingsParameters(
-            node, review=self._review, commit=self._take_effect, arguments=arguments, validate=validate
-        )
 
     def handlers(self) -> dict[str, Handler]:
         """Service callbacks by the last component of the service name."""
@@ -74,17 +69,17 @@ class Reconfiguration:
         for index, parameter in enumerate(asked):
             if index % _AT_A_TIME == _AT_A_TIME - 1:
                 await self._others()
-            proposal = self.parameters.propose([parameter], suggestions=suggestions)
+            proposal = self._parameters.propose([parameter], suggestions=suggestions)
             suggestions -= len(proposal.unknown)
             result = await self._set(proposal)
             if not result.successful and len(asked) > 1:
-                whole = whole or self.parameters.propose(asked, suggestions=0)
+                whole = whole or self._parameters.propose(asked, suggestions=0)
                 result.reason += _remark(proposal, whole)
             response.results.append(result)
         return response
 
     async def _set_together(self, request: Any, response: Any) -> Any:
-        response.result = await self._set(self.parameters.propose(read_parameters(request.parameters)))
+        response.result = await self._set(self._parameters.propose(read_parameters(request.parameters)))
         return response
 
     def _others(self) -> Awaitable[None]:
@@ -96,103 +91,97 @@ class Reconfiguration:
         """Apply the whole proposal or nothing."""
         if proposal.problems:
             return refusal(proposal.problems)
-        detection = self._running()
+        detection = self._active.detection
         if detection is not None and proposal.kind is Change.RELOAD:
             return await self._reload(detection, proposal)
-        if detection is not None and (problems := self._broken_by(proposal, detection.model)):
+        if detection is not None and (problems := _broken_by(proposal, detection.model)):
             return refusal(problems)
-        return self._commit(proposal, None if detection is None else detection.model)
+        return self._commit(proposal)
 
     async def _reload(self, detection: Detection, proposal: Proposal) -> SetParametersResult:
         if not await self._turns.begin():
-            return _refused(
-                "superseded by a later request that needs another model, too; nothing was changed."
-            )
+            return _refused(_SUPERSEDED)
         try:
             return await self._reload_now(detection, proposal)
         finally:
             self._turns.end()
 
-    async def _reload_now(self, detection: Detection, proposal: Proposal) -> SetParametersResult:
+    async def _reload_now(self, detection: Detection, asked: Proposal) -> SetParametersResult:
         def wanted() -> Settings | None:
-            nonlocal proposal
-            proposal = self.parameters.renewed(proposal)
-            is_wanted = self._running() is detection and not proposal.problems
+            proposal = self._parameters.renewed(asked)
+            is_wanted = self._active.detection is detection and not proposal.problems
             return proposal.after.settings if is_wanted else None
 
         preparation = await self._loader.load(wanted)
+        proposal = self._parameters.renewed(asked)
         if preparation is None:
-            if proposal.problems:
-                return refusal(
-                    proposal.problems
-                )  # another change came first, and the two contradict each other
-            return _refused(
-                "the node left the active state while the new model was loading; nothing was changed."
-            )
+            # Either another change came first and the two contradict each other, or another transition did.
+            return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
         try:
-            replacement = preparation.result()
+            preparation.result()
         except REFUSALS as error:
             self._node.get_logger().warning(f"the running model stays, its replacement was refused: {error}")
             return _refused(f"{error} The running model stays.")
-        return await self._replace(detection, replacement, proposal)
+        return await self._replace(detection, preparation, proposal)
 
     async def _replace(
-        self, detection: Detection, replacement: PreparedModel, proposal: Proposal
+        self, detection: Detection, preparation: Preparation, proposal: Proposal
     ) -> SetParametersResult:
         """Commit `proposal` with the model prepared for it, then free whichever model is unused."""
-        old = detection.model
+        old, new = detection.model, preparation.result()
         try:
-            if problems := self._broken_by(proposal, replacement):
+            if problems := _broken_by(proposal, new):
                 result = refusal(problems)
                 result.reason += _OLD_CLASSES
                 return result
-            return self._commit(proposal, replacement)
+            return self._commit(proposal, preparation)
         finally:
-            is_replaced = detection.model is replacement
+            is_replaced = detection.model is new
             if is_replaced:
-                self._node.get_logger().info(f"the model was replaced: {replacement.summary}")
-            await self._loader.retire(old if is_replaced else replacement, after=detection.rest)
+                self._node.get_logger().info(f"the model was replaced: {new.summary}")
+            await self._loader.retire(old if is_replaced else new, after=detection.rest)
 
-    def _commit(self, proposal: Proposal, model: PreparedModel | None) -> SetParametersResult:
+    def _commit(self, proposal: Proposal, preparation: Preparation | None = None) -> SetParametersResult:
         """Store a valid proposal and make it take effect; roll back on an exception."""
-        before, running = self.parameters.present(proposal.parameters), self._running()
-        old_model = None if running is None else running.model
-        result = self.parameters.store(proposal)
-        if not result.successful or proposal.after is proposal.base or self.parameters.problems():
+        detection, previous = self._active.detection, self._parameters.present(proposal.parameters)
+        result = self._parameters.store(proposal)
+        before, after = proposal.base.settings, proposal.after.settings
+        if not result.successful or detection is None or before is None or after is None or before is after:
             return result
+        running = detection.preparation
         try:
-            self._take_effect(self.parameters.settings(), model)
+            detection.apply(before, after, preparation or running)
         except Exception:
-            self.parameters.store(self.parameters.propose(before))
-            self._take_effect(self.parameters.settings(), old_model)
+            self._parameters.store(self._parameters.propose(previous))
+            detection.apply(after, before, running)
             raise
         return result
 
-    def _take_effect(self, settings: Settings, model: PreparedModel | None = None) -> None:
-        """Apply `settings` to the node and the running detection, with `model` if given."""
-        self._on_commit(settings)
-        if (detection := self._running()) is not None:
-            detection.apply(settings, model or detection.model)
+    def take_effect(self, before: Settings, after: Settings) -> None:
+        """Apply settings that a program set through the methods of the node."""
+        if (detection := self._active.detection) is not None:
+            detection.apply(before, after, detection.preparation)
 
-    def _broken_by(self, proposal: Proposal, model: PreparedModel) -> list[Problem]:
-        """Constraints of `model` that a valid proposal would violate."""
-        settings = proposal.after.settings
-        if settings is None or proposal.after is proposal.base:
-            return []
-        return model_problems(settings, model.detector.class_names)
-
-    def _review(self, candidate: Settings) -> list[Problem]:
+    def review(self, candidate: Settings) -> list[Problem]:
         """Problems of `candidate` with the running model."""
-        if (detection := self._running()) is None:
+        if (detection := self._active.detection) is None:
             return []
         model = detection.model
         if not model.serves(candidate):
             names = model.settings.differing(candidate, Change.RELOAD)
             return [
-                Problem(name, "needs another model, which only the parameter services load.")
+                Problem(name, "requires loading another model: set it through the parameter services.")
                 for name in names
             ]
         return model_problems(candidate, model.detector.class_names)
+
+
+def _broken_by(proposal: Proposal, model: PreparedModel) -> list[Problem]:
+    """Constraints of `model` that a valid proposal would violate."""
+    settings = proposal.after.settings
+    if settings is None or proposal.after is proposal.base:
+        return []
+    return model_problems(settings, model.detector.class_names)
 
 
 class _Pause:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from rclpy.node import Node
 from rclpy.task import Future
 
+from yolov5_lifecycle.ros.detector.background import resume
+
 
 class ReloadTurns:
     """Lets one reload run and one wait; a later request supersedes the waiting one.
@@ -36,7 +38,5 @@ class ReloadTurns:
             self._resume(waiting, True)
 
     def _resume(self, turn: Future, may_begin: bool) -> None:
-        turn.set_result(may_begin)
-        # Before rclpy 7.1.8, set_result does not wake the executor (ros2/rclpy#1374).
         if (executor := self._node.executor) is not None:
-            executor.wake()
+            resume(turn, may_begin, executor)

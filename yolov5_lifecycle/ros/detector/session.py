@@ -8,15 +8,16 @@ from typing import TypeVar
 from rclpy.lifecycle import LifecycleNode
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
-from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, InputStatus, ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
+from yolov5_lifecycle.ros.detector.model_loader import Preparation
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastPicture, Pipeline
-from yolov5_lifecycle.settings.field import Change
+from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
 from yolov5_lifecycle.streaming.worker import Worker
@@ -30,7 +31,8 @@ REST_TIMEOUT_S = 3.0
 class Detection:
     """Owns the model and the image subscription, created in this order and released in reverse.
 
-    `model` and `settings` must be consistent: no `model_problems`. `topic` is the expected image topic.
+    `preparation` is the model, once loaded. `settings()` returns the current settings. `topic` is the image
+    topic.
 
     If the subscription cannot be created, this is logged and stays in `problem`; every `look` retries.
     """
@@ -39,14 +41,15 @@ class Detection:
         self,
         node: LifecycleNode,
         *,
-        settings: Settings,
-        model: PreparedModel,
+        preparation: Preparation,
+        settings: Callable[[], Settings],
         topic: ImageTopic,
         outputs: Outputs,
         worker: Worker[ReceivedFrame, DetectedFrame],
         last_picture: LastPicture,
     ) -> None:
         self._node = node
+        self._settings = settings
         self._topic = topic
         self._outputs = outputs
         self._worker = worker
@@ -54,11 +57,21 @@ class Detection:
         self.losses = ImageLosses()
         self.problem = ""
         self.latencies = LatencyWindow()
-        self.empty_frames = EmptyFrames(settings.confidence_threshold)
-        self.model = model
-        self.settings = settings
+        self.empty_frames = EmptyFrames(settings().confidence_threshold)
+        self.preparation = preparation
         self._input: ImageInput | None = None
-        topic.follow(settings.image_transport)
+
+    @property
+    def model(self) -> PreparedModel:
+        """The model, loaded; raises what loading it raised."""
+        return self.preparation.result()
+
+    def start(self) -> None:
+        """Begin to detect; raises what loading raised, SettingsError if the settings do not fit the model."""
+        settings, model = self._settings(), self.model
+        if problems := model_problems(settings, model.detector.class_names):
+            raise SettingsError(problems)
+        self._topic.follow(settings.image_transport)
         self._start(settings, model)
 
     def look(self, topic: TopicStatus) -> InputStatus | None:
@@ -72,24 +85,27 @@ class Detection:
         """Wait for the frame in progress; return False if it hangs, which deactivate handles."""
         return self._worker.rest(REST_TIMEOUT_S)
 
-    def apply(self, settings: Settings, model: PreparedModel) -> None:
-        """Use `settings` and `model` from the next frame on; the caller closes a replaced model."""
-        self.empty_frames = EmptyFrames(settings.confidence_threshold)
-        self._start(settings, model)
-        resubscribe = self.settings.differing(settings, Change.RESUBSCRIBE)
-        has_moved = self.settings.image_transport != settings.image_transport
-        self.settings, self.model = settings, model
-        if resubscribe:
+    def apply(self, before: Settings, after: Settings, preparation: Preparation) -> None:
+        """Change from settings `before` to `after`, with the model of `preparation`, from the next frame on.
+
+        The caller closes a replaced model.
+        """
+        self.empty_frames = EmptyFrames(after.confidence_threshold)
+        self._start(after, preparation.result())
+        self.preparation = preparation
+        is_resubscribed = bool(before.differing(after, Change.RESUBSCRIBE))
+        if is_resubscribed:
             self._unsubscribe()
-            self._topic.follow(settings.image_transport)
-        if has_moved:
+            self._topic.follow(after.image_transport)
+        if before.image_transport != after.image_transport:
             self.losses.stop()
-        self.follow_subscribers()
+        if is_resubscribed or before.lazy != after.lazy:
+            self.follow_subscribers()
         self.publish_label_info()
 
     def follow_subscribers(self) -> None:
         """Subscribe if frames are needed; unsubscribe if `lazy` and the outputs have no subscriber."""
-        wanted = not self.settings.lazy or self._outputs.subscribers > 0
+        wanted = not self._settings().lazy or self._outputs.subscribers > 0
         if wanted and self._input is None:
             self._input = self._trying(self._subscribed)
         elif not wanted:
@@ -100,7 +116,7 @@ class Detection:
         return ImageInput(
             self._node,
             topic=self._topic,
-            reliability=self.settings.image_reliability,
+            reliability=self._settings().image_reliability,
             on_frame=self._worker.offer,
             losses=self.losses,
         )
@@ -112,7 +128,7 @@ class Detection:
         except Exception as error:  # noqa: BLE001 - rclpy raises several types; reported and retried
             problem = (
                 f"cannot subscribe to {self._topic.name}: {in_one_line(str(error))}. Nothing is detected "
-                "until it can; it tries again every second"
+                "meanwhile; retrying every second"
             )
             if problem != self.problem:
                 self._node.get_logger().error(problem)
@@ -125,7 +141,7 @@ class Detection:
         self._outputs.label_info.publish(
             messages.label_info(
                 self.model.detector.class_names,
-                self.settings.confidence_threshold,
+                self._settings().confidence_threshold,
                 self._node.get_clock().now().to_msg(),
             )
         )
@@ -134,7 +150,8 @@ class Detection:
         """Unsubscribe, stop the worker, free the model; return False if a hung thread was abandoned."""
         self._unsubscribe()
         rested = self._worker.stop(REST_TIMEOUT_S)
-        self.model.close(is_at_rest=rested)
+        if self.preparation.exception() is None:
+            self.model.close(is_at_rest=rested)
         return rested
 
     def _start(self, settings: Settings, model: PreparedModel) -> None:

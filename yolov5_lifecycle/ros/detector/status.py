@@ -69,7 +69,7 @@ class Status:
             return ""
         if self.busy_s > SLOW_S:
             return (
-                f"inference has been at one image for more than {SLOW_S:g} s: the model is too slow for this "
+                f"inference of one image takes more than {SLOW_S:g} s: the model is too slow for this "
                 "machine, or it hangs; deactivate ends that, then activate again"
             )
         if self.topic.publishers == 0:
@@ -106,7 +106,7 @@ class Status:
             best = f"the best {missed:.2g}" if missed else f"nothing even above {WORTH_TELLING:g}"
             return (
                 f"nothing scored above confidence_threshold {self.empty.threshold:g} in the last "
-                f"{self.empty.frames} frames, {best}: if there was something, lower it, or empty classes"
+                f"{self.empty.frames} frames, {best}: if objects were visible, lower it or clear classes"
             )
         return ""
 

@@ -1,0 +1,120 @@
+"""Declaration of a node's parameters: descriptors, and values from parameter files and command line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import pairwise
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from yolov5_lifecycle.ros.parameter_values import TYPES, coerced, plain_values, ros_value
+from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
+from yolov5_lifecycle.settings.parameter_file import FOREIGN_PREFIXES
+from yolov5_lifecycle.settings.schema import Change, Problem, Schema, Setting, SettingsError
+
+
+class Source(Enum):
+    """Source of a setting's value."""
+
+    DEFAULT = "default"
+    PARAMETER_FILE = "parameter file"
+    COMMAND_LINE = "command line"
+    RUN_TIME = "set at run time"
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What a node started with: the value and source of each setting, and the overrides it cannot use.
+
+    A setting whose override is `invalid` has its default. `unknown`: names that are no setting.
+    """
+
+    values: Mapping[str, object]
+    sources: Mapping[str, Source]
+    invalid: Mapping[str, Problem]
+    unknown: tuple[str, ...]
+
+
+def declare(node: Node, schema: Schema[Any], *, arguments: Sequence[str] = ()) -> Declaration:
+    """Declare a parameter for every setting of `schema`; never raises for a bad override.
+
+    `arguments` are the command-line arguments, to find the source of an override.
+    """
+    overrides = parameter_overrides(node)
+    on_command_line = _names_on_command_line(arguments)
+    sources, invalid = dict[str, Source](), dict[str, Problem]()
+    for setting in schema.settings:
+        override = overrides.pop(setting.name, None)
+        sources[setting.name] = _source(override, on_command_line)
+        parameter = Parameter(setting.name, TYPES[setting.type], ros_value(setting.default))
+        if override is not None:
+            wanted = coerced(override, schema.by_name, may_be_unset=True)
+            if problem := _problem(wanted, schema):
+                invalid[setting.name] = problem
+            else:
+                parameter = wanted
+        _declare(node, setting, parameter)
+    values = plain_values(map(node.get_parameter, schema.by_name), schema.by_name)
+    unknown = tuple(name for name in overrides if not name.startswith(FOREIGN_PREFIXES))
+    return Declaration(values, sources, invalid, unknown)
+
+
+def _source(override: Parameter | None, on_command_line: set[str]) -> Source:
+    if override is None:
+        return Source.DEFAULT
+    return Source.COMMAND_LINE if override.name in on_command_line else Source.PARAMETER_FILE
+
+
+def _names_on_command_line(arguments: Sequence[str]) -> set[str]:
+    """Names of parameters set with `-p [node:]name:=value` (or `--param`)."""
+    assignments = [word for flag, word in pairwise(arguments) if flag in ("-p", "--param")]
+    return {assignment.partition(":=")[0].rpartition(":")[2] for assignment in assignments}
+
+
+def _problem(parameter: Parameter, schema: Schema[Any]) -> Problem | None:
+    """Why `parameter` alone is invalid, or None."""
+    try:
+        schema.validated(plain_values([parameter], schema.by_name))
+    except SettingsError as error:
+        return next((problem for problem in error.problems if problem.setting == parameter.name), None)
+    return None
+
+
+def _declare(node: Node, setting: Setting, parameter: Parameter) -> None:
+    described = descriptor(setting)
+    if parameter.value != []:
+        node.declare_parameter(setting.name, parameter.value, described, ignore_override=True)
+        return
+    # An empty list must be declared by type and then set: rclpy would infer BYTE_ARRAY (ros2/rclpy#912).
+    # It may become read-only only after that.
+    node.declare_parameter(setting.name, parameter.type_, ignore_override=True)
+    node.set_parameters([parameter])
+    described.type = parameter.type_.value
+    node.set_descriptor(setting.name, described)
+
+
+def descriptor(setting: Setting) -> ParameterDescriptor:
+    """Descriptor shown by `ros2 param describe`, with the range that rclpy enforces."""
+    described = ParameterDescriptor(
+        description=setting.description,
+        additional_constraints=f"{setting.allowed}; {setting.change.value}",
+        read_only=setting.change is Change.READ_ONLY,
+    )
+    if setting.minimum is None or setting.maximum is None:
+        return described
+    if setting.type is int:
+        described.integer_range = [
+            IntegerRange(
+                from_value=int(setting.minimum), to_value=int(setting.maximum), step=int(setting.step or 1)
+            )
+        ]
+    else:
+        described.floating_point_range = [
+            FloatingPointRange(from_value=float(setting.minimum), to_value=float(setting.maximum))
+        ]
+    return described
