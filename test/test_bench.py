@@ -39,6 +39,7 @@ MEDIANS_MS = {
 }
 
 
+@pytest.mark.long
 def test_contenders_measure_in_turns_beside_every_load(tmp_path: Path) -> None:
     taken_ms, peaks_mb = measure([EAGER, DETECTOR], loads=(0, 1), turns=2, cache=tmp_path)
     assert {key: len(times_ms) for key, times_ms in taken_ms.items()} == {
@@ -49,6 +50,7 @@ def test_contenders_measure_in_turns_beside_every_load(tmp_path: Path) -> None:
     assert min(peaks_mb.values()) > 50
 
 
+@pytest.mark.long
 def test_a_rival_that_does_not_run_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     unknown = dataclasses.replace(EAGER, name="abacus")
     taken_ms, _ = measure([unknown, EAGER], loads=(0,), turns=1, cache=tmp_path)
@@ -65,6 +67,7 @@ def _environment() -> Iterator[None]:
     os.environ.update(before)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_environment")
 def test_the_node_is_watched_while_a_camera_runs(tmp_path: Path) -> None:
     picture = picture_file(PICTURE_HW, tmp_path)

@@ -13,6 +13,8 @@ from support.colcon_workspace import REPOSITORY, SUPPORT, SUPPORT_PATH
 from support.detector_process import environment
 from support.watched_processes import DOMAIN, FOLDERS
 
+pytestmark = pytest.mark.long
+
 PROGRAM = SUPPORT / "watched_processes.py"
 ALONE = ["unshare", "--map-root-user", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
 COMPILED = r"cache/yolov5_lifecycle/compiled/[0-9a-f]{64}"

@@ -249,7 +249,7 @@ def test_a_command_that_ends_does_so_as_the_pages_say(command: str) -> None:
     assert importlib.import_module(MODULES[name]).main(words) == (1 if command in REFUSED else 0)
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.long
 @pytest.mark.parametrize("nodes", [NODES[first : first + AT_ONCE] for first in range(0, len(NODES), AT_ONCE)])
 def test_every_node_starts_as_the_pages_say(home: Path, ros_domain: int, nodes: list[str]) -> None:
     convert.main(["best.pt", "best.safetensors"])

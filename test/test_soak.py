@@ -42,6 +42,7 @@ def shared_subject() -> Iterator[Subject]:
         assert exact_balance([shared.balance]).is_met
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "trial",
     [
@@ -71,6 +72,7 @@ def test_a_claim_holds_in_a_running_process(
     assert finding.is_met, finding
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "trial",
     [
@@ -87,6 +89,7 @@ def test_a_claim_holds_over_processes(trial: Callable[[], Finding]) -> None:
     assert finding.is_met, finding
 
 
+@pytest.mark.long
 def test_everything_at_random_leaves_a_node_that_detects() -> None:
     with subject() as process:
         finding = mixed_life(process, SEED, minutes=0)

@@ -177,7 +177,9 @@ def _reinterpreted(parts: Parts) -> None:
         pytest.param(_architecture(classes=True), "number of classes: expected", id="classes true"),
         pytest.param(_architecture(classes=4), "names of 4 classes, found 3 names", id="one class more"),
         pytest.param(_architecture(strides=[8, 16]), "the strides are [8, 16], but its layers", id="strides"),
-        pytest.param(_architecture(strides=[4.0, 8.0]), "a stride: expected a whole", id="strides not whole"),
+        pytest.param(
+            _architecture(strides=[4.0, 8.0]), "stride: expected an integer", id="fractional stride"
+        ),
         pytest.param(_architecture(strides=[]), "equally many anchors", id="no strides"),
         pytest.param(_architecture(strides=[4] * 10**5), "equally many anchors", id="many strides"),
         pytest.param(_architecture(anchors_px=[]), "equally many anchors", id="no anchors"),

@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 from support.detector_process import as_arguments, detector_process, parameter_file
+from support.served_node import Preparations, ServedNode
 
 from yolov5_lifecycle.commands.convert import main as convert
 from yolov5_lifecycle.offline.detect_bag import main as detect_bag
@@ -59,7 +60,21 @@ def escaped(text: str) -> str:
     return repr(text[max(0, bad - 80) : bad + 20]) if bad is not None else "".join(forged[:1])
 
 
-@pytest.mark.timeout(180)
+def test_foreign_text_of_a_request_is_printable_in_answer_log_and_diagnostics(ros_domain: int) -> None:
+    with ServedNode(Preparations()) as served:
+        refused = [served.set(weights=HOSTILE, iou_threshold=HOSTILE), served.set(**{MARK + ESCAPES: LONG})]
+        assert [done for done, _ in refused] == [False, False]
+        assert not served.transition(HOSTILE)
+        assert served.set(weights=HOSTILE, classes=[LONG]) == (True, "")
+        assert served.transition("configure")
+        served.wait_for_log("configured with")
+        values = served.values()
+        shown = [*(reason for _, reason in refused), *served.log, *values, *values.values()]
+    assert sum(MARK in text for text in shown) > 3
+    assert [found for text in shown if (found := escaped(text))] == []
+
+
+@pytest.mark.long
 def test_foreign_text_is_printable_in_every_output_of_the_process(tmp_path: Path) -> None:
     file = parameter_file(tmp_path, f'"{MARK}\\e[31m": 1\nclasses: ["{MARK}\\e[2J"]')
     with detector_process(*file, *as_arguments({"device": "cpu", "lazy": False})) as detector:

@@ -230,6 +230,10 @@ class ServedNode:
         (value,) = self.call("get_parameters", GetParameters.Request(names=[name])).values
         return Parameter.from_parameter_msg(ParameterMessage(name=name, value=value)).value
 
+    def image_subscriptions(self) -> int:
+        """How many are in the ROS graph; the count of a publisher misses some that leave at the same time."""
+        return int(self.client.count_subscribers("/yolov5/image_raw"))
+
     def publish(self, message: Image | None = None) -> None:
         """Send one image once the node listens."""
         self.wait_for(lambda: self.images.get_subscription_count() > 0, "the node to subscribe")

@@ -26,10 +26,11 @@ def sighting(*objects: tuple[str, tuple[float, ...]], stamp_ns: int = 0, latency
     return Sighting(stamp_ns, latency_ms, names, (0.9,) * len(names), boxes)
 
 
+@pytest.mark.long
 def test_the_demo_passes_and_leaves_its_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with ChildProcess("demo", [entry_point("demo")], os.environ) as demo:
-        code = demo.wait(100.0)
+        code = demo.wait(250.0)
     lines = demo.output.splitlines()
     assert code == 0, demo.output
     assert lines[-1].startswith("demo ok: ")

@@ -15,6 +15,8 @@ from support.two_machines import ADDRESSES, DOMAIN
 
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess
 
+pytestmark = pytest.mark.long
+
 PROGRAM = SUPPORT / "two_machines.py"
 ALONE = ["unshare", "--map-root-user", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
 WAYS = {

@@ -10,13 +10,21 @@ from support.detector_process import (
     as_arguments,
     detector_process,
 )
-from support.served_node import STATES
 
 from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
 
 
-@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
-@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize(
+    ("state", "signal_number"),
+    [
+        pytest.param("unconfigured", signal.SIGTERM, id="unconfigured-SIGTERM"),
+        pytest.param("active", signal.SIGINT, id="active-SIGINT"),
+        pytest.param("unconfigured", signal.SIGINT, id="unconfigured-SIGINT", marks=pytest.mark.long),
+        pytest.param("inactive", signal.SIGINT, id="inactive-SIGINT", marks=pytest.mark.long),
+        pytest.param("inactive", signal.SIGTERM, id="inactive-SIGTERM", marks=pytest.mark.long),
+        pytest.param("active", signal.SIGTERM, id="active-SIGTERM", marks=pytest.mark.long),
+    ],
+)
 def test_a_signal_ends_the_process_cleanly(state: str, signal_number: signal.Signals) -> None:
     with detector_process(*as_arguments(PARAMETERS)) as detector:
         detector.bring_to(state)

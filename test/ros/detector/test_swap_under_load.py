@@ -23,6 +23,8 @@ from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.ground_truth import stamp_ns
 from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
 
+pytestmark = pytest.mark.long
+
 SWAPS = 20
 RATE_HZ = 30.0
 FRUIT = ("apple", "pear")
@@ -93,7 +95,6 @@ def _class_names(message: Detection2DArray) -> set[str]:
     return {detection.results[0].hypothesis.class_id for detection in message.detections}
 
 
-@pytest.mark.timeout(300)
 def test_swaps_lose_no_frame_and_mix_no_models(detector: DetectorProcess, weights: tuple[Path, Path]) -> None:
     watch = Watch(detector)
     command = [entry_point("camera"), "--ros-args", "-r", "image_raw:=/yolov5/image_raw"]

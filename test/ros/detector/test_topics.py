@@ -29,10 +29,10 @@ def test_without_subscribers_a_lazy_node_does_not_subscribe(served: ServedNode) 
     for subscription in list(served.client.subscriptions):
         if subscription.topic == "/yolov5/detections":
             served.client.destroy_subscription(subscription)
-    served.wait_for(lambda: served.images.get_subscription_count() == 0, "the node to unsubscribe")
+    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
     assert "no subscribers" in served.status().message
     assert served.set(lazy=False) == (True, "")
-    served.wait_for(lambda: served.images.get_subscription_count() == 1, "the node to subscribe")
+    served.wait_for(lambda: served.image_subscriptions() == 1, "the node to subscribe")
 
 
 def test_diagnostics_come_in_every_state(served: ServedNode) -> None:

@@ -104,5 +104,5 @@ def test_an_unexpected_exception_while_releasing_releases_the_rest(
     assert not served.transition(label)
     assert served.state() == "unconfigured"
     served.wait_for_log(f"unexpected KeyError in on_{label}: 'surprise'")
-    served.wait_for(lambda: served.images.get_subscription_count() == 0, "the node to unsubscribe")
+    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
     served.wait_for(lambda: served.client.count_publishers("/yolov5/detections") == 0, "the publishers to go")
