@@ -8,6 +8,7 @@ from yolov5_lifecycle.commands.command_parser import EXIT_USAGE
 from yolov5_lifecycle.commands.version import version_line
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
+from yolov5_lifecycle.settings.schema import Setting
 
 _HELP = {"-h", "--help"}
 _VERSION = "--version"
@@ -19,22 +20,17 @@ def refuse(command: str, problem: object) -> int:
     return EXIT_USAGE
 
 
-def explain(
-    command: str,
-    words: Sequence[str],
-    *,
-    usage: str,
-    parameters: Sequence[tuple[str, str | None, object]],
-) -> int:
-    """Print help (`parameters`: name, description, default), version or an error; return the exit code."""
+def explain(command: str, words: Sequence[str], *, usage: str, settings: Sequence[Setting]) -> int:
+    """Print help, version or an error; return the exit code."""
     unknown = [word for word in words if word not in _HELP and word != _VERSION]
     if unknown:
-        return refuse(command, _unknown(command, unknown, [name for name, *_ in parameters]))
+        return refuse(command, _unknown(command, unknown, [setting.name for setting in settings]))
     if _VERSION in words:
         return write_output(command, f"{version_line(command)}\n")
-    width = max(len(name) for name, *_ in parameters)
+    width = max(len(setting.name) for setting in settings)
     rows = [
-        f"  {name:{width}}  {description} Default: {default!r}" for name, description, default in parameters
+        f"  {setting.name:{width}}  {setting.description} Default: {setting.default!r}"
+        for setting in settings
     ]
     text = "\n".join([usage, *rows, f"`{command} --version` prints the version.", ""])
     return write_output(command, text)

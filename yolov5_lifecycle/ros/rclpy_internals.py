@@ -16,6 +16,7 @@ from rclpy.impl import rcutils_logger
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.service import Service
 from rclpy.subscription import Subscription
 
 Convert = Callable[[int], object]
@@ -76,14 +77,28 @@ def take_message(subscription: Subscription, message_type: type) -> Any | None:
     return None if taken is None else taken[0]
 
 
+def replace_callback(service: Service, callback: Callable[[Any, Any], Any]) -> None:
+    """Handle requests with `callback`, which may return an awaitable.
+
+    rclpy/executors.py, `Executor._take_service`, reads the attribute for each request; rclpy offers no way to
+    handle exceptions in callbacks of the services that it creates itself (ros2/rclpy#1209).
+    """
+    service.callback = callback
+
+
+def replace_conversion(service: Service, convert: Callable[[Convert, int], object]) -> None:
+    """Convert requests with `convert`; see `_ConvertedService`."""
+    service.srv_type = _ConvertedService(service.srv_type, convert)
+
+
 class SequenceLayout(ctypes.Structure):
     """Memory layout of a sequence in rosidl_runtime_c (primitives_sequence.h and generated structures)."""
 
     _fields_ = (("data", ctypes.c_void_p), ("size", ctypes.c_size_t), ("capacity", ctypes.c_size_t))
 
 
-class ConvertedService:
-    """Replaces `service_type` in an rclpy service: `convert(original, address)` converts its requests.
+class _ConvertedService:
+    """Replaces the type of an rclpy service: `convert(original, address)` converts its requests.
 
     `original(address)` is the conversion that the message type brings along. `convert` must not raise: it is
     called from C.

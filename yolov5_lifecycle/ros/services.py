@@ -22,7 +22,12 @@ from rclpy.node import Node
 from rclpy.service import Service
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.rclpy_internals import Convert, ConvertedService, SequenceLayout
+from yolov5_lifecycle.ros.rclpy_internals import (
+    Convert,
+    SequenceLayout,
+    replace_callback,
+    replace_conversion,
+)
 
 MAX_ITEMS = 250
 """Max parameters, names or prefixes in one request; the node has fewer than 100 parameters."""
@@ -64,9 +69,9 @@ def harden(node: Node, handlers: dict[str, Handler]) -> None:
     """
     for service in node.services:
         name = service.srv_name.rpartition("/")[2]
-        service.callback = _answering(node, service, handlers.get(name, service.callback))
+        replace_callback(service, _answering(node, service, handlers.get(name, service.callback)))
         if service.srv_type in _BOUNDED:
-            service.srv_type = ConvertedService(service.srv_type, _bounded)
+            replace_conversion(service, _bounded)
 
 
 def _bounded(convert: Convert, address: int) -> object:

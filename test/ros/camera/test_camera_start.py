@@ -76,7 +76,7 @@ def test_images_of_another_size_than_the_calibration_end_the_process_with_the_re
     ("parameters", "told"),
     [
         pytest.param({"rate": "-1.0", "seed": "-1"}, ["rate: -1.0", "seed: -1"], id="ranges"),
-        pytest.param({"encoding": "yuv"}, ["encoding: 'yuv'", "'bgr8'"], id="choice"),
+        pytest.param({"encoding": "yuv"}, ["encoding: 'yuv'", "one of rgb8, bgr8"], id="choice"),
         pytest.param({"rate": "fast"}, ["rate: 'fast'"], id="type"),
         pytest.param({"camera_info_url": "x.yaml"}, ["camera_info_url: ", "file:///PATH"], id="calibration"),
         pytest.param({"width": 640}, ["width and height go together"], id="one side"),

@@ -11,14 +11,12 @@ from typing import NoReturn
 import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.impl.rcutils_logger import RcutilsLogger
-from rclpy.node import Node
 
 from yolov5_lifecycle.process.standard_streams import complain, flush_output
 from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
-from yolov5_lifecycle.ros.camera.settings import CameraSettings, check_qos_overrides, declared_settings
+from yolov5_lifecycle.ros.camera.settings import SCHEMA, check_qos_overrides, declared_settings
 from yolov5_lifecycle.ros.command_line import explain, refuse
-from yolov5_lifecycle.ros.printable_logger import PrintableLogger
+from yolov5_lifecycle.ros.printable_logger import PrintableNode
 from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
@@ -36,7 +34,7 @@ what the synthetic scene shows on ~/truth.
 Parameters are given as in `camera --ros-args -p source:=video.mp4 -r image_raw:=/yolov5/image_raw`:"""
 
 
-class CameraNode(Node):
+class CameraNode(PrintableNode):
     """Publishes the frames of a source at a constant rate until the source ends or fails.
 
     Without `loop`, playback starts with the first subscriber and waits for the delivery of each frame, so
@@ -46,7 +44,6 @@ class CameraNode(Node):
     """
 
     def __init__(self) -> None:
-        self._printable_logger: PrintableLogger | None = None
         super().__init__("camera")
         self._settings = declared_settings(self)
         self._outputs = CameraOutputs(self, self._settings)
@@ -63,12 +60,6 @@ class CameraNode(Node):
             rate_hz=self._settings.rate,
             is_awaited=lambda: self._settings.loop or self._outputs.is_heard,
         )
-
-    def get_logger(self) -> RcutilsLogger:
-        """Logger that makes messages printable, also for rclpy's own messages."""
-        if self._printable_logger is None:
-            self._printable_logger = PrintableLogger(super().get_logger().name)
-        return self._printable_logger
 
     @property
     def is_finished(self) -> bool:
@@ -136,7 +127,7 @@ def _run(arguments: list[str]) -> int:
     try:
         given = initialize(start_arguments(arguments))
         if words := given.own_words:
-            return explain("camera", words, usage=_USAGE, parameters=_parameters())
+            return explain("camera", words, usage=_USAGE, settings=SCHEMA.settings)
         if given.problems:
             return refuse("camera", " ".join(given.problems))
         node = CameraNode()
@@ -153,10 +144,6 @@ def _run(arguments: list[str]) -> int:
     if failure:
         complain("camera", failure)
     return 1 if failure else 0
-
-
-def _parameters() -> list[tuple[str, str | None, object]]:
-    return [(name, field.description, field.default) for name, field in CameraSettings.model_fields.items()]
 
 
 if __name__ == "__main__":

@@ -167,7 +167,6 @@ def _status_type(timeout_s: float) -> Any:
     except ImportError as error:
         raise ValueError(
             f"bond_timeout {timeout_s:g} needs the ROS package 'bond', which is not installed ({error}). "
-            "Install it with `sudo apt install ros-jazzy-bond` or set bond_timeout to 0.0, then restart the "
-            "node."
+            "Restart the node after `sudo apt install ros-jazzy-bond`, or with bond_timeout 0.0."
         ) from None
     return Status

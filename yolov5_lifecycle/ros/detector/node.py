@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
-from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, check_place, prepare_model
@@ -25,7 +24,7 @@ from yolov5_lifecycle.ros.detector.transitions import (
     requested_label,
 )
 from yolov5_lifecycle.ros.parameters import SettingsParameters, Validate
-from yolov5_lifecycle.ros.printable_logger import PrintableLogger
+from yolov5_lifecycle.ros.printable_logger import PrintableNode
 from yolov5_lifecycle.ros.qos_overrides import qos_problems, qos_rules
 from yolov5_lifecycle.ros.rclpy_internals import (
     available_transitions,
@@ -38,7 +37,7 @@ from yolov5_lifecycle.settings.settings import validated
 from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
 
-class DetectorNode(LifecycleNode):
+class DetectorNode(PrintableNode, LifecycleNode):
     """YOLOv5 as a managed node: maps its transitions and services to parameters, resources and diagnostics.
 
     `prepare` creates a model from settings, `validate` settings from values; tests pass their own.
@@ -62,7 +61,6 @@ class DetectorNode(LifecycleNode):
         # Callbacks that await (activate, a reload) must not block the others. The executor has one thread, so
         # callbacks never run in parallel even in a reentrant group.
         self._group = ReentrantCallbackGroup()
-        self._printable_logger: PrintableLogger | None = None
         super().__init__("yolov5", **node_options)
         self._start_problems = list(start_problems)
         self._max_abandoned_threads = max_abandoned_threads
@@ -84,12 +82,6 @@ class DetectorNode(LifecycleNode):
         self._bond = Bond(self)
         harden(self, {"change_state": self._change_state} | self._reconfiguration.handlers())
         self._greet()
-
-    def get_logger(self) -> RcutilsLogger:
-        """Logger that makes messages printable, also for rclpy's own messages."""
-        if self._printable_logger is None:
-            self._printable_logger = PrintableLogger(super().get_logger().name)
-        return self._printable_logger
 
     @property
     def default_callback_group(self) -> CallbackGroup:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+import threading
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -64,7 +65,7 @@ def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandon
     try:
         given = initialize(start_arguments(arguments))
         if words := given.own_words:
-            return explain("detector", words, usage=_USAGE, parameters=_parameters())
+            return explain("detector", words, usage=_USAGE, settings=SETTINGS)
         node = DetectorNode(
             prepare=prepare,
             start_problems=given.problems,
@@ -75,6 +76,11 @@ def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandon
         return refuse("detector", f"cannot start: {error}")
     for warning in (*shortages, *misaddressed_files(given.files, node.get_fully_qualified_name())):
         node.get_logger().warning(warning)
+    return _serve(node, stop, finalized_s)
+
+
+def _serve(node: DetectorNode, stop: threading.Event, finalized_s: float) -> int:
+    """Spin `node` until it ends, release everything, and return the exit code."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     autostart = executor.create_task(node.autostart)
@@ -100,10 +106,6 @@ def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandon
     node.close()
     rclpy.try_shutdown()
     return 0
-
-
-def _parameters() -> list[tuple[str, str | None, object]]:
-    return [(setting.name, setting.description, setting.default) for setting in SETTINGS]
 
 
 if __name__ == "__main__":

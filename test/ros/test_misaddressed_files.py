@@ -65,7 +65,7 @@ def test_the_node_warns_exactly_when_ros_ignores_a_file(
         ),
         pytest.param(
             "".join(f"node{number}: {{ros__parameters: {{secret: 5}}}}\n" for number in range(9)),
-            "it is for /node0, /node1, /node2, /node3, /node4, ..., and",
+            "it is for /node0, /node1, /node2, /node3, /node4, ..., but",
             id="many",
         ),
         pytest.param(
@@ -87,5 +87,5 @@ def test_the_detector_warns_at_its_start(tmp_path: Path) -> None:
     path = file_for(tmp_path, "my_yolo")
     command = [entry_point("detector"), "--ros-args", "-r", "__ns:=/robot", "--params-file", str(path)]
     with worker_domain() as domain, ChildProcess("detector", command, environment(domain)) as process:
-        process.wait_for_output("it is for /my_yolo, and this node is /robot/yolov5", 60)
+        process.wait_for_output("it is for /my_yolo, but this node is /robot/yolov5", 60)
         assert "secret" not in process.output
