@@ -9,7 +9,6 @@ import sys
 import threading
 import weakref
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,16 +16,13 @@ import torch
 from numpy.typing import NDArray
 from support.colcon_workspace import SUPPORT_PATH
 from support.random_model import CLASS_NAMES, TINY, random_model, random_network
-from support.runtime_names import EVERY_RUNTIME
 from torch import Tensor
 
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.denormals import are_zero, denormals_as_zero
-from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
 from yolov5_lifecycle.runtimes.torch_device import (
     DeviceError,
     devices_present,
@@ -122,25 +118,6 @@ def test_predictions_are_those_of_the_network_as_it_was_trained(size_hw: tuple[i
     np.testing.assert_allclose(raw, expected, rtol=1e-3, atol=1e-3)
 
 
-def test_the_order_of_colours_makes_no_difference() -> None:
-    runtime = runtime_of(random_network(1))
-    frame = random_frame()
-    np.testing.assert_array_equal(runtime(frame, "rgb"), runtime(frame[..., ::-1].copy(), "bgr"))
-    assert not np.array_equal(runtime(frame, "rgb"), runtime(frame, "bgr"))
-
-
-def test_frame_and_earlier_predictions_stay_as_they_are() -> None:
-    runtime = runtime_of(random_network(1))
-    frame = random_frame()
-    orders: list[Order] = ["rgb", "bgr"]
-    for order in orders:
-        first = runtime(frame, order)
-        before = first.copy()
-        runtime(255 - frame, order)
-        np.testing.assert_array_equal(first, before)
-    np.testing.assert_array_equal(frame, random_frame())
-
-
 def test_loading_leaves_the_model_as_it_was() -> None:
     model, untouched = random_model(3), random_model(3)
     runtime = TorchRuntime.load(model, device="cpu", precision="fp32")
@@ -169,13 +146,6 @@ def test_closing_frees_the_network_and_may_be_repeated() -> None:
     runtime.close()
     gc.collect()
     assert freed() is None
-
-
-def test_a_closed_runtime_says_so() -> None:
-    runtime = runtime_of(random_network(0))
-    runtime.close()
-    with pytest.raises(InferenceError, match="closed"):
-        runtime(random_frame(), "rgb")
 
 
 @pytest.mark.parametrize(
@@ -311,26 +281,6 @@ def test_closing_gives_the_memory_of_the_gpu_back() -> None:
     runtime.close()
     release_unused_memory()
     assert torch.cuda.memory_reserved() <= before
-
-
-@pytest.mark.parametrize("name", EVERY_RUNTIME)
-def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A network that computes with them takes ten times as long, and weights can be made for that."""
-    seen: list[bool] = []
-    owner, attribute = (Network, "forward") if name == "torch" else (DetectionHead, "__call__")
-    original = getattr(owner, attribute)
-
-    def watched(*arguments: Any) -> Any:
-        seen.append(are_zero())
-        return original(*arguments)
-
-    monkeypatch.setattr(owner, attribute, watched)
-    runtime = load_runtime(random_model(0, TINY), name, device="cpu", precision="fp32")
-    runtime(np.zeros((64, 64, 3), np.uint8), "rgb")
-    assert seen == [True]
-    assert not are_zero()
 
 
 def test_a_thread_that_took_denormal_numbers_for_zero_does_so_afterwards() -> None:
