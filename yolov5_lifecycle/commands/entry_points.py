@@ -11,6 +11,7 @@ from typing import NoReturn
 
 from yolov5_lifecycle.commands.version import version_line
 from yolov5_lifecycle.process.environment import prepare_environment
+from yolov5_lifecycle.process.missing_package import import_problem
 from yolov5_lifecycle.process.standard_streams import (
     EXIT_NOBODY_READS,
     complain,
@@ -30,6 +31,8 @@ MODULES: Mapping[str, str] = MappingProxyType(
     }
 )
 """The module of each command; its `main` takes the arguments and returns the exit code."""
+EXIT_UNABLE = 1
+"""Exit code if the machine or its Python lacks what the command needs."""
 _EXIT_INTERRUPTED = 128 + signal.SIGINT
 
 
@@ -62,8 +65,12 @@ def _run(command: str) -> NoReturn:
         sys.exit(write_output(command, f"{version_line(command)}\n"))
     if problem := thread_problem(2 * compute_threads()):
         complain(command, problem)
-        sys.exit(1)
-    main = importlib.import_module(MODULES[command]).main
+        sys.exit(EXIT_UNABLE)
+    try:
+        main = importlib.import_module(MODULES[command]).main
+    except ImportError as error:
+        complain(command, import_problem(error))
+        sys.exit(EXIT_UNABLE)
     on_termination(lambda number: sys.exit(128 + number))
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import sys
 from typing import NoReturn
 
+from yolov5_lifecycle.commands.entry_points import EXIT_UNABLE
 from yolov5_lifecycle.commands.version import version_line
-from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.environment import prepare_environment
 from yolov5_lifecycle.process.memory import prepare_heap
+from yolov5_lifecycle.process.missing_package import import_problem
 from yolov5_lifecycle.process.standard_streams import complain, open_standard_streams, write_output
 from yolov5_lifecycle.process.termination import end_at_once
 from yolov5_lifecycle.process.thread_limit import compute_threads, thread_problem
-
-EXIT_UNABLE = 1
-"""Exit code if the machine or its Python lacks what the node needs."""
 
 _ROS_THREADS = 12
 """Eight threads of Fast DDS, plus those of the node and rclpy."""
@@ -40,11 +38,9 @@ def prepare_process(command: str) -> None:
 
 def refuse_python(command: str, error: ImportError) -> NoReturn:
     """Exit with code 1 after reporting the failed import, the Python used and the Python required."""
-    problem = in_one_line(str(error))
     complain(
         command,
-        f"{sys.executable} cannot import what the node needs: {problem}. The node runs with the "
-        "Python that built it, which needs torch, pydantic 2, safetensors and a sourced ROS: build the "
-        "workspace as README.md says under 'In a colcon workspace'.",
+        f"{import_problem(error)}. The node runs with the Python that built it: see README.md, "
+        "'In a colcon workspace'.",
     )
     sys.exit(EXIT_UNABLE)
