@@ -15,11 +15,15 @@ RUN apt-get update \
  && apt-get install -y --no-install-recommends python3-numpy python3-venv \
  && rm -rf /var/lib/apt/lists/*
 # torch, pydantic 2 and safetensors are not in apt. The environment sees apt's packages, and its numpy stays apt's.
-# PIP_FLAGS tells pip where to find the CPU build of torch; without it the image holds CUDA as well.
+# TORCH=cpu takes the CPU build of torch, from the same index as the Makefile; else the image holds CUDA as well.
+ARG TORCH=""
 ARG PIP_FLAGS=""
 WORKDIR /workspace/src/yolov5_lifecycle
 COPY requirements requirements
 RUN python3 -m venv --system-site-packages /opt/venv \
+ && if [ "${TORCH}" = cpu ]; then /opt/venv/bin/pip install --no-cache-dir ${PIP_FLAGS} --no-deps \
+      --index-url https://download.pytorch.org/whl/cpu -c requirements/constraints-apt.txt torch; \
+    elif [ -n "${TORCH}" ]; then echo "TORCH=${TORCH}: expected cpu, or nothing for pip's usual build" >&2; exit 1; fi \
  && /opt/venv/bin/pip install --no-cache-dir ${PIP_FLAGS} -c requirements/constraints-apt.txt \
       onnx onnxruntime pydantic safetensors torch
 COPY . .
@@ -31,7 +35,8 @@ FROM ${BASE}
 # hadolint ignore=DL3008
 RUN apt-get update \
  && apt-get install -y --no-install-recommends \
-      python3-numpy python3-opencv ros-jazzy-bond ros-jazzy-rmw-fastrtps-cpp ros-jazzy-vision-msgs \
+      python3-numpy python3-opencv python3-yaml \
+      ros-jazzy-bond ros-jazzy-rmw-fastrtps-cpp ros-jazzy-vision-msgs \
  && rm -rf /var/lib/apt/lists/*
 COPY --from=build /opt/venv /opt/venv
 COPY --from=build /workspace/install /workspace/install

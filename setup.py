@@ -30,18 +30,21 @@ setup(
         *map(data, ["config", "launch", "weights"]),
     ],
     python_requires=">=3.10",
-    # rclpy, the messages and OpenCV are not named: on a ROS machine they come from apt, unseen by pip.
+    # rclpy and the messages come with ROS. OpenCV is needed, yet an extra: on a ROS machine it comes from
+    # apt, unseen by pip, which would install a second one in front of it.
     install_requires=[
         "annotated-types",
         "numpy>=1.26",
         "pydantic>=2",
         "pydantic-core",
+        "pyyaml>=5.4",
         "safetensors",
         "torch>=2.10",
     ],
     extras_require={
         "bag": ["rosbags>=0.11"],
         "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
+        "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
     },
     zip_safe=True,

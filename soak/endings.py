@@ -12,7 +12,7 @@ from functools import partial
 from random import Random
 from typing import Any
 
-from soak.finding import Finding, number_of, problem
+from soak.finding import Finding, none_wrong, number_of, problem
 from soak.subject import Subject, exceptions_in, subject, subject_in
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
@@ -85,12 +85,12 @@ def clean_starts(count: int, seed: int) -> Finding:
     random = Random(seed)
     numbers = [signal.SIGINT, signal.SIGTERM] * count
     wrong = [*filter(None, (problem(partial(_end_at_start, number, random)) for number in numbers))]
-    return Finding(
-        claim="SIGINT and SIGTERM end the process cleanly while it starts",
-        done=f"{len(numbers)} processes, seed {seed}",
-        result=number_of("other ends", wrong),
+    return none_wrong(
+        "SIGINT and SIGTERM end the process cleanly while it starts",
+        f"{len(numbers)} processes, seed {seed}",
+        "other ends",
+        wrong,
         limit=f"0; exit code 0 within {_LIMIT_S:g} s, no exception",
-        is_met=not wrong,
     )
 
 
@@ -98,12 +98,11 @@ def clean_restarts(moments: Iterable[str], seed: int) -> Finding:
     """Kill a process at each moment; the next one in its domain must configure, activate and detect."""
     random, moments = Random(seed), list(moments)
     wrong = [*filter(None, (problem(partial(_restart, moment, random)) for moment in moments))]
-    return Finding(
-        claim="a killed process is replaced by a clean one",
-        done=f"SIGKILL for {len(moments)} processes, seed {seed}",
-        result=number_of("successors did not detect, or end with 0", wrong),
-        limit="0",
-        is_met=not wrong,
+    return none_wrong(
+        "a killed process is replaced by a clean one",
+        f"SIGKILL for {len(moments)} processes, seed {seed}",
+        "successors did not detect, or end with 0",
+        wrong,
     )
 
 

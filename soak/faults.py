@@ -8,7 +8,7 @@ from array import array
 from sensor_msgs.msg import Image
 
 from soak.faulty_detector import GREYS
-from soak.finding import Finding, number_of, problem
+from soak.finding import Finding, none_wrong, number_of, problem
 from soak.sender import Sender
 from soak.subject import Subject, subject
 from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
@@ -49,25 +49,23 @@ def survived_faults(subject: Subject, count: int, *, is_timed: bool = True) -> F
 
 def ended_by_lost_devices(count: int) -> Finding:
     """Lose the device in `count` processes, one after the other."""
-    wrong = [*filter(None, (problem(_lose_device) for _ in range(count)))]
-    return Finding(
-        claim="a lost device ends the process with its own code",
-        done=f"{count} processes",
-        result=number_of("other ends", wrong),
+    return none_wrong(
+        "a lost device ends the process with its own code",
+        f"{count} processes",
+        "other ends",
+        [*filter(None, (problem(_lose_device) for _ in range(count)))],
         limit=f"0; exit code {EXIT_DEVICE_LOST} within {_END_S:g} s",
-        is_met=not wrong,
     )
 
 
 def ended_by_abandoned_threads(count: int) -> Finding:
     """Hang inference repeatedly in each of `count` processes."""
-    wrong = [*filter(None, (problem(_abandon_threads) for _ in range(count)))]
-    return Finding(
-        claim="too many hung inference threads end the process with its own code",
-        done=f"{count} processes, {MAX_ABANDONED_THREADS + 1} hangs each",
-        result=number_of("other ends", wrong),
+    return none_wrong(
+        "too many hung inference threads end the process with its own code",
+        f"{count} processes, {MAX_ABANDONED_THREADS + 1} hangs each",
+        "other ends",
+        [*filter(None, (problem(_abandon_threads) for _ in range(count)))],
         limit=f"0; exit code {EXIT_ABANDONED_THREADS} within {_END_S:g} s",
-        is_met=not wrong,
     )
 
 

@@ -12,7 +12,7 @@ from support.detector_process import environment
 
 from soak import flooding_client
 from soak.answer_times import asked, p99
-from soak.finding import Finding, number_of
+from soak.finding import Finding, none_wrong, number_of
 from soak.flooding_client import FLOODS
 from soak.subject import Subject, subject
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess
@@ -59,12 +59,12 @@ def endings_beside_floods(floods: Iterable[str] = FLOODS) -> Finding:
                 code = process.process.stop(signal.SIGTERM, timeout_s=_END_S)
             if code != 0 or process.escaped:
                 wrong.append(f"{name}: exit code {code}, {process.escaped}")
-    return Finding(
-        claim="SIGTERM ends the process beside requests of a megabyte",
-        done=f"{len(floods)} processes",
-        result=number_of("other ends", wrong),
+    return none_wrong(
+        "SIGTERM ends the process beside requests of a megabyte",
+        f"{len(floods)} processes",
+        "other ends",
+        wrong,
         limit=f"0; exit code 0 within {_END_S:g} s, no exception",
-        is_met=not wrong,
     )
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from support.special_cache_files import SPECIAL_CACHE_FILES
 
-from soak.finding import Finding, number_of, problem
+from soak.finding import Finding, none_wrong, number_of, problem
 from soak.subject import Subject, subject_in
 from yolov5_lifecycle.ros.demo.domain import own_domain
 from yolov5_lifecycle.unfinished import FOLDER_PREFIX
@@ -108,12 +108,11 @@ def removed_leftovers(signals: Sequence[signal.Signals]) -> Finding:
         with subject_in(domain, **variables) as process:
             _detect(process)
             remaining = [path.name for path in Path(folder).glob(f"{FOLDER_PREFIX}*")]
-    return Finding(
-        claim="what a process leaves that ends while it compiles is removed by the next",
-        done=f"{len(signals)} processes ended by SIGKILL or SIGTERM; {sum(left) + 1} temporary folders left",
-        result=number_of("folders remain", remaining),
-        limit="0",
-        is_met=not remaining,
+    return none_wrong(
+        "what a process leaves that ends while it compiles is removed by the next",
+        f"{len(signals)} processes ended by SIGKILL or SIGTERM; {sum(left) + 1} temporary folders left",
+        "folders remain",
+        remaining,
     )
 
 

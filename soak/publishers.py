@@ -8,7 +8,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from support.detector_process import NODE, scene_image
 
-from soak.finding import Finding, number_of
+from soak.finding import Finding, none_wrong_nor_escaped
 from soak.sender import Sender
 from soak.subject import Subject
 from yolov5_lifecycle.ros.demo.observer import Observer
@@ -49,10 +49,11 @@ def counted_publishers(subject: Subject, count: int, *, burst: int = 200) -> Fin
                 problems.append(f"{received} received and {missed} missed of {sent}")
         first.send_whole()
         first.close()
-    return Finding(
-        claim="publishers that join and leave are never counted as lost images",
-        done=f"{count * len(_QUALITIES)} second publishers of {len(_QUALITIES)} kinds, {sent} images",
-        result=f"{number_of('wrong counts', problems)}, {number_of('exceptions', subject.escaped)}",
+    return none_wrong_nor_escaped(
+        "publishers that join and leave are never counted as lost images",
+        f"{count * len(_QUALITIES)} second publishers of {len(_QUALITIES)} kinds, {sent} images",
+        "wrong counts",
+        problems,
+        subject.escaped,
         limit="0, 0; detects afterwards",
-        is_met=not problems and not subject.escaped,
     )

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from lifecycle_msgs.msg import Transition
 
-from soak.finding import Finding, number_of
+from soak.finding import Finding, none_wrong, none_wrong_nor_escaped
 from soak.subject import Subject, subject
 from yolov5_lifecycle.ros.detector.finalized_period import FINALIZED_S
 
@@ -47,12 +47,12 @@ def answered_transitions(subject: Subject) -> Finding:
             asked += 1
             if found != (expected is not None, expected or state):
                 wrong.append(f"{state} {label[:20]!r} {number}: {found}")
-    return Finding(
-        claim="every transition in every state is answered",
-        done=f"{asked} pairs of state and transition",
-        result=f"{number_of('wrong answers or states', wrong)}, {number_of('exceptions', subject.escaped)}",
-        limit="0, 0",
-        is_met=not wrong and not subject.escaped,
+    return none_wrong_nor_escaped(
+        "every transition in every state is answered",
+        f"{asked} pairs of state and transition",
+        "wrong answers or states",
+        wrong,
+        subject.escaped,
     )
 
 
@@ -71,12 +71,12 @@ def answered_shutdowns(most: int | None = None) -> Finding:
             code = process.process.wait(_END_S)
             if (granted, then, code, process.escaped) != (True, "finalized", 0, []):
                 wrong.append(f"{state} {label!r} {number}: {granted}, {then}, exit code {code}")
-    return Finding(
-        claim="shutdown in every state is answered, then ends the process",
-        done=f"{len(pairs)} processes",
-        result=number_of("wrong answers, states or exit codes", wrong),
+    return none_wrong(
+        "shutdown in every state is answered, then ends the process",
+        f"{len(pairs)} processes",
+        "wrong answers, states or exit codes",
+        wrong,
         limit=f"0; exit code 0 within {_END_S:g} s",
-        is_met=not wrong,
     )
 
 

@@ -24,7 +24,7 @@ from yolov5_lifecycle.settings.settings import SETTINGS, Settings
 
 ENTRYPOINT = REPOSITORY / "docker" / "entrypoint"
 SHARE = f"/workspace/install/{PACKAGE}/share/{PACKAGE}/"
-FROM_APT = {"numpy"}
+FROM_APT = {"numpy": "python3-numpy", "pyyaml": "python3-yaml"}
 
 
 def instructions() -> list[tuple[str, str]]:
@@ -65,7 +65,7 @@ def test_every_package_from_pip_is_one_of_the_apt_constraints() -> None:
         assert ("COPY", "requirements requirements") in instructions()
         names = [word for word in words if re.fullmatch(r"[a-z][a-z0-9]*", word)]
         assert set(names) <= pins(constraints.name).keys()
-        assert set(names) == {word for word in words if not re.match(r"-|\$|requirements/", word)}
+        assert set(names) == {word for word in words if not re.match(r"-|\$|requirements/|https://", word)}
 
 
 def test_what_setup_asks_for_is_installed() -> None:
@@ -73,8 +73,37 @@ def test_what_setup_asks_for_is_installed() -> None:
     needed = {canonicalize_name(each.name) for each in requirements if "extra" not in str(each.marker)}
     installed = {word for words in pip_installs() for word in words}
     brought_by_pydantic = {"annotated-types", "pydantic-core"}
-    assert needed - brought_by_pydantic - FROM_APT <= installed
-    assert all(f"python3-{name}" in arguments_of("RUN")[-2] for name in FROM_APT)
+    assert needed - brought_by_pydantic - FROM_APT.keys() <= installed
+    assert {*FROM_APT.values(), "python3-opencv"} <= set(arguments_of("RUN")[-2].split())
+
+
+@pytest.mark.parametrize(
+    ("torch", "uses_cpu_builds", "code"),
+    [
+        pytest.param("", [False], 0, id="usual"),
+        pytest.param("cpu", [True, False], 0, id="CPU"),
+        pytest.param("gpu", [], 1, id="unknown"),
+    ],
+)
+def test_torch_is_taken_from_where_the_makefile_takes_it(
+    torch: str, uses_cpu_builds: list[bool], code: int
+) -> None:
+    (run,) = (argument for argument in arguments_of("RUN") if "pip install" in argument)
+    script = run.replace("/opt/venv/bin/pip", "echo").replace("python3 -m venv", "true")
+    tried = subprocess.run(
+        ["sh", "-c", script], env=os.environ | {"TORCH": torch}, capture_output=True, text=True, check=False
+    )
+    assert tried.returncode == code, tried.stderr
+    index = re.search(r"^TORCH_INDEX := (\S+)$", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
+    assert index is not None
+    installs = tried.stdout.splitlines()
+    assert [f"--index-url {index[1]} " in install for install in installs] == uses_cpu_builds
+
+
+def test_what_the_page_gives_a_build_is_an_argument_of_it() -> None:
+    page = (REPOSITORY / "docs" / "docker.md").read_text()
+    declared = {argument.partition("=")[0] for argument in arguments_of("ARG")}
+    assert {"TORCH", "PIP_FLAGS"} <= set(re.findall(r"--build-arg (\w+)=", page)) <= declared
 
 
 def test_the_image_runs_without_root_and_keeps_weights_where_the_node_looks() -> None:

@@ -53,6 +53,7 @@ NOT_RUN = {
     "export ": "bash can parse it; the test of the page's subject sets its own value",
     ".venv/bin/python -c ": "a question to torch",
     "python3 -m venv ": "the workspace recipe downloads gigabytes; test_docker.py checks what it names",
+    "python3 -m pip install ": "downloads gigabytes; test_installed_package.py installs what it names",
     "~/yolov5_venv/bin/": "the workspace recipe",
     "rviz2 ": "needs RViz; test_config.py checks the file",
     "journalctl ": "needs systemd; test_config.py checks the unit",

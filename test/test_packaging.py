@@ -18,9 +18,13 @@ from packaging.utils import canonicalize_name
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
 from support.pinned_versions import pins
 
+from yolov5_lifecycle.process.missing_package import PIP_PACKAGES
+
 SHARED_FOLDERS = ("config", "launch", "weights")
 TYPED_COMMANDS = {"ros2launch"}
 """Nobody imports it: it is where `ros2` has the word from that starts the launch files."""
+MODULE_OF_APT = {"python3-numpy": "numpy", "python3-opencv": "cv2", "python3-yaml": "yaml"}
+MODULE_OF_PIP = {"opencv-python-headless": "cv2", "pyyaml": "yaml"}
 SETS = ("constraints.txt", "constraints-apt.txt")
 
 
@@ -105,8 +109,23 @@ def test_activating_the_environment_leaves_no_path_of_another_ros() -> None:
 
 
 def test_every_imported_package_is_declared() -> None:
+    ros, from_apt = ros_packages(), {MODULE_OF_APT[key] for key in keys_of_apt()}
     needed = imported_packages() - {PACKAGE} - sys.stdlib_module_names
-    assert needed | TYPED_COMMANDS == declared_packages()
+    from_pip = set(pip_requirements())
+    assert needed | TYPED_COMMANDS == ros | from_pip
+    assert ros & from_pip == set()
+    assert from_apt <= from_pip, "on a machine without ROS they come from pip"
+
+
+def test_only_the_folder_ros_and_the_launch_files_import_packages_of_ros() -> None:
+    files = (REPOSITORY / PACKAGE).rglob("*.py")
+    others = [file for file in files if "ros" not in file.relative_to(REPOSITORY).parts]
+    assert others
+    assert {name for file in others for name in imports(file)} & ros_packages() == set()
+
+
+def test_the_remedy_for_a_missing_module_names_what_is_declared() -> None:
+    assert dict(PIP_PACKAGES) == pip_requirements()
 
 
 def imported_packages() -> set[str]:
@@ -115,26 +134,35 @@ def imported_packages() -> set[str]:
         name
         for folder in (PACKAGE, "launch")
         for file in (REPOSITORY / folder).rglob("*.py")
-        for name in _imports(ast.parse(file.read_bytes()))
+        for name in imports(file)
     }
 
 
-def _imports(module: ast.Module) -> Iterator[str]:
-    for node in ast.walk(module):
+def imports(file: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(file.read_bytes())):
         if isinstance(node, ast.Import):
             yield from (alias.name.partition(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module is not None and node.level == 0:
             yield node.module.partition(".")[0]
 
 
-def declared_packages() -> set[str]:
-    """Import names of what package.xml and setup.py ask for."""
-    module_of = {"python3-numpy": "numpy", "python3-opencv": "cv2", "python3-yaml": "yaml"}
-    keys = [
-        element.text or "" for element in ElementTree.parse(REPOSITORY / "package.xml").iter("exec_depend")
-    ]
-    from_pip = [Requirement(line).name for line in distribution(PACKAGE).requires or []]
-    return {module_of.get(key, key) for key in keys} | {name.replace("-", "_") for name in from_pip}
+def exec_depends() -> set[str]:
+    return {each.text or "" for each in ElementTree.parse(REPOSITORY / "package.xml").iter("exec_depend")}
+
+
+def keys_of_apt() -> set[str]:
+    """The dependencies in package.xml that are no packages of ROS."""
+    return {key for key in exec_depends() if key.startswith("python3-")}
+
+
+def ros_packages() -> set[str]:
+    return exec_depends() - keys_of_apt()
+
+
+def pip_requirements() -> dict[str, str]:
+    """Import name -> name for pip of what setup.py asks for, extras included."""
+    names = {Requirement(line).name for line in distribution(PACKAGE).requires or []}
+    return {MODULE_OF_PIP.get(name.lower(), name.replace("-", "_")): name.lower() for name in names}
 
 
 def from_package_index(installed: Distribution) -> bool:

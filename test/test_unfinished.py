@@ -7,12 +7,14 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from support.colcon_workspace import REPOSITORY
 
-from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.atomic_file import OutputError, whole_output, write_whole
 from yolov5_lifecycle.unfinished import (
     FOLDER_PREFIX,
     hold,
@@ -27,6 +29,16 @@ from yolov5_lifecycle.unfinished import temporary_folder
 with temporary_folder() as folder:
     (folder / "optimized.onnx").write_bytes(bytes(1000))
     print(folder, flush=True)
+    sys.stdin.read()
+"""
+WRITER = """
+import sys
+from pathlib import Path
+from yolov5_lifecycle.atomic_file import whole_output
+with whole_output(Path(sys.argv[1], "drive")) as unfinished:
+    (unfinished / "images").mkdir(parents=True)
+    (unfinished / "images" / "0.png").write_bytes(bytes(1000))
+    print(unfinished, flush=True)
     sys.stdin.read()
 """
 
@@ -45,9 +57,11 @@ def abandoned(folder: Path, name: str) -> Path:
     return path
 
 
-def test_the_folder_of_a_killed_process_is_removed_and_that_of_a_living_one_is_not(folder: Path) -> None:
+@contextmanager
+def started(program: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """The program, and what it holds in `folder` until its standard input ends."""
     owner = subprocess.Popen(
-        [sys.executable, "-c", OWNER],
+        [sys.executable, "-c", program, str(folder)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -55,7 +69,11 @@ def test_the_folder_of_a_killed_process_is_removed_and_that_of_a_living_one_is_n
     )
     with owner:
         assert owner.stdout is not None
-        held = Path(owner.stdout.readline().strip())
+        yield owner, Path(owner.stdout.readline().strip())
+
+
+def test_the_folder_of_a_killed_process_is_removed_and_that_of_a_living_one_is_not(folder: Path) -> None:
+    with started(OWNER, folder) as (owner, held):
         remove_abandoned_folders()
         assert [path.name for path in held.iterdir()] == ["optimized.onnx"]
         owner.send_signal(signal.SIGKILL)
@@ -64,6 +82,49 @@ def test_the_folder_of_a_killed_process_is_removed_and_that_of_a_living_one_is_n
         remove_abandoned_folders()
         assert not held.exists()
     assert list(folder.iterdir()) == []
+
+
+def test_the_output_of_a_killed_process_is_removed_by_the_next_and_that_of_a_living_one_is_not(
+    folder: Path,
+) -> None:
+    users_own = folder / ".unfinished-novel" / "chapters"
+    users_own.mkdir(parents=True)
+    with started(WRITER, folder) as (owner, unfinished):
+        with whole_output(folder / "first") as path:
+            path.touch()
+        assert (unfinished / "images" / "0.png").exists()
+        owner.send_signal(signal.SIGKILL)
+        owner.wait()
+        assert (unfinished / "images" / "0.png").exists()
+        with whole_output(folder / "second") as path:
+            path.touch()
+    assert sorted(path.name for path in folder.iterdir()) == [".unfinished-novel", "first", "second"]
+    assert users_own.is_dir()
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_an_output_that_fails_leaves_nothing(folder: Path, error: type[BaseException]) -> None:
+    def write() -> None:
+        with whole_output(folder / "drive") as path:
+            (path / "images").mkdir(parents=True)
+            raise error
+
+    with pytest.raises(error):
+        write()
+    assert list(folder.iterdir()) == []
+
+
+def test_an_output_that_somebody_else_has_made_meanwhile_is_not_replaced(folder: Path) -> None:
+    output = folder / "output"
+
+    def write() -> None:
+        with whole_output(output) as path:
+            path.touch()
+            output.write_text("theirs")
+
+    with pytest.raises(OutputError, match="exists and is not replaced"):
+        write()
+    assert [path.read_text() for path in folder.iterdir()] == ["theirs"]
 
 
 def test_a_folder_is_not_removed_while_another_thread_works_in_it(folder: Path) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-from yolov5_lifecycle.unfinished import hold
+from yolov5_lifecycle.unfinished import hold, remove_abandoned, temporary_folder
 
 UNFINISHED_PREFIX, UNFINISHED_SUFFIX = ".", ".part"
+_OUTPUT_PREFIX = ".yolov5_lifecycle-unfinished-"
 _ATTEMPTS = 20
 
 
@@ -53,13 +53,17 @@ class OutputError(ValueError):
 def whole_output(path: Path) -> Iterator[Path]:
     """Temporary path for a file or folder, which is renamed to `path` when the block succeeds.
 
-    Until then, and on failure, nothing exists at `path`. Raises OutputError if `path` already exists.
+    Until then, and on failure, nothing exists at `path`. A killed process leaves a hidden folder beside it,
+    which the next output to the same folder removes. Raises OutputError if `path` already exists, and
+    OSError.
     """
     _check_free(path)
     if not path.parent.is_dir():
         raise OutputError(f"{path.parent}: there is no such folder; make it first.")
-    with TemporaryDirectory(prefix=".unfinished-", dir=path.parent) as folder:
-        unfinished = Path(folder, path.name)
+    with suppress(OSError):
+        remove_abandoned(path.parent, prefix=_OUTPUT_PREFIX, with_subfolders=True)
+    with temporary_folder(path.parent, prefix=_OUTPUT_PREFIX) as folder:
+        unfinished = folder / path.name
         yield unfinished
         _check_free(path)
         unfinished.rename(path)

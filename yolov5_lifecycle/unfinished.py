@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -45,13 +46,16 @@ def open_itself(path: str | Path, flags: int = os.O_RDONLY) -> int:
 
 
 @contextmanager
-def temporary_folder() -> Iterator[Path]:
-    """A new, locked folder for temporary files, removed with its files on exit. Raises OSError."""
-    descriptor, folder = _new_folder()
+def temporary_folder(parent: Path | None = None, *, prefix: str = FOLDER_PREFIX) -> Iterator[Path]:
+    """A new, locked folder in `parent`, default that of temporary files; removed with its content on exit.
+
+    Raises OSError.
+    """
+    descriptor, folder = _new_folder(parent, prefix)
     try:
         yield folder
     finally:
-        _remove(folder, descriptor)
+        shutil.rmtree(folder, ignore_errors=True)
         os.close(descriptor)
 
 
@@ -61,45 +65,50 @@ def remove_abandoned_folders() -> None:
         remove_abandoned(Path(tempfile.gettempdir()), prefix=FOLDER_PREFIX)
 
 
-def remove_abandoned(folder: Path, *, prefix: str, suffix: str = "") -> None:
+def remove_abandoned(folder: Path, *, prefix: str, suffix: str = "", with_subfolders: bool = False) -> None:
     """Remove unlocked files and folders of this user in `folder` whose names have `prefix` and `suffix`.
 
-    Does not follow links and skips pipes, devices and whatever cannot be removed. Raises OSError if `folder`
-    cannot be listed.
+    A folder that has subfolders is somebody else's and kept, unless `with_subfolders`. Does not follow links
+    and skips pipes, devices and whatever cannot be removed. Raises OSError if `folder` cannot be listed.
     """
     for path in folder.iterdir():
         if path.name.startswith(prefix) and path.name.endswith(suffix):
             with suppress(OSError):
-                _remove_if_abandoned(path)
+                _remove_if_abandoned(path, with_subfolders)
 
 
-def _new_folder() -> tuple[int, Path]:
+def _new_folder(parent: Path | None, prefix: str) -> tuple[int, Path]:
     for _ in range(_ATTEMPTS):
-        folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX))
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
         with suppress(FileNotFoundError):  # another process removed it as abandoned before it was locked
             descriptor = open_itself(folder)
             if hold(descriptor, folder):
                 return descriptor, folder
             os.close(descriptor)
-    raise FileNotFoundError(f"Other processes keep removing new folders from {tempfile.gettempdir()}.")
+    raise FileNotFoundError(
+        f"Other processes keep removing new folders from {parent or tempfile.gettempdir()}."
+    )
 
 
-def _remove_if_abandoned(path: Path) -> None:
+def _remove_if_abandoned(path: Path, with_subfolders: bool) -> None:
     descriptor = open_itself(path)
     try:
         status = os.fstat(descriptor)
         is_file_or_folder = stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)
         if is_file_or_folder and status.st_uid == os.geteuid():
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError while the owner lives
-            _remove(path, descriptor)
+            _remove(path, descriptor, with_subfolders)
     finally:
         os.close(descriptor)
 
 
-def _remove(path: Path, descriptor: int) -> None:
-    """Remove a file, or a folder with its files; a folder with subfolders is foreign and kept."""
+def _remove(path: Path, descriptor: int, with_subfolders: bool) -> None:
+    """Remove a file, or a folder with its files."""
     if not stat.S_ISDIR(os.fstat(descriptor).st_mode):
         path.unlink(missing_ok=True)
+        return
+    if with_subfolders:
+        shutil.rmtree(path, ignore_errors=True)  # does not follow links
         return
     for name in os.listdir(descriptor):
         with suppress(OSError):

@@ -8,9 +8,7 @@ import socket
 import subprocess
 import sys
 import zipfile
-from http.client import HTTPMessage
 from pathlib import Path
-from urllib.request import Request
 
 import pytest
 from support.fetched_weights import PATTERN, fetch_from, unfinished
@@ -25,7 +23,7 @@ from support.file_server import (
     stalling,
 )
 
-from yolov5_lifecycle.commands.download import DownloadError, SafeRedirects, download
+from yolov5_lifecycle.commands.download import DownloadError, download
 from yolov5_lifecycle.commands.fetch_weights import fetch, main
 from yolov5_lifecycle.models.model import WeightsError
 
@@ -45,15 +43,6 @@ def test_a_redirect_out_of_the_web_is_refused(folder: Path, target: str) -> None
         pytest.raises(DownloadError, match=rf"(?i)redirect.* '?{target}"),
     ):
         fetch_from(server, folder)
-
-
-def test_a_redirect_from_https_to_http_is_refused() -> None:
-    page = io.BytesIO()
-    with pytest.raises(DownloadError, match="https://a/b: refused to follow its redirect to http://c/d"):
-        SafeRedirects().redirect_request(
-            Request("https://a/b"), page, 302, "Found", HTTPMessage(), "http://c/d"
-        )
-    assert page.closed
 
 
 def test_a_redirect_in_a_circle_ends(folder: Path) -> None:

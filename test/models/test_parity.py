@@ -10,7 +10,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detections import Detections
@@ -70,10 +69,6 @@ def selection_of(case: Any) -> Selection:
     )
 
 
-def raw_of(case: Any, bus: Picture, runtime: TorchRuntime) -> NDArray[np.float32]:
-    return runtime(letterbox_of(case, bus).apply(bus.pixels), bus.order)
-
-
 def assert_same(found: Detections, expected_rows: list[list[float]], *, atol_px: float) -> None:
     expected = np.array(expected_rows)  # x1, y1, x2, y2, score, class
     np.testing.assert_array_equal(found.class_ids, expected[:, 5])
@@ -95,23 +90,9 @@ def test_the_letterboxed_picture_is_the_same(case: Any, bus: Picture) -> None:
     assert frame.sum(dtype=np.int64) == case["letterbox_uint8_sum"]
 
 
-def test_raw_predictions_are_the_same(case: Any, bus: Picture, runtime: TorchRuntime) -> None:
-    raw = raw_of(case, bus, runtime)
-    assert [1, *raw.shape] == case["raw_shape"]
-    assert raw.sum(dtype=np.float64) == pytest.approx(case["raw_sum"], rel=1e-3)
-    for row in case["raw_rows"]:
-        # The official values are rounded to six decimals.
-        np.testing.assert_allclose(raw[row["index"]], row["values"], rtol=1e-3, atol=1e-6)
-
-
-def test_detections_in_network_pixels_are_the_same(case: Any, bus: Picture, runtime: TorchRuntime) -> None:
-    found = select(raw_of(case, bus, runtime), selection_of(case))
-    assert_same(found, case["detections_network_px"], atol_px=0.05)
-
-
 def test_detections_in_source_pixels_are_the_same(case: Any, bus: Picture, runtime: TorchRuntime) -> None:
     letterbox = letterbox_of(case, bus)
-    found = select(raw_of(case, bus, runtime), selection_of(case))
+    found = select(runtime(letterbox.apply(bus.pixels), bus.order), selection_of(case))
     in_source = Detections(letterbox.undo(found.boxes_xyxy), found.scores, found.class_ids)
     # YOLOv5 pads by whole pixels but maps back with half ones; we map back what was padded.
     assert_same(

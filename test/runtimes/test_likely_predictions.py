@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -17,7 +15,6 @@ from numpy.typing import NDArray
 from support.random_model import CLASS_NAMES, random_model, random_network
 from support.runtime_names import EVERY_RUNTIME
 
-from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection, select
 from yolov5_lifecycle.images.image import Picture
@@ -103,20 +100,6 @@ def test_detections_and_the_best_that_was_missed_are_those_of_all_predictions(
     np.testing.assert_allclose(found.scores, expected.scores, rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.boxes_xyxy, expected.boxes_xyxy, rtol=0, atol=1e-3)
     assert found.best_missed == pytest.approx(expected.best_missed, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("class_name", "best"), [("handbag", 0.0607), ("stop sign", 0.0617), ("skateboard", 0.0)]
-)
-def test_the_best_missed_score_of_one_class_is_reported_beside_higher_scores_of_others(
-    class_name: str, best: float, runtime_name: str, reference_dir: Path
-) -> None:
-    model = load_weights(reference_dir / "weights" / "yolov5n.pt").model
-    picture = Picture(cv2.imread(str(reference_dir / "images" / "bus.jpg")), "bgr")
-    detector = Detector(loaded(model, runtime_name), class_names=model.class_names, image_size=640, stride=32)
-    wanted = frozenset({model.class_names.index(class_name)})
-    found = detector.detect(picture, Selection(classes=wanted))
-    assert found.best_missed == pytest.approx(best, abs=1e-3)
 
 
 @pytest.mark.parametrize(

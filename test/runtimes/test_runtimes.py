@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import gc
 import weakref
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from support.random_model import TINY, random_frame, random_model, random_network
-from support.runtime_names import EVERY_RUNTIME
 from torch import Tensor
 
-from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.runtimes.networks_by_size import are_zero
-from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
 from yolov5_lifecycle.runtimes.torch_device import (
     DeviceError,
     devices_present,
@@ -109,25 +103,6 @@ def test_predictions_are_those_of_the_network_as_it_was_trained(size_hw: tuple[i
     np.testing.assert_allclose(raw, expected, rtol=1e-3, atol=1e-3)
 
 
-def test_the_order_of_colours_makes_no_difference() -> None:
-    runtime = runtime_of(random_network(1))
-    frame = random_frame()
-    np.testing.assert_array_equal(runtime(frame, "rgb"), runtime(frame[..., ::-1].copy(), "bgr"))
-    assert not np.array_equal(runtime(frame, "rgb"), runtime(frame, "bgr"))
-
-
-def test_frame_and_earlier_predictions_stay_as_they_are() -> None:
-    runtime = runtime_of(random_network(1))
-    frame = random_frame()
-    orders: list[Order] = ["rgb", "bgr"]
-    for order in orders:
-        first = runtime(frame, order)
-        before = first.copy()
-        runtime(255 - frame, order)
-        np.testing.assert_array_equal(first, before)
-    np.testing.assert_array_equal(frame, random_frame())
-
-
 def test_loading_leaves_the_model_as_it_was() -> None:
     model, untouched = random_model(3), random_model(3)
     runtime = TorchRuntime.load(model, device="cpu", precision="fp32")
@@ -158,13 +133,6 @@ def test_closing_frees_the_network_and_may_be_repeated() -> None:
     assert freed() is None
 
 
-def test_a_closed_runtime_says_so() -> None:
-    runtime = runtime_of(random_network(0))
-    runtime.close()
-    with pytest.raises(InferenceError, match="closed"):
-        runtime(random_frame(), "rgb")
-
-
 @pytest.mark.parametrize(
     ("error", "message"),
     [
@@ -189,23 +157,3 @@ def test_an_error_of_torch_is_one_line_and_keeps_nothing_alive(error: Exception,
 def test_a_mistake_in_the_program_is_not_hidden() -> None:
     with pytest.raises(TypeError, match="mistake"):
         runtime_of(FailingNetwork(TypeError("mistake")))(random_frame(), "rgb")
-
-
-@pytest.mark.parametrize("name", EVERY_RUNTIME)
-def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A network that computes with them takes ten times as long, and weights can be made for that."""
-    seen: list[bool] = []
-    owner, attribute = (Network, "forward") if name == "torch" else (DetectionHead, "__call__")
-    original = getattr(owner, attribute)
-
-    def watched(*arguments: Any) -> Any:
-        seen.append(are_zero())
-        return original(*arguments)
-
-    monkeypatch.setattr(owner, attribute, watched)
-    runtime = load_runtime(random_model(0, TINY), name, device="cpu", precision="fp32")
-    runtime(np.zeros((64, 64, 3), np.uint8), "rgb")
-    assert seen == [True]
-    assert not are_zero()

@@ -89,7 +89,7 @@ def test_a_wrong_calibration_is_refused_with_the_reason(path: Path, old: str, ne
         pytest.param("http://host/lens.yaml", "expected file:///PATH", id="web"),
         pytest.param("package://no_such/lens.yaml", "no package 'no_such'", id="package"),
         pytest.param("file:///no/such.yaml", "No such file", id="no file"),
-        pytest.param("file:///dev/zero", "found no regular file", id="device"),
+        pytest.param("file:///dev/zero", "expected a regular file", id="device"),
         pytest.param("file:///", "irectory", id="folder"),
         pytest.param("file:///a%00b", "null", id="null character"),
     ],
@@ -101,5 +101,5 @@ def test_a_url_without_a_file_is_refused_with_the_reason(url: str, told: str) ->
 
 def test_a_pipe_does_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(CalibrationError, match="found no regular file"):
+    with pytest.raises(CalibrationError, match="expected a regular file"):
         read_calibration(f"file://{tmp_path / 'pipe'}")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from http.client import HTTPException, HTTPMessage, HTTPResponse
-from typing import IO, Any, BinaryIO
+from http.client import HTTPException, HTTPResponse
+from typing import BinaryIO
 from urllib.error import HTTPError
-from urllib.parse import urlsplit
-from urllib.request import HTTPRedirectHandler, Request, build_opener
+from urllib.request import Request
 
+from yolov5_lifecycle.commands.http_client import RedirectError, open_url
 from yolov5_lifecycle.printable import in_one_line
 
 _CHUNK_BYTES = 1 << 14
@@ -51,26 +51,12 @@ def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progre
         raise DownloadError(f"{url}: the connection ended after {file.tell()} of {total} bytes; {_AGAIN}")
 
 
-class SafeRedirects(HTTPRedirectHandler):
-    """Redirect handler that rejects redirects from https to any other scheme."""
-
-    def redirect_request(
-        self, req: Request, fp: IO[bytes], code: int, msg: str, headers: HTTPMessage, newurl: str
-    ) -> Request | None:
-        if urlsplit(newurl).scheme not in {"https", req.type}:
-            fp.close()
-            raise DownloadError(
-                f"{req.full_url}: refused to follow its redirect to {_short(newurl)}; try a mirror"
-            )
-        return super().redirect_request(req, fp, code, msg, headers, newurl)
-
-
 def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
     if not url.startswith(("https://", "http://")):
         raise DownloadError(f"{url}: expected an address that begins with https:// or http://")
     try:
         request = Request(url, headers={"Range": f"bytes={start}-"} if start else {})
-        response: HTTPResponse = build_opener(SafeRedirects).open(request, timeout=stall_s)
+        return open_url(request, stall_s=stall_s)
     except HTTPError as error:
         error.close()
         if error.code == _RANGE_NOT_SATISFIABLE and start:
@@ -78,26 +64,13 @@ def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
         raise DownloadError(
             f"{url}: the server answers {error.code} {_short(error.reason)}; check it"
         ) from None
+    except RedirectError as error:
+        raise DownloadError(
+            f"{_short(error.source)}: refused to follow its redirect to {_short(error.target)}; try a mirror"
+        ) from None
     except (OSError, HTTPException, ValueError, OverflowError) as error:  # OverflowError: port above 65535
         reason = _short(getattr(error, "reason", error)) or type(error).__name__
         raise DownloadError(f"{url}: no answer ({reason}); check the address and the network") from None
-    response.fp = _SizedReads(response.fp)  # type: ignore[assignment]
-    return response
-
-
-class _SizedReads:
-    """Stream wrapper that rejects reads of size -1: a chunk with that size would be read without limit."""
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream = stream
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def read(self, size: int = -1) -> bytes:
-        if size < 0:
-            raise HTTPException("a chunk of negative size")
-        return self._stream.read(size)
 
 
 def _short(foreign: object) -> str:

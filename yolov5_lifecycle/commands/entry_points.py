@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NoReturn
 
-from yolov5_lifecycle.commands.process_start import prepare_process
+from yolov5_lifecycle.commands.process_start import EXIT_UNABLE, prepare_process
+from yolov5_lifecycle.process.missing_package import import_problem
 from yolov5_lifecycle.process.standard_streams import EXIT_NOBODY_READS, complain, flush_output
 from yolov5_lifecycle.process.termination import on_termination
 
@@ -48,7 +49,11 @@ def _run(command: str) -> NoReturn:
     unfinished files. The exit code is then 128 plus the signal number.
     """
     prepare_process(command)
-    main = importlib.import_module(MODULES[command]).main
+    try:
+        main = importlib.import_module(MODULES[command]).main
+    except ImportError as error:
+        complain(command, import_problem(error))
+        sys.exit(EXIT_UNABLE)
     on_termination(lambda number: sys.exit(128 + number))
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

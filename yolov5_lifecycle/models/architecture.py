@@ -46,25 +46,35 @@ _STEM = (
     _layer(-1, 9, "C3", 512),
 )
 
+
+def _up(channels: int, source: int) -> tuple[Layer, ...]:
+    """Layers that join twice the size of the previous layer with the layer `source`."""
+    return (
+        _layer(-1, 1, "Conv", channels, 1, 1),
+        _layer(-1, 1, "Upsample"),
+        _layer((-1, source), 1, "Concat"),
+        _layer(-1, 3, "C3", channels, False),
+    )
+
+
+def _down(channels: int, source: int, channels_out: int) -> tuple[Layer, ...]:
+    """Layers that join half the size of the previous layer with the layer `source`."""
+    return (
+        _layer(-1, 1, "Conv", channels, 3, 2),
+        _layer((-1, source), 1, "Concat"),
+        _layer(-1, 3, "C3", channels_out, False),
+    )
+
+
 P5_LAYERS = (
     *_STEM,
     _layer(-1, 1, "Conv", 1024, 3, 2),
     _layer(-1, 3, "C3", 1024),
     _layer(-1, 1, "SPPF", 1024, 5),
-    _layer(-1, 1, "Conv", 512, 1, 1),
-    _layer(-1, 1, "Upsample"),
-    _layer((-1, 6), 1, "Concat"),
-    _layer(-1, 3, "C3", 512, False),
-    _layer(-1, 1, "Conv", 256, 1, 1),
-    _layer(-1, 1, "Upsample"),
-    _layer((-1, 4), 1, "Concat"),
-    _layer(-1, 3, "C3", 256, False),
-    _layer(-1, 1, "Conv", 256, 3, 2),
-    _layer((-1, 14), 1, "Concat"),
-    _layer(-1, 3, "C3", 512, False),
-    _layer(-1, 1, "Conv", 512, 3, 2),
-    _layer((-1, 10), 1, "Concat"),
-    _layer(-1, 3, "C3", 1024, False),
+    *_up(512, 6),
+    *_up(256, 4),
+    *_down(256, 14, 512),
+    *_down(512, 10, 1024),
     _layer((17, 20, 23), 1, "Detect"),
 )
 
@@ -75,27 +85,12 @@ P6_LAYERS = (
     _layer(-1, 1, "Conv", 1024, 3, 2),
     _layer(-1, 3, "C3", 1024),
     _layer(-1, 1, "SPPF", 1024, 5),
-    _layer(-1, 1, "Conv", 768, 1, 1),
-    _layer(-1, 1, "Upsample"),
-    _layer((-1, 8), 1, "Concat"),
-    _layer(-1, 3, "C3", 768, False),
-    _layer(-1, 1, "Conv", 512, 1, 1),
-    _layer(-1, 1, "Upsample"),
-    _layer((-1, 6), 1, "Concat"),
-    _layer(-1, 3, "C3", 512, False),
-    _layer(-1, 1, "Conv", 256, 1, 1),
-    _layer(-1, 1, "Upsample"),
-    _layer((-1, 4), 1, "Concat"),
-    _layer(-1, 3, "C3", 256, False),
-    _layer(-1, 1, "Conv", 256, 3, 2),
-    _layer((-1, 20), 1, "Concat"),
-    _layer(-1, 3, "C3", 512, False),
-    _layer(-1, 1, "Conv", 512, 3, 2),
-    _layer((-1, 16), 1, "Concat"),
-    _layer(-1, 3, "C3", 768, False),
-    _layer(-1, 1, "Conv", 768, 3, 2),
-    _layer((-1, 12), 1, "Concat"),
-    _layer(-1, 3, "C3", 1024, False),
+    *_up(768, 8),
+    *_up(512, 6),
+    *_up(256, 4),
+    *_down(256, 20, 512),
+    *_down(512, 16, 768),
+    *_down(768, 12, 1024),
     _layer((23, 26, 29, 32), 1, "Detect"),
 )
 

@@ -6,8 +6,8 @@ import sys
 from typing import NoReturn
 
 from yolov5_lifecycle.commands.process_start import EXIT_UNABLE, prepare_process
-from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.memory import prepare_heap
+from yolov5_lifecycle.process.missing_package import import_problem
 from yolov5_lifecycle.process.standard_streams import complain
 from yolov5_lifecycle.ros.shared_memory import warn_before_import
 
@@ -28,11 +28,9 @@ def prepare_node_process(command: str) -> None:
 
 def refuse_python(command: str, error: ImportError) -> NoReturn:
     """Exit with code 1 after reporting the failed import, the Python used and the Python required."""
-    problem = in_one_line(str(error))
     complain(
         command,
-        f"{sys.executable} cannot import what the node needs: {problem}. The node runs with the "
-        "Python that built it, which needs torch, pydantic 2, safetensors and a sourced ROS: build the "
-        "workspace as README.md says under 'In a colcon workspace'.",
+        f"{import_problem(error)}. The node runs with the Python that built it: see README.md, "
+        "'In a colcon workspace'.",
     )
     sys.exit(EXIT_UNABLE)

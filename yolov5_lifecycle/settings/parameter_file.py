@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import re
-import stat
 from pathlib import Path
 
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.regular_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.settings.parameter_yaml import (
     MAX_FILE_BYTES,
     Entry,
@@ -41,9 +40,9 @@ def read_parameter_file(path: Path) -> dict[str, dict[str, Value]]:
     """
     try:
         nodes: dict[str, dict[str, Value]] = {}
-        for entry in parameter_entries(_bounded_bytes(path)):
+        for entry in parameter_entries(read_regular_file(path, MAX_FILE_BYTES)):
             _add(nodes, entry)
-    except (ParameterYamlError, OSError) as error:
+    except (ParameterYamlError, RegularFileError, OSError) as error:
         problem = error.strerror if isinstance(error, OSError) else str(error)
         raise ParameterFileError(f"{in_one_line(str(path))}: {problem}.") from None
     return nodes
@@ -105,20 +104,6 @@ def assigned_value(assignment: str) -> tuple[str, object]:
 def _coerced(name: str, value: object) -> object:
     """`value` converted by the setting `name`; unchanged if there is no such setting."""
     return SETTINGS_BY_NAME[name].coerced(value) if name in SETTINGS_BY_NAME else value
-
-
-def _bounded_bytes(path: Path) -> bytes:
-    """The content of a regular file of at most the size limit; raises ParameterYamlError and OSError."""
-    if "\0" in str(path):
-        raise ParameterYamlError("a path holds no null character")
-    # Without O_NONBLOCK, opening a pipe without a writer blocks forever.
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise ParameterYamlError("expected a regular file: write the parameters to one")
-        content = file.read(MAX_FILE_BYTES + 1)
-    if len(content) > MAX_FILE_BYTES:
-        raise ParameterYamlError(f"more than {MAX_FILE_BYTES} bytes, far too many for parameters")
-    return content
 
 
 def _add(nodes: dict[str, dict[str, Value]], entry: Entry) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import stat
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import unquote
@@ -15,6 +13,7 @@ from pydantic_core import PydanticCustomError
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.package_path import resolve_package
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.regular_file import RegularFileError, read_regular_file
 
 MAX_FILE_BYTES = 64 * 1024
 _COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
@@ -94,10 +93,12 @@ def read_calibration(url: str) -> Calibration:
     """Read the calibration at `file:///PATH` or `package://PACKAGE/PATH`; raises CalibrationError."""
     path = _path(url)
     try:
-        content = _bounded_bytes(path)
+        content = read_regular_file(path, MAX_FILE_BYTES)
         return Calibration.model_validate(_tree(content))
     except ValidationError as error:
         problem = _described(error)
+    except RegularFileError as error:
+        problem = str(error)
     except OSError as error:
         problem = error.strerror or type(error).__name__
     except (yaml.YAMLError, ValueError, RecursionError) as error:
@@ -117,17 +118,6 @@ def _path(url: str) -> Path:
             f"'{in_one_line(url)}': expected file:///PATH with an absolute path, or package://PACKAGE/PATH."
         )
     return path
-
-
-def _bounded_bytes(path: Path) -> bytes:
-    # A pipe without a writer would block a plain open forever.
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise ValueError("found no regular file")
-        content = file.read(MAX_FILE_BYTES + 1)
-    if len(content) > MAX_FILE_BYTES:
-        raise ValueError(f"found more than {MAX_FILE_BYTES} bytes")
-    return content
 
 
 class _Loader(yaml.SafeLoader):

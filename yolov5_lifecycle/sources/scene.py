@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -105,22 +106,11 @@ class Scene:
 def cluttered_background(rng: np.random.Generator, size_hw: tuple[int, int]) -> NDArray[np.uint8]:
     """An RGB image (H, W, 3) without any of the classes: texture, bars, curves, characters."""
     pixels = _smooth_noise(rng, size_hw)
-    side = min(size_hw)
+    things = (_draw_bar, _draw_slim_ellipse, _draw_curve, _draw_letters)
     for _ in range(rng.integers(0, 16)):
-        thing = rng.integers(0, 4)
+        draw = things[rng.integers(0, len(things))]
         centre = rng.uniform((0, 0), size_hw[::-1])
-        colour = _random_colour(rng)
-        if thing == 0:
-            _draw_bar(rng, pixels, centre, side, colour)
-        elif thing == 1:
-            _draw_slim_ellipse(rng, pixels, centre, side, colour)
-        elif thing == 2:
-            steps = rng.normal(0, side * 0.12, (rng.integers(2, 9), 2)).cumsum(axis=0)
-            cv2.polylines(
-                pixels, [np.int32(centre + steps)], False, colour, int(rng.integers(1, 5)), cv2.LINE_AA
-            )
-        else:
-            _draw_letters(rng, pixels, centre, side, colour)
+        draw(rng, _Place(pixels, centre, min(size_hw), _random_colour(rng)))
     return pixels
 
 
@@ -136,52 +126,48 @@ def _smooth_noise(rng: np.random.Generator, size_hw: tuple[int, int]) -> NDArray
     return np.asarray(np.clip(pixels, 0, 255), np.uint8)
 
 
-def _draw_bar(
-    rng: np.random.Generator,
-    pixels: NDArray[np.uint8],
-    centre: NDArray[np.float64],
-    side: int,
-    colour: tuple[int, ...],
-) -> None:
-    length = side * rng.uniform(0.1, 0.9)
+class _Place(NamedTuple):
+    """Where in `pixels` (H, W, 3) a thing is drawn, and its RGB colour; lengths are parts of `side_px`."""
+
+    pixels: NDArray[np.uint8]
+    centre_xy: NDArray[np.float64]
+    side_px: int
+    colour: tuple[int, int, int]
+
+    @property
+    def point(self) -> tuple[int, int]:
+        """The centre in whole pixels."""
+        x, y = self.centre_xy.tolist()
+        return int(x), int(y)
+
+
+def _draw_bar(rng: np.random.Generator, place: _Place) -> None:
+    length = place.side_px * rng.uniform(0.1, 0.9)
     size = (length, length * rng.uniform(0.03, 0.22))
-    corners = cv2.boxPoints(((float(centre[0]), float(centre[1])), size, rng.uniform(0, 180)))
-    cv2.fillPoly(pixels, [np.int32(corners)], colour, cv2.LINE_AA)
+    x, y = place.centre_xy.tolist()
+    corners = cv2.boxPoints(((x, y), size, rng.uniform(0, 180)))
+    cv2.fillPoly(place.pixels, [np.int32(corners)], place.colour, cv2.LINE_AA)
 
 
-def _draw_slim_ellipse(
-    rng: np.random.Generator,
-    pixels: NDArray[np.uint8],
-    centre: NDArray[np.float64],
-    side: int,
-    colour: tuple[int, ...],
-) -> None:
-    length = side * rng.uniform(0.05, 0.4)
+def _draw_slim_ellipse(rng: np.random.Generator, place: _Place) -> None:
+    length = place.side_px * rng.uniform(0.05, 0.4)
     axes = (int(length), max(int(length * rng.uniform(0.1, 0.35)), 1))
     thickness = -1 if rng.random() < 0.5 else int(rng.integers(1, 4))
-    cv2.ellipse(
-        pixels, np.int32(centre).tolist(), axes, rng.uniform(0, 180), 0, 360, colour, thickness, cv2.LINE_AA
-    )
+    angle = rng.uniform(0, 180)
+    cv2.ellipse(place.pixels, place.point, axes, angle, 0, 360, place.colour, thickness, cv2.LINE_AA)
 
 
-def _draw_letters(
-    rng: np.random.Generator,
-    pixels: NDArray[np.uint8],
-    centre: NDArray[np.float64],
-    side: int,
-    colour: tuple[int, ...],
-) -> None:
+def _draw_curve(rng: np.random.Generator, place: _Place) -> None:
+    steps = rng.normal(0, place.side_px * 0.12, (rng.integers(2, 9), 2)).cumsum(axis=0)
+    points = np.int32(place.centre_xy + steps)
+    cv2.polylines(place.pixels, [points], False, place.colour, int(rng.integers(1, 5)), cv2.LINE_AA)
+
+
+def _draw_letters(rng: np.random.Generator, place: _Place) -> None:
     text = "".join(rng.choice(list("AEFHIKLMNRTWXYZ147"), rng.integers(1, 6)))
-    scale = side * rng.uniform(0.002, 0.012)
-    cv2.putText(
-        pixels,
-        text,
-        np.int32(centre).tolist(),
-        int(rng.integers(0, 8)),
-        scale,
-        colour,
-        int(rng.integers(1, 5)),
-    )
+    scale = place.side_px * rng.uniform(0.002, 0.012)
+    font, thickness = rng.integers(0, 8), rng.integers(1, 5)
+    cv2.putText(place.pixels, text, place.point, int(font), scale, place.colour, int(thickness))
 
 
 def _random_colour(rng: np.random.Generator) -> tuple[int, int, int]:

@@ -1,0 +1,75 @@
+"""NMS keeps the boxes that YOLOv5's own implementation keeps."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from support.formula_model import expected_nms, formula_model, formula_pixels
+
+from yolov5_lifecycle.detection.nms import MAX_CANDIDATES, Selection, select
+
+EXPECTED = expected_nms()
+CASES = [
+    pytest.param(size, case, id=f"{size}-{number}")
+    for size, model in EXPECTED.items()
+    for number, case in enumerate(model["cases"])
+]
+
+
+@pytest.fixture(scope="module")
+def raw_predictions() -> dict[str, NDArray[np.float32]]:
+    return {size: raw_of(size) for size in EXPECTED}
+
+
+def raw_of(size: str) -> NDArray[np.float32]:
+    model = EXPECTED[size]
+    network = formula_model(
+        size, detect_gain=model["detect_gain"], objectness_bias=model["objectness_bias"]
+    ).network()
+    with torch.inference_mode():
+        raw: NDArray[np.float32] = network.eval()(formula_pixels(tuple(model["input_shape"])))[0].numpy()
+    return raw
+
+
+def selection_of(settings: dict[str, Any]) -> Selection:
+    classes = settings["classes"]
+    return Selection(**settings | {"classes": None if classes is None else frozenset(classes)})
+
+
+def places(expected: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Where in `found` each expected row is: not their order, as rounding may swap almost equal scores."""
+    assert len(found) == len(expected)
+    distances = np.abs(expected[:, None, :4] - found[None, :, :4]).max(axis=2)
+    distances[expected[:, None, 5] != found[None, :, 5]] = np.inf
+    nearest: NDArray[np.intp] = distances.argmin(axis=1)
+    assert len(set(nearest)) == len(expected)
+    return nearest
+
+
+@pytest.mark.parametrize(("size", "case"), CASES)
+def test_the_official_boxes_are_kept(
+    size: str, case: Any, raw_predictions: dict[str, NDArray[np.float32]]
+) -> None:
+    detections = select(raw_predictions[size], selection_of(case["settings"]))
+    columns = (detections.boxes_xyxy, detections.scores, detections.class_ids)
+    found: NDArray[np.float64] = np.column_stack(columns).astype(np.float64)
+    expected = np.array(case["detections"])
+    found = found[places(expected, found)]
+    np.testing.assert_allclose(found[:, :4], expected[:, :4], rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(found[:, 4:], expected[:, 4:], rtol=0, atol=1e-5)
+    assert (np.diff(detections.scores) <= 0).all()
+
+
+@pytest.mark.parametrize(("size", "case"), CASES)
+def test_as_many_boxes_enter_nms_as_in_the_official_one(
+    size: str, case: Any, raw_predictions: dict[str, NDArray[np.float32]]
+) -> None:
+    keeping_all = dataclasses.replace(
+        selection_of(case["settings"]), iou_threshold=1.0, max_detections=MAX_CANDIDATES
+    )
+    assert len(select(raw_predictions[size], keeping_all)) == case["candidates"]

@@ -1,0 +1,58 @@
+"""Who lacks a package is told how to install it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from yolov5_lifecycle.process.missing_package import import_problem
+
+
+@pytest.mark.parametrize(
+    ("error", "remedy"),
+    [
+        pytest.param(
+            ModuleNotFoundError("No module named 'torch'", name="torch"),
+            f"Install it with {sys.executable} -m pip install torch",
+            id="from pip",
+        ),
+        pytest.param(
+            ModuleNotFoundError("No module named 'cv2'", name="cv2"),
+            "opencv-python-headless, or beside a ROS of apt with sudo apt install python3-opencv",
+            id="from apt or pip",
+        ),
+        pytest.param(
+            ModuleNotFoundError("No module named 'yaml.nodes'", name="yaml.nodes"),
+            "-m pip install pyyaml",
+            id="part of a package",
+        ),
+        pytest.param(
+            ModuleNotFoundError("No module named 'rclpy'", name="rclpy"), "source ROS first", id="ROS"
+        ),
+        pytest.param(
+            ImportError("libGL.so.1: cannot open shared object file", name="cv2"),
+            "lacks a system library",
+            id="installed, but broken",
+        ),
+        pytest.param(ImportError("cannot import name 'x'"), "install that package again", id="no name"),
+    ],
+)
+def test_the_remedy_fits_what_is_missing(error: ImportError, remedy: str) -> None:
+    problem = import_problem(error)
+    assert problem.startswith(f"{sys.executable} cannot import what is needed: {error}. ")
+    assert remedy in problem
+    assert problem.isprintable()
+
+
+@pytest.mark.parametrize(("command", "module"), [("detect_bag", "cv2"), ("convert", "torch")])
+def test_a_command_that_lacks_a_package_ends_with_one_line(command: str, module: str) -> None:
+    program = (
+        f"import sys; sys.modules[{module!r}] = None; "
+        f"from yolov5_lifecycle.commands.entry_points import {command}; {command}()"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout) == (1, "")
+    (line,) = run.stderr.splitlines()
+    assert line.startswith(f"{command}: {sys.executable} cannot import what is needed")

@@ -1,0 +1,75 @@
+"""What every runtime does alike: colours, memory of its own, denormal numbers, closing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support.random_model import random_frame, random_model
+from support.runtime_names import EVERY_RUNTIME
+
+from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.runtimes.networks_by_size import are_zero
+from yolov5_lifecycle.runtimes.registry import load_runtime
+from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
+from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
+
+
+@pytest.fixture(params=EVERY_RUNTIME)
+def runtime_name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def runtime(runtime_name: str) -> Runtime:
+    return loaded(random_model(1), runtime_name)
+
+
+def loaded(model: Model, runtime_name: str) -> Runtime:
+    return load_runtime(model, runtime_name, device="cpu", precision="fp32")
+
+
+def test_the_order_of_colours_makes_no_difference(runtime: Runtime) -> None:
+    frame = random_frame()
+    np.testing.assert_array_equal(runtime(frame, "rgb"), runtime(frame[..., ::-1].copy(), "bgr"))
+    assert not np.array_equal(runtime(frame, "rgb"), runtime(frame, "bgr"))
+
+
+def test_frame_and_earlier_predictions_stay_as_they_are(runtime: Runtime) -> None:
+    frame = random_frame()
+    orders: list[Order] = ["rgb", "bgr"]
+    for order in orders:
+        first = runtime(frame, order)
+        before = first.copy()
+        runtime(255 - frame, order)
+        np.testing.assert_array_equal(first, before)
+    np.testing.assert_array_equal(frame, random_frame())
+
+
+def test_a_closed_runtime_says_so_and_may_be_closed_again(runtime: Runtime) -> None:
+    runtime(random_frame(), "rgb")
+    runtime.close()
+    runtime.close()
+    with pytest.raises(InferenceError, match="closed"):
+        runtime(random_frame(), "rgb")
+
+
+def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(
+    runtime_name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A network that computes with them takes ten times as long, and weights can be made for that."""
+    seen: list[bool] = []
+    owner, attribute = (Network, "forward") if runtime_name == "torch" else (DetectionHead, "__call__")
+    original = getattr(owner, attribute)
+
+    def watched(*arguments: Any) -> Any:
+        seen.append(are_zero())
+        return original(*arguments)
+
+    monkeypatch.setattr(owner, attribute, watched)
+    loaded(random_model(0), runtime_name)(np.zeros((64, 64, 3), np.uint8), "rgb")
+    assert seen == [True]
+    assert not are_zero()

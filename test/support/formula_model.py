@@ -1,0 +1,117 @@
+"""Models with weights from a formula, and what YOLOv5's own implementation computes with them.
+
+Every tensor of the state dict is made of a = RandomState(crc32("golden:" + key)).normal(size=shape):
+
+    running_var              0.5 + abs(a) / 2
+    bn.weight                1 + a / 10
+    weight of a convolution  1.2 a / sqrt(its inputs)
+    others                   a / 10
+
+Anchors and num_batches_tracked stay as the architecture has them. The pixels are
+RandomState(11).rand(*shape), used as they are, without a division by 255.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import zlib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from support.colcon_workspace import REPOSITORY
+from yolov5_lifecycle.models.architecture import SIZES
+from yolov5_lifecycle.models.model import Model, blueprint
+
+_DATA = REPOSITORY / "test" / "data"
+_QUICK = ("n", "n6", "s")
+EVERY_SIZE = [pytest.param(size, marks=() if size in _QUICK else pytest.mark.long, id=size) for size in SIZES]
+_AMPLIFYING = ("x", "x6")
+"""With these weights they amplify rounding errors: two correct implementations differ by 3e-4."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ExpectedPredictions:
+    """Expected raw predictions of one size: sums over all rows, and some of the rows."""
+
+    size: str
+    input_shape: tuple[int, ...]
+    number_of_rows: int
+    column_sums: NDArray[np.float64]
+    row_indices: NDArray[np.int64]
+    rows: NDArray[np.float64]
+
+    def check(self, raw: NDArray[np.float32]) -> None:
+        """Fail unless `raw` (N, 5 + C) are these predictions up to rounding."""
+        assert raw.dtype == np.float32
+        assert raw.shape == (self.number_of_rows, self.rows.shape[1])
+        rtol = 1e-3 if self.size in _AMPLIFYING else 1e-5
+        np.testing.assert_allclose(raw[self.row_indices], self.rows, rtol=rtol, atol=rtol * 1e-3)
+        np.testing.assert_allclose(raw.sum(axis=0, dtype=np.float64), self.column_sums, rtol=rtol)
+
+
+def expected_predictions(size: str) -> ExpectedPredictions:
+    found = _read("raw_predictions.json")["sizes"][size]
+    return ExpectedPredictions(
+        size,
+        tuple(found["input_shape"]),
+        found["number_of_rows"],
+        np.array(found["column_sums"]),
+        np.array(found["row_indices"]),
+        np.array(found["rows"]),
+    )
+
+
+def expected_nms() -> Mapping[str, Any]:
+    """By size: the input shape, how the last layer is changed, and cases of settings and detections."""
+    models: Mapping[str, Any] = _read("nms.json")["models"]
+    return models
+
+
+def formula_model(size: str, *, detect_gain: float = 1.0, objectness_bias: float = 0.0) -> Model:
+    """The model of `size`; the weights of its last layer times `detect_gain`, its objectness biased."""
+    architecture = SIZES[size]
+    state = dict(_formula_tensors(blueprint(architecture).state_dict()))
+    detect = f"model.{len(architecture.layers) - 1}"
+    strides = torch.tensor(architecture.strides).view(-1, 1, 1)
+    state[f"{detect}.anchors"] = torch.tensor(architecture.anchors_px).float() / strides
+    for level in range(len(architecture.strides)):
+        state[f"{detect}.m.{level}.weight"] *= detect_gain
+        state[f"{detect}.m.{level}.bias"].view(-1, 5 + architecture.classes)[:, 4] += objectness_bias
+    return Model(architecture, tuple(f"class {index}" for index in range(architecture.classes)), state)
+
+
+def formula_pixels(shape: tuple[int, ...]) -> Tensor:
+    """Network input (1, 3, h, w) in [0, 1]."""
+    return torch.from_numpy(np.random.RandomState(11).rand(*shape).astype(np.float32))
+
+
+def _formula_tensors(blank: Mapping[str, Tensor]) -> Iterator[tuple[str, Tensor]]:
+    for key, tensor in blank.items():
+        if tensor.is_floating_point():
+            yield key, torch.from_numpy(_formula(key, tuple(tensor.shape)).astype(np.float32))
+        else:
+            yield key, torch.zeros(tensor.shape, dtype=tensor.dtype)
+
+
+def _formula(key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    random = np.random.RandomState(zlib.crc32(f"golden:{key}".encode()))
+    a = random.normal(size=shape)
+    if key.endswith("running_var"):
+        return np.asarray(np.abs(a) * 0.5 + 0.5)
+    if key.endswith("bn.weight"):
+        return 1 + 0.1 * a
+    if len(shape) == 4:
+        return a * 1.2 / math.sqrt(shape[1] * shape[2] * shape[3])
+    return 0.1 * a
+
+
+def _read(name: str) -> Any:
+    return json.loads((_DATA / name).read_text())

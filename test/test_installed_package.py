@@ -1,0 +1,117 @@
+"""The wheel of this package runs with what it declares, without ROS, outside of the working tree."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import Reader, StoragePlugin
+from support.checkpoint_builder import official_model, saved, stripped
+from support.clean_environment import build_environment, build_wheel
+from support.colcon_workspace import COMMANDS, PACKAGE
+from support.recorded_scene import COUNT, raw, record
+
+pytestmark = pytest.mark.long
+NEEDS_ROS = ("camera", "demo", "detector")
+WITHOUT_ROS = tuple(command for command in COMMANDS if command not in NEEDS_ROS)
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_wheel(tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="module")
+def executables(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("clean") / "environment"
+    return build_environment(folder, wheel, ("bag", "onnxruntime", "opencv"))
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    return tmp_path
+
+
+def run(home: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in the folder `home`, without the environment variables of the tests."""
+    environment = {"PATH": os.defpath, "HOME": str(home)}
+    return subprocess.run(words, cwd=home, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_every_module_that_needs_no_ros_and_no_other_extra_can_be_imported(
+    executables: Path, home: Path
+) -> None:
+    program = f"""
+import importlib, importlib.util, pkgutil
+import {PACKAGE} as package
+print(package.__file__)
+assert importlib.util.find_spec("rclpy") is None
+for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+    if ".ros." not in found.name + ".":
+        try:
+            importlib.import_module(found.name)
+        except ImportError as error:
+            print(found.name, error.name)
+"""
+    told = run(home, executables / "python", "-W", "error", "-c", program)
+    assert (told.returncode, told.stderr) == (0, "")
+    place, *failed = told.stdout.splitlines()
+    assert place.startswith(str(executables.parent))
+    assert failed == [f"{PACKAGE}.runtimes.openvino_runtime openvino"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_tells_its_version(command: str, executables: Path, home: Path) -> None:
+    told = run(home, executables / command, "--version")
+    assert (told.returncode, told.stderr) == (0, "")
+    assert told.stdout.startswith(f"{command} ")
+    assert "not installed" not in told.stdout
+
+
+@pytest.mark.parametrize("command", WITHOUT_ROS)
+def test_a_command_without_ros_tells_its_arguments(command: str, executables: Path, home: Path) -> None:
+    told = run(home, executables / command, "--help")
+    assert (told.returncode, told.stderr) == (0, "")
+    assert told.stdout.startswith(f"usage: {command}")
+
+
+@pytest.mark.parametrize("command", NEEDS_ROS)
+def test_a_command_that_needs_ros_says_so(command: str, executables: Path, home: Path) -> None:
+    told = run(home, executables / command, "--help")
+    assert (told.returncode, told.stdout) == (1, "")
+    (line,) = told.stderr.splitlines()
+    assert "source ROS first" in line
+
+
+def test_a_recording_is_detected_in(executables: Path, home: Path) -> None:
+    record(home / "drive", [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
+    weights = executables.parent / "share" / PACKAGE / "weights" / "shapes.safetensors"
+    words = ["drive", "--output", "found", "--set", f"weights={weights}", "--set", "runtime=onnxruntime"]
+    told = run(home, executables / "detect_bag", *words)
+    assert told.returncode == 0, told.stderr
+    assert f"{COUNT}: {COUNT} detected, 0 rejected, 0 failed" in told.stderr
+    with Reader(home / "found") as reader:
+        assert reader.topics["/yolov5/detections"].msgcount == COUNT
+
+
+def test_a_checkpoint_is_converted(executables: Path, home: Path) -> None:
+    (home / "model.pt").write_bytes(saved(stripped(official_model())))
+    told = run(home, executables / "convert", "model.pt", "model.safetensors")
+    assert (told.returncode, told.stderr) == (0, "")
+    assert (home / "model.safetensors").is_file()
+
+
+def test_without_opencv_a_command_says_how_to_install_it(
+    wheel: Path, home: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("without OpenCV") / "environment"
+    executables = build_environment(folder, wheel, ("bag",))
+    told = run(home, executables / "detect_bag", "--help")
+    assert (told.returncode, told.stdout) == (1, "")
+    (line,) = told.stderr.splitlines()
+    assert "No module named 'cv2'" in line
+    assert f"Install it with {executables}/python" in line
+    assert "-m pip install opencv-python-headless" in line
+    assert run(home, executables / "convert", "--help").returncode == 0
