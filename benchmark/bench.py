@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmark.models import untrained_weights
 from benchmark.neighbours import busy_neighbours
-from benchmark.node import MeasuredDetector, detector_node, picture_file
+from benchmark.node import MeasuredDetector, detector_node, image_file
 from benchmark.report import STAGE, Goal, Row, goal_table, row, table, write_report
 from benchmark.rivals import RIVALS
 from benchmark.rounds import measure
@@ -79,7 +79,7 @@ class Bench:
                 self._add(row(f"size {size}", task.name, busy, times_ms))
 
     def node(self) -> None:
-        """Processes as on a robot, pictures of several sizes."""
+        """Processes as on a robot, images of several sizes."""
         with detector_node(self._weights, self._folder / "node") as node:
             load_s = _load_s(self._weights)
             self._add(row("node", "activate, first time", 0, [node.activate_s()], unit="s"))
@@ -102,9 +102,9 @@ class Bench:
             self._medians_ms[new.name, new.busy] = new.median
 
     def _passage(self, node: MeasuredDetector, size: str, busy: int) -> None:
-        picture = picture_file(_hw(size), self._folder)
+        image = image_file(_hw(size), self._folder)
         for rate_hz in (_SLOW_HZ, _USUAL_HZ):
-            passage = node.watch(picture, rate_hz=rate_hz, frames=20 if self._quick else 100)
+            passage = node.watch(image, rate_hz=rate_hz, frames=20 if self._quick else 100)
             what = f"{size} at {rate_hz:g} Hz"
             self._add(row("node", f"latency {what}", busy, passage.latencies_ms))
             self._add(
@@ -119,18 +119,18 @@ class Bench:
         return _USUAL_HZ if self._medians_ms["detector", busy] < 1e3 / _USUAL_HZ else _SLOW_HZ
 
     def _saturation(self, node: MeasuredDetector, busy: int) -> None:
-        picture = picture_file(_hw(self._size), self._folder)
+        image = image_file(_hw(self._size), self._folder)
         rate_hz = _FLOOD * 1e3 / self._medians_ms[_AUTO, busy]
-        passage = node.watch(picture, rate_hz=rate_hz, frames=40 if self._quick else 200)
+        passage = node.watch(image, rate_hz=rate_hz, frames=40 if self._quick else 200)
         self._add(row("node", "throughput", busy, [passage.rate_hz], unit="Hz"))
         self._add(row("node", "latency when flooded", busy, passage.latencies_ms))
         share = passage.rate_hz * self._medians_ms[_AUTO, busy] / 1e3
         self.goals.append(Goal("throughput * forward", busy, share, False, 0.90))
 
     def _rate_limit(self, node: MeasuredDetector) -> None:
-        picture = picture_file((480, 640), self._folder)
+        image = image_file((480, 640), self._folder)
         node.set_parameters(max_rate=_SLOW_HZ)
-        passage = node.watch(picture, rate_hz=_USUAL_HZ, frames=40 if self._quick else 100)
+        passage = node.watch(image, rate_hz=_USUAL_HZ, frames=40 if self._quick else 100)
         node.set_parameters(max_rate=0.0)
         deviation = abs(passage.rate_hz / _SLOW_HZ - 1)
         self._add(
@@ -139,8 +139,8 @@ class Bench:
         self.goals.append(Goal("deviation from max_rate [%]", 0, 100 * deviation, True, 2.0))
 
     def _idle(self, node: MeasuredDetector) -> None:
-        picture = picture_file((480, 640), self._folder)
-        share = node.idle_cpu_share(picture, rate_hz=30.0, duration_s=_IDLE_S)
+        image = image_file((480, 640), self._folder)
+        share = node.idle_cpu_share(image, rate_hz=30.0, duration_s=_IDLE_S)
         self._add(row("node", "nobody listens", 0, [100 * share], unit="% of a core"))
         self.goals.append(Goal("nobody listens [% of a core]", 0, 100 * share, True, 2.0))
 

@@ -82,7 +82,7 @@ def _call_of(task: Task) -> Callable[[], object]:
 
 def _serve() -> None:
     fields = json.loads(sys.argv[1])
-    call = _call_of(Task(**fields | {"picture_hw": tuple(fields["picture_hw"])}))
+    call = _call_of(Task(**fields | {"image_hw": tuple(fields["image_hw"])}))
     for line in sys.stdin:
         times_ms = []
         for _ in range(int(line)):

@@ -1,6 +1,6 @@
 """A camera process with as little overhead as a C++ driver.
 
-`light_camera.py PICTURE RATE_HZ TOPIC`: the message is serialized once; only the stamp is written into the
+`light_camera.py IMAGE RATE_HZ TOPIC`: the message is serialized once; only the stamp is written into the
 bytes of each image.
 """
 
@@ -32,11 +32,11 @@ _STAMP_AT = 4
 """Offset of the stamp: an Image follows the serialization header, and starts with its stamp."""
 
 
-def main(picture: str, rate_hz: float, topic: str) -> None:
+def main(image: str, rate_hz: float, topic: str) -> None:
     """Publish forever."""
     rclpy.init()
     publisher = rclpy.create_node("light_camera").create_publisher(Image, topic, QoSProfile(depth=1))
-    pixels = np.asarray(cv2.imread(picture), np.uint8)
+    pixels = np.asarray(cv2.imread(image), np.uint8)
     data = bytearray(serialize_message(image_message(pixels, "bgr8", Header(frame_id="lens"))))
     due_s = time.monotonic()
     while True:

@@ -15,7 +15,7 @@ from vision_msgs.msg import Detection2DArray
 
 from benchmark import light_camera
 from benchmark.process_memory import peak_resident_mb
-from benchmark.work import scene_picture
+from benchmark.work import scene_image
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting
@@ -60,14 +60,14 @@ class MeasuredDetector:
         """Peak resident memory of the process."""
         return peak_resident_mb(self._process.process_id)
 
-    def watch(self, picture: Path, *, rate_hz: float, frames: int) -> Passage:
-        """Publish `picture` repeatedly until `frames` detections are received."""
+    def watch(self, image: Path, *, rate_hz: float, frames: int) -> Passage:
+        """Publish `image` repeatedly until `frames` detections are received."""
         seen: list[Sighting] = []
         topic = f"{_NODE}/detections"
         subscription = self._observer.create_subscription(
             Detection2DArray, topic, lambda message: seen.append(Sighting.now(message)), 10
         )
-        with self._camera(picture, rate_hz):
+        with self._camera(image, rate_hz):
             self._observer.wait_for(lambda: bool(seen), "the first detections")
             self._observer.work_for(_SETTLING_S)
             seen.clear()
@@ -79,9 +79,9 @@ class MeasuredDetector:
         taken_s = (seen[-1].stamp_ns - seen[0].stamp_ns) / 1e9
         return Passage(latencies_ms, (len(seen) - 1) / taken_s, 1e3 * cpu_s / len(seen))
 
-    def idle_cpu_share(self, picture: Path, *, rate_hz: float, duration_s: float) -> float:
+    def idle_cpu_share(self, image: Path, *, rate_hz: float, duration_s: float) -> float:
         """CPU share of one core that the active node uses while a camera runs without any subscriber."""
-        with self._camera(picture, rate_hz):
+        with self._camera(image, rate_hz):
             self._observer.wait_for(
                 lambda: self._observer.count_publishers(f"{_NODE}/image_raw") > 0, "the camera"
             )
@@ -95,8 +95,8 @@ class MeasuredDetector:
             raise RuntimeError(f"setting {values} was refused: {refusal}")
 
     @contextmanager
-    def _camera(self, picture: Path, rate_hz: float) -> Iterator[None]:
-        command = [sys.executable, light_camera.__file__, str(picture), str(rate_hz), f"{_NODE}/image_raw"]
+    def _camera(self, image: Path, rate_hz: float) -> Iterator[None]:
+        command = [sys.executable, light_camera.__file__, str(image), str(rate_hz), f"{_NODE}/image_raw"]
         with ChildProcess("camera", command, self._environment):
             yield
 
@@ -126,9 +126,9 @@ def detector_node(weights: Path, cache: Path) -> Iterator[MeasuredDetector]:
         yield MeasuredDetector(observer, process, environment)
 
 
-def picture_file(picture_hw: tuple[int, int], folder: Path) -> Path:
+def image_file(image_hw: tuple[int, int], folder: Path) -> Path:
     """The scene as an image file that a camera reads quickly."""
-    path = folder / f"{picture_hw[1]}x{picture_hw[0]}.bmp"
-    if not cv2.imwrite(str(path), scene_picture(picture_hw).pixels):
+    path = folder / f"{image_hw[1]}x{image_hw[0]}.bmp"
+    if not cv2.imwrite(str(path), scene_image(image_hw).pixels):
         raise OSError(f"{path} cannot be written")
     return path

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from benchmark.task import Task
-from benchmark.work import scene_picture
+from benchmark.work import scene_image
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.models.network import Network, fuse
@@ -34,8 +34,8 @@ def call_of(task: Task) -> Call:
     network = Network(model.architecture)
     network.load_state_dict(model.state_dict)
     stride = max(model.architecture.strides)
-    letterbox = Letterbox.fit(task.picture_hw, image_size=IMAGE_SIZE, stride=stride)
-    rgb = letterbox.apply(scene_picture(task.picture_hw).pixels)[..., ::-1].copy()
+    letterbox = Letterbox.fit(task.image_hw, image_size=IMAGE_SIZE, stride=stride)
+    rgb = letterbox.apply(scene_image(task.image_hw).pixels)[..., ::-1].copy()
     pixels = torch.from_numpy(rgb).permute(2, 0, 1)[None].float().contiguous() / 255
     return RIVALS[task.name](fuse(network), pixels)
 

@@ -8,9 +8,9 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Task:
-    """`name`, as defined by the module `side`, for a file of `weights` and an image of `picture_hw`."""
+    """`name`, as defined by the module `side`, for a file of `weights` and an image of `image_hw`."""
 
     side: Literal["rivals", "work"]
     name: str
     weights: str
-    picture_hw: tuple[int, int]
+    image_hw: tuple[int, int]

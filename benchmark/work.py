@@ -14,7 +14,7 @@ from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.nms import Selection, select
 from yolov5_lifecycle.detection.prepared_model import load_detector
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.sources.scene import Scene
 
 RUNTIME_PREFIX = "runtime "
@@ -28,29 +28,29 @@ def call_of(task: Task) -> Callable[[], object]:
     is_forward = runtime != task.name
     model = load_weights(Path(task.weights)).model
     detector = load_detector(model, runtime=runtime if is_forward else "auto", device="cpu")
-    picture = scene_picture(task.picture_hw)
+    image = scene_image(task.image_hw)
     if is_forward:
-        letterbox = _letterbox(detector, picture)
-        frame = letterbox.apply(picture.pixels)
-        return lambda: detector.runtime(frame, picture.order, Selection().least_objectness)
-    return _stage(task.name, detector, picture)
+        letterbox = _letterbox(detector, image)
+        frame = letterbox.apply(image.pixels)
+        return lambda: detector.runtime(frame, image.order, Selection().min_objectness)
+    return _stage(task.name, detector, image)
 
 
-def scene_picture(picture_hw: tuple[int, int]) -> Picture:
+def scene_image(image_hw: tuple[int, int]) -> ColourImage:
     """A fixed image of shapes over clutter."""
-    return Picture(np.ascontiguousarray(Scene(_SCENE_SEED, picture_hw).frame(0)[0][..., ::-1]), "bgr")
+    return ColourImage(np.ascontiguousarray(Scene(_SCENE_SEED, image_hw).frame(0)[0][..., ::-1]), "bgr")
 
 
-def _stage(name: str, detector: Detector, picture: Picture) -> Callable[[], object]:
-    letterbox = _letterbox(detector, picture)
-    frame = letterbox.apply(picture.pixels)
-    raw = detector.runtime(frame, picture.order, Selection().least_objectness)
-    crowded = _crowded(detector.runtime(frame, picture.order))
+def _stage(name: str, detector: Detector, image: ColourImage) -> Callable[[], object]:
+    letterbox = _letterbox(detector, image)
+    frame = letterbox.apply(image.pixels)
+    raw = detector.runtime(frame, image.order, Selection().min_objectness)
+    crowded = _crowded(detector.runtime(frame, image.order))
     stages: dict[str, Callable[[], object]] = {
-        "letterbox": lambda: letterbox.apply(picture.pixels),
+        "letterbox": lambda: letterbox.apply(image.pixels),
         "selection": lambda: letterbox.undo(select(raw, Selection()).boxes_xyxy),
         "crowded selection": lambda: letterbox.undo(select(crowded, Selection()).boxes_xyxy),
-        "detector": lambda: detector.detect(picture, Selection()),
+        "detector": lambda: detector.detect(image, Selection()),
     }
     return stages[name]
 
@@ -62,5 +62,5 @@ def _crowded(raw: NDArray[np.float32]) -> NDArray[np.float32]:
     return crowded
 
 
-def _letterbox(detector: Detector, picture: Picture) -> Letterbox:
-    return Letterbox.fit(picture.size_hw, image_size=detector.image_size, stride=detector.stride)
+def _letterbox(detector: Detector, image: ColourImage) -> Letterbox:
+    return Letterbox.fit(image.size_hw, image_size=detector.image_size, stride=detector.stride)

@@ -12,7 +12,7 @@ from typing import TypeVar
 import torch
 from support import hostile_archives, hostile_safetensors
 from support.compressed_files import KINDS, compressed
-from support.hostile_pictures import HOSTILE_JPEGS, HOSTILE_PNGS
+from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
@@ -47,12 +47,12 @@ class Target:
 
 def check_compressed_image(data: bytes) -> None:
     """Expect an image within the limits, or a one-line error."""
-    picture = _taken(lambda: decode_compressed(data), ImageError)
-    if isinstance(picture, ImageError):
-        assert str(picture).isprintable()
-        assert "as its header says" not in str(picture), "OpenCV must not decode what was not checked"
+    image = _taken(lambda: decode_compressed(data), ImageError)
+    if isinstance(image, ImageError):
+        assert str(image).isprintable()
+        assert "as its header says" not in str(image), "OpenCV must not decode what was not checked"
         return
-    height, width = picture.size_hw
+    height, width = image.size_hw
     assert max(height, width) <= MAX_SIDE_PX
     assert height * width <= MAX_COMPRESSED_PX
 
@@ -72,12 +72,12 @@ def check_raw_image(data: bytes) -> None:
         step=step,
         is_bigendian=bool(is_bigendian),
     )
-    picture = _taken(decode, ImageError)
-    if isinstance(picture, ImageError):
-        assert str(picture).isprintable()
+    image = _taken(decode, ImageError)
+    if isinstance(image, ImageError):
+        assert str(image).isprintable()
         return
-    assert picture.size_hw == (height, width)
-    assert len(picture.pixels.tobytes()) == 3 * height * width  # every byte of it can be read
+    assert image.size_hw == (height, width)
+    assert len(image.pixels.tobytes()) == 3 * height * width  # every byte of it can be read
 
 
 def check_weights(read: Callable[[bytes], Model], data: bytes) -> None:

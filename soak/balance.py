@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from support.detector_process import MOST_PENDING, is_balanced
+from support.detector_process import MAX_PENDING, is_balanced
 
 from soak.finding import Finding, number_of
 
@@ -25,7 +25,7 @@ class BalanceWatch:
         for never_taken in ("frames lost", "frames overtaken"):  # only counted since activation
             counts.pop(never_taken, None)
         fallen = [name for name, count in counts.items() if count < self._counts.get(name, 0)]
-        under_way = MOST_PENDING if values["state"] == "active" else 0
+        under_way = MAX_PENDING if values["state"] == "active" else 0
         if not is_balanced(values) or pending > under_way or fallen:
             self.problems.append(f"{values}, fallen: {fallen}")
         self.told, self.received, self._counts = self.told + 1, received, counts
@@ -39,6 +39,6 @@ def exact_balance(watches: Sequence[BalanceWatch]) -> Finding:
         claim="every frame is in exactly one count",
         done=f"{told} diagnostics of {len(watches)} processes, {received} frames",
         result=number_of("unbalanced", problems),
-        limit=f"0; at most {MOST_PENDING} frames under way, none unless active",
+        limit=f"0; at most {MAX_PENDING} frames under way, none unless active",
         is_met=told > 0 and not problems,
     )

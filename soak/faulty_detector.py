@@ -90,8 +90,8 @@ class FaultyRuntime:
         self.device = runtime.device
         self.precision = runtime.precision
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0) -> Raw:
-        raw = self._runtime(frame, order, least_objectness)
+    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Raw:
+        raw = self._runtime(frame, order, min_objectness)
         height, width, _ = frame.shape
         middle = frame[height // 3 : -height // 3, width // 3 : -width // 3]  # without letterbox padding
         fault = _FAULT_OF_GREY.get(int(middle[0, 0, 0]))

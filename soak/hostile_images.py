@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
-from support.hostile_pictures import HOSTILE_JPEGS, HOSTILE_PNGS
+from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 
 from soak.service_requests import Fuzz
 from yolov5_lifecycle.images.encodings import ENCODINGS
@@ -90,7 +90,7 @@ def _is_readable(image: Image) -> bool:
     is_whole = all(side % block == 0 for side, block in zip(size_hw, layout.block_hw, strict=True))
     row, rows = image.width * layout.pixel_bytes, image.height * layout.rows
     is_held = image.step >= row and len(image.data) >= image.step * (rows - 1) + row
-    return bool(is_whole and is_held and min(size_hw) >= layout.least_side_px)
+    return bool(is_whole and is_held and min(size_hw) >= layout.min_side_px)
 
 
 def _damaged(random: Random, whole: bytes) -> bytes:

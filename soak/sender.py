@@ -10,7 +10,7 @@ from sensor_msgs.msg import CompressedImage, Image
 from support.detector_process import NODE, scene_image
 
 from soak.subject import Subject
-from yolov5_lifecycle.ros.messages import picture
+from yolov5_lifecycle.ros.messages import image_of_message
 
 _PACE_S = 0.002
 """Pause between images; one sent at once would replace the one before it unprocessed."""
@@ -63,5 +63,5 @@ class Sender:
 
 
 def _compressed(image: Image) -> CompressedImage:
-    data = cv2.imencode(".jpg", picture(image).pixels)[1].tobytes()
+    data = cv2.imencode(".jpg", image_of_message(image).pixels)[1].tobytes()
     return CompressedImage(header=image.header, format="jpeg", data=data)

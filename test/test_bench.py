@@ -18,7 +18,7 @@ from support.colcon_workspace import REPOSITORY
 
 from benchmark.bench import forward_goals
 from benchmark.contender import contender
-from benchmark.node import detector_node, picture_file
+from benchmark.node import detector_node, image_file
 from benchmark.report import Goal, goal_table, row, table, write_report
 from benchmark.rivals import RIVALS, call_of
 from benchmark.rounds import measure
@@ -26,9 +26,9 @@ from benchmark.task import Task
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
-PICTURE_HW = (96, 128)
-EAGER = Task("rivals", "eager torch", str(WEIGHTS), PICTURE_HW)
-DETECTOR = Task("work", "runtime torch", str(WEIGHTS), PICTURE_HW)
+IMAGE_HW = (96, 128)
+EAGER = Task("rivals", "eager torch", str(WEIGHTS), IMAGE_HW)
+DETECTOR = Task("work", "runtime torch", str(WEIGHTS), IMAGE_HW)
 MEDIANS_MS = {
     "runtime auto": 10.0,
     "detector": 11.0,
@@ -70,10 +70,10 @@ def _environment() -> Iterator[None]:
 @pytest.mark.long
 @pytest.mark.usefixtures("_environment")
 def test_the_node_is_watched_while_a_camera_runs(tmp_path: Path) -> None:
-    picture = picture_file(PICTURE_HW, tmp_path)
+    image = image_file(IMAGE_HW, tmp_path)
     with detector_node(WEIGHTS, tmp_path) as node:
         assert node.activate_s() > 0
-        passage = node.watch(picture, rate_hz=10.0, frames=5)
+        passage = node.watch(image, rate_hz=10.0, frames=5)
         assert node.peak_resident_mb > 50
     assert len(passage.latencies_ms) >= 5
     assert min(passage.latencies_ms) > 0

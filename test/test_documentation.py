@@ -109,7 +109,7 @@ def test_a_remapped_name_exists(page: Path) -> None:
     assert {name.replace("/yolov5/", "~/") for name in remapped} <= topics | of_camera | {"__node", "__ns"}
 
 
-def test_the_picture_is_small_enough_for_a_repository() -> None:
+def test_the_image_is_small_enough_for_a_repository() -> None:
     assert 0 < (REPOSITORY / "docs" / "images" / "annotated.png").stat().st_size <= 150_000
 
 
@@ -144,7 +144,7 @@ def test_the_encodings_of_the_page_are_those_that_are_understood() -> None:
         (1, 1, 3): "at least 3 x 3",
     }
     assert sizes == {
-        name: words[(*encoding.block_hw, encoding.least_side_px)] for name, encoding in ENCODINGS.items()
+        name: words[(*encoding.block_hw, encoding.min_side_px)] for name, encoding in ENCODINGS.items()
     }
 
 

@@ -33,7 +33,7 @@ from support.pages import (
     table,
     typed,
 )
-from support.recorded_scene import jpeg, pictures, raw, record, video
+from support.recorded_scene import images, jpeg, raw, record, video
 
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
@@ -212,9 +212,9 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     (tmp_path / "my_detector.yaml").write_text(blocks(TUTORIAL, "yaml")[0])
     record(tmp_path / "drive", [raw(0)], storage=StoragePlugin.MCAP)
     record(tmp_path / "two_cameras", [raw(0)], storage=StoragePlugin.SQLITE3, topics=CAMERAS)
-    for folder in ("shots", "pictures"):
-        pictures(tmp_path / folder)
-    (tmp_path / "picture.jpg").write_bytes(bytes(jpeg(0).data))
+    for folder in ("shots", "images"):
+        images(tmp_path / folder)
+    (tmp_path / "image.jpg").write_bytes(bytes(jpeg(0).data))
     for name in ("video.mp4", "drive.mp4"):
         video(tmp_path / name)
     monkeypatch.chdir(tmp_path)

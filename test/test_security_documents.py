@@ -19,7 +19,7 @@ from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 from yolov5_lifecycle.ros.parameter_values import MAX_ENTRIES
 from yolov5_lifecycle.ros.parameters import MAX_REASON_LENGTH, MAX_SUGGESTIONS
 from yolov5_lifecycle.ros.services import MAX_ITEMS
-from yolov5_lifecycle.runtimes.compiled_store import MOST_BYTES
+from yolov5_lifecycle.runtimes.compiled_store import MAX_BYTES
 from yolov5_lifecycle.settings.parameter_yaml import MAX_DEPTH, MAX_SCALARS
 from yolov5_lifecycle.settings.parameter_yaml import MAX_FILE_BYTES as MAX_PARAMETER_FILE_BYTES
 
@@ -72,7 +72,7 @@ def test_the_page_names_every_topic_of_the_policy(right: str) -> None:
         f"more than {MAX_CLASSES:,} classes",
         f"more than {MAX_NAME_LENGTH} letters",
         f"at most {MAX_COMPRESSED_PX:,} pixels",
-        f"{MOST_BYTES >> 30} GiB at most",
+        f"{MAX_BYTES >> 30} GiB at most",
         f"{MAX_PARAMETER_FILE_BYTES >> 20} MiB, {MAX_SCALARS:,} names and values or {MAX_DEPTH} levels",
         f"may have {MAX_ITEMS} parameters, names or prefixes, and a list in it {MAX_ENTRIES:,} entries",
         f"the first {MAX_SUGGESTIONS} unknown names, and a reason has about {MAX_REASON_LENGTH:,} characters",

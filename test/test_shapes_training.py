@@ -1,4 +1,4 @@
-"""The training of the embedded model: its pictures, its loss and how results are counted."""
+"""The training of the embedded model: its images, its loss and how results are counted."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from tools.shapes.evaluate import iou, tally
+from tools.shapes.images import Batches, spoil
 from tools.shapes.loss import ciou, detection_loss, match
-from tools.shapes.pictures import Batches, spoil
 from tools.shapes.train import ARCHITECTURE
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.models.network import Network
@@ -37,7 +37,7 @@ def test_a_batch_depends_on_its_seed_and_number_alone() -> None:
 
 
 @pytest.mark.parametrize("index", range(6))
-def test_the_targets_of_a_batch_lie_in_its_pictures(index: int) -> None:
+def test_the_targets_of_a_batch_lie_in_its_images(index: int) -> None:
     batch = Batches(2, 9)[index]
     count, _, height, width = batch.pixels.shape
     number, _, x, y, w, h = batch.targets.T
@@ -53,8 +53,8 @@ def test_degrading_does_not_change_its_input() -> None:
     before = pixels.copy()
     spoilt = [spoil(np.random.default_rng(seed), pixels) for seed in range(30)]
     np.testing.assert_array_equal(pixels, before)
-    assert all(picture.shape == pixels.shape and picture.dtype == np.uint8 for picture in spoilt)
-    assert sum(not np.array_equal(picture, pixels) for picture in spoilt) > 20
+    assert all(image.shape == pixels.shape and image.dtype == np.uint8 for image in spoilt)
+    assert sum(not np.array_equal(image, pixels) for image in spoilt) > 20
 
 
 def test_the_ciou_of_a_box_with_itself_is_one() -> None:
@@ -92,7 +92,7 @@ def test_every_match_is_in_the_grid_and_within_reach_of_its_cell_and_anchor() ->
     [
         pytest.param((18.0, 19.0), {(2, 2), (1, 2), (2, 1)}, id="upper left half"),
         pytest.param((22.0, 23.0), {(2, 2), (3, 2), (2, 3)}, id="lower right half"),
-        pytest.param((2.0, 3.0), {(0, 0)}, id="corner of the picture"),
+        pytest.param((2.0, 3.0), {(0, 0)}, id="corner of the image"),
     ],
 )
 def test_the_cell_of_the_centre_and_its_nearest_neighbours_answer(

@@ -13,7 +13,7 @@ from support.scripted_runtime import ScriptedRuntime
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
 from yolov5_lifecycle.detection.prepared_model import load_detector
-from yolov5_lifecycle.images.image import Order, Picture
+from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
@@ -36,14 +36,14 @@ def detector_of(runtime: Runtime, image_size: int = 64) -> Detector:
     return Detector(runtime, class_names=CLASS_NAMES, image_size=image_size, stride=32)
 
 
-def random_picture(height: int, width: int, order: Order = "rgb") -> Picture:
-    return Picture(np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8), order)
+def random_image(height: int, width: int, order: Order = "rgb") -> ColourImage:
+    return ColourImage(np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8), order)
 
 
-def test_boxes_come_back_in_pixels_of_the_picture() -> None:
+def test_boxes_come_back_in_pixels_of_the_image() -> None:
     # 100 x 200 becomes 32 x 64 in a frame of its own size: scale 0.32, no padding.
     runtime = predicting(rows(row(32, 16, 16, 8, 0, 0.75, 0), row(0, 0, 32, 16, 0.5, 0, 0)))
-    found = detector_of(runtime).detect(random_picture(100, 200), Selection())
+    found = detector_of(runtime).detect(random_image(100, 200), Selection())
     expected = np.array([[75, 37.5, 125, 62.5], [0, 0, 50, 25]])
     np.testing.assert_allclose(found.boxes_xyxy, expected, rtol=1e-5)
     assert found.scores.tolist() == [0.75, 0.5]
@@ -53,13 +53,13 @@ def test_boxes_come_back_in_pixels_of_the_picture() -> None:
 def test_a_detection_that_lies_all_in_the_padding_is_dropped() -> None:
     # 64 x 16 is 16 x 64 turned; its frame is 64 x 32 with 8 grey columns on each side.
     runtime = predicting(rows(row(4, 30, 6, 6, 1, 0, 0), row(4, 30, 12, 6, 0, 0.5, 0)))
-    found = detector_of(runtime).detect(random_picture(64, 16), Selection())
+    found = detector_of(runtime).detect(random_image(64, 16), Selection())
     np.testing.assert_array_equal(found.boxes_xyxy, [[0, 27, 2, 33]])
     assert found.class_ids.tolist() == [1]
 
 
 def test_nothing_predicted_is_nothing_detected() -> None:
-    assert len(detector_of(predicting(rows())).detect(random_picture(10, 10), Selection())) == 0
+    assert len(detector_of(predicting(rows())).detect(random_image(10, 10), Selection())) == 0
 
 
 @pytest.mark.parametrize(("order", "threshold", "least"), [("rgb", 0.03, 0.03), ("bgr", 0.6, WORTH_TELLING)])
@@ -67,7 +67,7 @@ def test_the_runtime_is_told_the_order_of_colours_and_which_predictions_matter(
     order: Order, threshold: float, least: float
 ) -> None:
     runtime = predicting(rows())
-    detector_of(runtime).detect(random_picture(30, 64, order), Selection(confidence_threshold=threshold))
+    detector_of(runtime).detect(random_image(30, 64, order), Selection(confidence_threshold=threshold))
     assert runtime.calls == [((32, 64, 3), order, least)]
 
 
@@ -90,7 +90,7 @@ def test_the_runtime_is_told_the_order_of_colours_and_which_predictions_matter(
 )
 def test_predictions_that_cannot_be_are_an_error(raw: NDArray[np.float32], message: str) -> None:
     with pytest.raises(InferenceError, match=message):
-        detector_of(predicting(raw)).detect(random_picture(10, 10), Selection())
+        detector_of(predicting(raw)).detect(random_image(10, 10), Selection())
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_an_image_size_off_the_stride_is_refused_with_the_nearest_good_ones(
         Detector(predicting(rows()), class_names=CLASS_NAMES, image_size=image_size, stride=stride)
 
 
-def test_warming_up_runs_the_frame_of_the_pictures_to_come() -> None:
+def test_warming_up_runs_the_frame_of_the_images_to_come() -> None:
     runtime = predicting(rows())
     detector_of(runtime, image_size=640).warm_up((720, 1280))
     assert {shape for shape, *_ in runtime.calls} == {(384, 640, 3)}
@@ -144,8 +144,8 @@ def test_a_loaded_detector_has_what_the_model_says(detector: Detector) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(height=st.integers(1, 300), width=st.integers(1, 300))
-def test_boxes_lie_in_the_picture_whatever_its_size(detector: Detector, height: int, width: int) -> None:
-    found = detector.detect(random_picture(height, width), EVERYTHING)
+def test_boxes_lie_in_the_image_whatever_its_size(detector: Detector, height: int, width: int) -> None:
+    found = detector.detect(random_image(height, width), EVERYTHING)
     assert len(found)
     assert (found.boxes_xyxy >= 0).all()
     assert (found.boxes_xyxy <= [width, height, width, height]).all()
@@ -155,17 +155,17 @@ def test_boxes_lie_in_the_picture_whatever_its_size(detector: Detector, height: 
 
 @pytest.mark.parametrize("size_hw", [(1, 1), (1, 16384), (16384, 1)], ids=str)
 def test_extreme_sizes_are_detected_in(detector: Detector, size_hw: tuple[int, int]) -> None:
-    found = detector.detect(random_picture(*size_hw), EVERYTHING)
+    found = detector.detect(random_image(*size_hw), EVERYTHING)
     assert np.isfinite(found.boxes_xyxy).all()
     assert len(found) <= EVERYTHING.max_detections
 
 
-def test_the_answer_depends_on_the_picture_alone(detector: Detector) -> None:
-    picture = random_picture(100, 80)
-    first = detector.detect(picture, EVERYTHING)
-    detector.detect(random_picture(50, 200), Selection(max_detections=1))
-    again = detector.detect(picture, EVERYTHING)
-    turned = detector.detect(Picture(picture.pixels[..., ::-1].copy(), "bgr"), EVERYTHING)
+def test_the_answer_depends_on_the_image_alone(detector: Detector) -> None:
+    image = random_image(100, 80)
+    first = detector.detect(image, EVERYTHING)
+    detector.detect(random_image(50, 200), Selection(max_detections=1))
+    again = detector.detect(image, EVERYTHING)
+    turned = detector.detect(ColourImage(image.pixels[..., ::-1].copy(), "bgr"), EVERYTHING)
     for other in (again, turned):
         np.testing.assert_array_equal(first.boxes_xyxy, other.boxes_xyxy)
         np.testing.assert_array_equal(first.scores, other.scores)

@@ -1,4 +1,4 @@
-"""Annotated pictures show boxes and labels that can be read, and nothing leaves the picture."""
+"""Annotated images show boxes and labels that can be read, and nothing leaves the image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import annotate, class_colour, printable, text_colour
-from yolov5_lifecycle.images.image import Order, Picture
+from yolov5_lifecycle.images.image import ColourImage, Order
 
 NAMES = ("circle", "square", "triangle", "star")
 NONE = Detections(np.empty((0, 4), np.float32), np.empty(0, np.float32), np.empty(0, np.int64))
@@ -23,8 +23,8 @@ def one(*box_xyxy: float, class_id: int = 0, score: float = 0.5) -> Detections:
     return Detections(boxes_xyxy, np.array([score], np.float32), np.array([class_id]))
 
 
-def black(height: int, width: int, order: Order = "rgb") -> Picture:
-    return Picture(np.zeros((height, width, 3), np.uint8), order)
+def black(height: int, width: int, order: Order = "rgb") -> ColourImage:
+    return ColourImage(np.zeros((height, width, 3), np.uint8), order)
 
 
 def count_of(colour: tuple[int, int, int], pixels: NDArray[np.uint8]) -> int:
@@ -32,7 +32,7 @@ def count_of(colour: tuple[int, int, int], pixels: NDArray[np.uint8]) -> int:
 
 
 def ink_of_class_1(pixels: NDArray[np.uint8]) -> int:
-    """Pixels of white letters; the label is blue, the picture black."""
+    """Pixels of white letters; the label is blue, the image black."""
     return int((pixels[..., 0] > 100).sum())
 
 
@@ -41,18 +41,18 @@ def label_height(pixels: NDArray[np.uint8], colour: tuple[int, int, int]) -> int
     return int(((pixels == colour).all(axis=2).sum(axis=1) > pixels.shape[1] // 40).sum())
 
 
-def test_a_picture_without_detections_is_copied() -> None:
-    picture = Picture(np.arange(60, dtype=np.uint8).reshape(4, 5, 3), "rgb")
-    drawn = annotate(picture, NONE, NAMES)
-    np.testing.assert_array_equal(drawn, picture.pixels)
-    assert not np.shares_memory(drawn, picture.pixels)
+def test_an_image_without_detections_is_copied() -> None:
+    image = ColourImage(np.arange(60, dtype=np.uint8).reshape(4, 5, 3), "rgb")
+    drawn = annotate(image, NONE, NAMES)
+    np.testing.assert_array_equal(drawn, image.pixels)
+    assert not np.shares_memory(drawn, image.pixels)
 
 
 def test_a_view_that_cannot_be_written_is_drawn_on_a_copy() -> None:
     padded = np.zeros((100, 150, 3), np.uint8)
     view = padded[:, 10:130]
     view.flags.writeable = False
-    drawn = annotate(Picture(view, "bgr"), one(20, 40, 90, 80), NAMES)
+    drawn = annotate(ColourImage(view, "bgr"), one(20, 40, 90, 80), NAMES)
     assert drawn.shape == (100, 120, 3)
     assert drawn.flags.c_contiguous
     assert drawn.any()
@@ -74,7 +74,7 @@ def test_a_box_that_ends_at_the_edge_is_closed() -> None:
         assert tuple(drawn[y, x]) == class_colour(2, "rgb"), (x, y)
 
 
-def test_colours_are_drawn_in_the_order_of_the_picture() -> None:
+def test_colours_are_drawn_in_the_order_of_the_image() -> None:
     detections = one(50, 100, 200, 180, class_id=1)
     in_rgb = annotate(black(240, 320, "rgb"), detections, NAMES)
     in_bgr = annotate(black(240, 320, "bgr"), detections, NAMES)
@@ -100,7 +100,7 @@ def test_the_whole_label_is_inside_wherever_the_box_is(box_xyxy: tuple[float, ..
 
 @settings(max_examples=40)
 @given(height=st.integers(30, 200), width=st.integers(120, 300), x=st.floats(0, 1), y=st.floats(0, 1))
-def test_no_label_loses_a_letter_at_the_edge_of_a_picture_of_any_size(
+def test_no_label_loses_a_letter_at_the_edge_of_an_image_of_any_size(
     height: int, width: int, x: float, y: float
 ) -> None:
     in_the_middle = annotate(black(height, width), one(5, height / 2, 9, height / 2, class_id=1), NAMES)
@@ -109,7 +109,7 @@ def test_no_label_loses_a_letter_at_the_edge_of_a_picture_of_any_size(
     assert ink_of_class_1(drawn) == ink_of_class_1(in_the_middle) > 0
 
 
-def test_labels_grow_with_the_picture() -> None:
+def test_labels_grow_with_the_image() -> None:
     colour = class_colour(0, "rgb")
     heights = []
     for height, width in [(240, 320), (480, 640), (1080, 1920), (2160, 3840)]:
@@ -134,7 +134,7 @@ def test_a_name_that_is_too_long_is_cut_before_its_score() -> None:
     name=st.text(max_size=60),
     order=st.sampled_from(["rgb", "bgr"]),
 )
-def test_any_box_and_name_can_be_drawn_in_any_picture(
+def test_any_box_and_name_can_be_drawn_in_any_image(
     height: int, width: int, corners: list[tuple[float, ...]], name: str, order: Order
 ) -> None:
     relative = np.array(corners, np.float32).reshape(-1, 2, 2)

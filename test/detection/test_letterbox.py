@@ -96,7 +96,7 @@ def test_undo_is_the_inverse_of_the_way_pixels_go(
 
 
 @pytest.mark.parametrize("source_hw", [(300, 200), (720, 1280), (97, 331)], ids=str)
-def test_a_shape_in_the_frame_is_found_where_it_is_in_the_picture(source_hw: tuple[int, int]) -> None:
+def test_a_shape_in_the_frame_is_found_where_it_is_in_the_image(source_hw: tuple[int, int]) -> None:
     height, width = source_hw
     x1, y1, x2, y2 = width // 4, height // 3, width // 2, height // 3 * 2
     pixels = np.zeros((*source_hw, 3), np.uint8)
@@ -113,7 +113,7 @@ def test_a_shape_in_the_frame_is_found_where_it_is_in_the_picture(source_hw: tup
     source_hw=sizes_hw,
     corners=st.lists(st.tuples(*[st.floats(-1e4, 1e4, width=32)] * 4), max_size=5),
 )
-def test_undone_boxes_stay_inside_the_picture(
+def test_undone_boxes_stay_inside_the_image(
     source_hw: tuple[int, int], corners: list[tuple[float, ...]]
 ) -> None:
     letterbox = Letterbox.fit(source_hw, image_size=640, stride=32)
@@ -133,7 +133,7 @@ def test_an_image_size_that_is_no_multiple_of_the_stride_is_refused(image_size: 
 
 
 @pytest.mark.parametrize("source_hw", [(0, 5), (5, 0), (-1, 5)], ids=str)
-def test_a_picture_without_pixels_is_refused(source_hw: tuple[int, int]) -> None:
+def test_an_image_without_pixels_is_refused(source_hw: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="at least 1 pixel"):
         Letterbox.fit(source_hw, image_size=640, stride=32)
 

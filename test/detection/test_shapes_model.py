@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from support.colcon_workspace import REPOSITORY
 
-from tools.shapes.evaluate import PICTURES, UNSEEN_SEED, evaluate, moving, stills
+from tools.shapes.evaluate import IMAGES, UNSEEN_SEED, evaluate, moving, stills
 from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import load_detector
-from yolov5_lifecycle.images.image import Order, Picture
+from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 
 WEIGHTS = REPOSITORY / "weights"
@@ -37,8 +37,8 @@ def test_the_model_card_is_about_this_file(weights_file: WeightsFile) -> None:
 
 
 def test_unseen_stills_are_detected_with_few_errors(weights_file: WeightsFile) -> None:
-    result = evaluate(_detector(weights_file, 320), stills(UNSEEN_SEED, PICTURES, (256, 320)))
-    assert len(result.scores) + result.missed > 2 * PICTURES
+    result = evaluate(_detector(weights_file, 320), stills(UNSEEN_SEED, IMAGES, (256, 320)))
+    assert len(result.scores) + result.missed > 2 * IMAGES
     assert set(result.class_ids) == set(range(len(CLASS_NAMES)))
     assert result.precision >= 0.95
     assert result.recall >= 0.95
@@ -63,14 +63,14 @@ def test_moving_shapes_are_found_where_they_are(
 
 
 @pytest.mark.parametrize("level", [0, 114, 255])
-def test_an_empty_picture_has_no_shapes(weights_file: WeightsFile, level: int) -> None:
-    empty = Picture(np.full((480, 640, 3), level, np.uint8), "rgb")
+def test_an_empty_image_has_no_shapes(weights_file: WeightsFile, level: int) -> None:
+    empty = ColourImage(np.full((480, 640, 3), level, np.uint8), "rgb")
     assert len(_detector(weights_file, 320).detect(empty, Selection())) == 0
 
 
 @pytest.mark.parametrize("order", ["rgb", "bgr"])
 def test_every_class_is_found_in_either_order_of_colours(weights_file: WeightsFile, order: Order) -> None:
     pixels, _ = Scene(UNSEEN_SEED, (480, 640)).frame(0)
-    picture = Picture(pixels if order == "rgb" else pixels[..., ::-1].copy(), order)
-    found = _detector(weights_file, 320).detect(picture, Selection())
+    image = ColourImage(pixels if order == "rgb" else pixels[..., ::-1].copy(), order)
+    found = _detector(weights_file, 320).detect(image, Selection())
     assert set(found.class_ids) == set(range(len(CLASS_NAMES)))

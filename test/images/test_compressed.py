@@ -14,7 +14,7 @@ from support.compressed_files import smooth_bgr, smooth_file
 
 from yolov5_lifecycle.images.compressed import decode_compressed, decode_image_file, encode_jpeg
 from yolov5_lifecycle.images.encodings import decode_raw
-from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, Order, Picture
+from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError, Order
 
 
 @pytest.mark.parametrize(
@@ -25,10 +25,10 @@ from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, Order, Pictur
         pytest.param(smooth_file(".jpg", cv2.IMWRITE_JPEG_PROGRESSIVE, 1), 10, id="progressive jpeg"),
     ],
 )
-def test_a_compressed_picture_is_decoded(data: bytes, tolerance: int) -> None:
-    picture = decode_compressed(array("B", data))
-    assert picture.order == "bgr"
-    np.testing.assert_allclose(picture.pixels.astype(int), smooth_bgr(40, 60), atol=tolerance)
+def test_a_compressed_image_is_decoded(data: bytes, tolerance: int) -> None:
+    image = decode_compressed(array("B", data))
+    assert image.order == "bgr"
+    np.testing.assert_allclose(image.pixels.astype(int), smooth_bgr(40, 60), atol=tolerance)
 
 
 def png(values: NDArray[np.unsignedinteger[Any]]) -> bytes:
@@ -72,15 +72,15 @@ def test_a_grey_jpeg_has_three_channels() -> None:
 def test_the_format_says_whether_red_and_blue_are_swapped(
     suffix: str, format_text: str, order: Order
 ) -> None:
-    picture = decode_compressed(smooth_file(suffix), format_text=format_text)
-    assert picture.order == order
-    np.testing.assert_allclose(picture.pixels.astype(int), smooth_bgr(40, 60), atol=10)
+    image = decode_compressed(smooth_file(suffix), format_text=format_text)
+    assert image.order == order
+    np.testing.assert_allclose(image.pixels.astype(int), smooth_bgr(40, 60), atol=10)
 
 
 @pytest.mark.parametrize(
     ("encoding", "dtype"), [("16UC1", np.uint16), ("bayer_rggb8", np.uint8), ("bayer_gbrg8", np.uint8)]
 )
-def test_a_png_of_values_gives_the_picture_of_the_raw_image(
+def test_a_png_of_values_gives_the_image_of_the_raw_image(
     encoding: str, dtype: type[np.unsignedinteger[Any]]
 ) -> None:
     values = np.random.default_rng(0).integers(
@@ -94,14 +94,14 @@ def test_a_png_of_values_gives_the_picture_of_the_raw_image(
         step=7 * values.itemsize,
         is_bigendian=False,
     )
-    picture = decode_compressed(png(values), format_text=f"{encoding}; png compressed ")
-    assert picture.order == raw.order
-    np.testing.assert_array_equal(picture.pixels, raw.pixels)
+    image = decode_compressed(png(values), format_text=f"{encoding}; png compressed ")
+    assert image.order == raw.order
+    np.testing.assert_array_equal(image.pixels, raw.pixels)
 
 
-def test_a_jpeg_of_a_mosaic_is_the_grey_picture_that_image_transport_made_of_it() -> None:
-    picture = decode_compressed(smooth_file(".jpg"), format_text="bayer_rggb8; jpeg compressed mono8")
-    np.testing.assert_array_equal(picture.pixels, decode_compressed(smooth_file(".jpg")).pixels)
+def test_a_jpeg_of_a_mosaic_is_the_grey_image_that_image_transport_made_of_it() -> None:
+    image = decode_compressed(smooth_file(".jpg"), format_text="bayer_rggb8; jpeg compressed mono8")
+    np.testing.assert_array_equal(image.pixels, decode_compressed(smooth_file(".jpg")).pixels)
 
 
 @pytest.mark.parametrize(
@@ -125,16 +125,16 @@ def test_compressed_depth_is_refused_with_what_to_use_instead(format_text: str) 
 
 
 @pytest.mark.parametrize("order", ["rgb", "bgr"])
-def test_a_picture_becomes_a_jpeg_of_its_colours(order: Order) -> None:
+def test_an_image_becomes_a_jpeg_of_its_colours(order: Order) -> None:
     pixels = smooth_bgr(40, 60) if order == "bgr" else smooth_bgr(40, 60)[..., ::-1]
-    decoded = decode_compressed(encode_jpeg(Picture(pixels, order)))
+    decoded = decode_compressed(encode_jpeg(ColourImage(pixels, order)))
     np.testing.assert_allclose(decoded.pixels.astype(int), smooth_bgr(40, 60), atol=15)
 
 
 @pytest.mark.parametrize("size_hw", [(1, 1), (1, MAX_SIDE_PX), (MAX_SIDE_PX, 1)], ids=str)
-def test_a_picture_of_any_size_becomes_a_jpeg(size_hw: tuple[int, int]) -> None:
-    picture = Picture(np.zeros((*size_hw, 3), np.uint8), "rgb")
-    assert decode_compressed(encode_jpeg(picture)).size_hw == size_hw
+def test_an_image_of_any_size_becomes_a_jpeg(size_hw: tuple[int, int]) -> None:
+    image = ColourImage(np.zeros((*size_hw, 3), np.uint8), "rgb")
+    assert decode_compressed(encode_jpeg(image)).size_hw == size_hw
 
 
 COLOURS = [(10, 200, 60), (250, 128, 3), (128, 128, 128), (0, 0, 255)]

@@ -17,15 +17,15 @@ from support import jpeg_builder as jpeg
 from support import png_builder
 from support.colcon_workspace import REPOSITORY, SUPPORT_PATH
 from support.compressed_files import smooth_file
-from support.hostile_pictures import HOSTILE_JPEGS, HOSTILE_PNGS
+from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 
 from yolov5_lifecycle.images.compressed import decode_compressed, decode_image_file
-from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, Picture
+from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError
 from yolov5_lifecycle.images.jpeg_structure import MAX_SCANNED_PX, MAX_SCANS, MAX_SEGMENTS, jpeg_size_hw
 from yolov5_lifecycle.images.png_structure import MAX_CHUNKS, png_structure
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 
-Decode = Callable[[NDArray[np.uint8]], Picture]
+Decode = Callable[[NDArray[np.uint8]], ColourImage]
 
 
 def test_a_jpeg_may_have_fill_bytes_and_a_table_before_its_frame_header() -> None:
@@ -51,7 +51,7 @@ def claiming(data: bytes, height: int, width: int) -> bytes:
         pytest.param(0, 1, "found 0 x 1", id="none"),
     ],
 )
-def test_a_compressed_picture_that_claims_a_wild_size_is_not_decoded(
+def test_a_compressed_image_that_claims_a_wild_size_is_not_decoded(
     suffix: str, height: int, width: int, reason: str
 ) -> None:
     with pytest.raises(ImageError, match=reason):
@@ -215,10 +215,10 @@ def test_the_page_has_the_limits_of_the_code(told: str) -> None:
     position=st.integers(0, 700),
     damage=st.binary(max_size=40),
 )
-def test_a_damaged_file_gives_a_picture_or_an_image_error(data: bytes, position: int, damage: bytes) -> None:
+def test_a_damaged_file_gives_an_image_or_an_image_error(data: bytes, position: int, damage: bytes) -> None:
     damaged = data[:position] + damage + data[position + len(damage) :]
     try:
-        picture = decode_compressed(damaged)
+        image = decode_compressed(damaged)
     except ImageError:
         return
-    assert max(picture.size_hw) <= MAX_SIDE_PX
+    assert max(image.size_hw) <= MAX_SIDE_PX

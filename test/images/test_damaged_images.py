@@ -1,4 +1,4 @@
-"""Property: whatever is sent as an image becomes a picture of the size it claims, or an ImageError."""
+"""Property: whatever is sent as an image becomes an image of the size it claims, or an ImageError."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_the_whole_files_are_decoded(kind: str) -> None:
 
 @settings(max_examples=60)
 @given(st.sampled_from(KINDS), st.lists(st.tuples(_PLACE, st.integers(0, 7)), min_size=1, max_size=20))
-def test_a_file_with_flipped_bits_is_a_picture_or_refused(kind: str, flips: list[tuple[float, int]]) -> None:
+def test_a_file_with_flipped_bits_is_an_image_or_refused(kind: str, flips: list[tuple[float, int]]) -> None:
     data = bytearray(compressed(kind))
     for place, bit in flips:
         data[int(place * len(data))] ^= 1 << bit
@@ -35,7 +35,7 @@ def test_a_file_with_flipped_bits_is_a_picture_or_refused(kind: str, flips: list
 @settings(max_examples=60)
 @given(st.sampled_from(KINDS), st.sampled_from(KINDS), _PLACE, _PLACE)
 @example("colour.png", "colour.png", 0.0, 0.99)
-def test_parts_of_two_files_are_a_picture_or_refused(
+def test_parts_of_two_files_are_an_image_or_refused(
     first: str, second: str, until: float, since: float
 ) -> None:
     head, tail = compressed(first), compressed(second)
@@ -43,7 +43,7 @@ def test_parts_of_two_files_are_a_picture_or_refused(
 
 
 @given(st.sampled_from([b"", b"\xff\xd8", b"\xff\xd8\xff\xc0", b"\x89PNG\r\n\x1a\n"]), st.binary(max_size=64))
-def test_any_bytes_behind_a_signature_are_a_picture_or_refused(start: bytes, rest: bytes) -> None:
+def test_any_bytes_behind_a_signature_are_an_image_or_refused(start: bytes, rest: bytes) -> None:
     check_compressed_image(start + rest)
 
 

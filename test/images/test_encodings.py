@@ -1,4 +1,4 @@
-"""Buffers in every encoding become pictures, or are refused with the reason."""
+"""Buffers in every encoding become images, or are refused with the reason."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.encodings import ENCODINGS, decode_raw
-from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, Picture
+from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError
 
 # Two rows of two pixels, each with red 1, green 2, blue 3 and more by 10, 20, 30.
 RGB = np.array([[[1, 2, 3], [11, 12, 13]], [[21, 22, 23], [31, 32, 33]]], np.uint8)
 Rgb = tuple[float, float, float]
 
 
-def decode(data: Any, **layout: Any) -> Picture:
+def decode(data: Any, **layout: Any) -> ColourImage:
     """Decode two rows of two rgb8 pixels unless `layout` says otherwise."""
     usual: dict[str, Any] = {"encoding": "rgb8", "height": 2, "width": 2, "step": 6, "is_bigendian": False}
     return decode_raw(data, **usual | layout)
 
 
-def in_rgb(picture: Picture) -> NDArray[np.uint8]:
-    return picture.pixels if picture.order == "rgb" else picture.pixels[..., ::-1]
+def in_rgb(image: ColourImage) -> NDArray[np.uint8]:
+    return image.pixels if image.order == "rgb" else image.pixels[..., ::-1]
 
 
 class Sent(NamedTuple):
@@ -39,7 +39,7 @@ class Sent(NamedTuple):
     step: int
     is_bigendian: bool
 
-    def decoded(self, encoding: str) -> Picture:
+    def decoded(self, encoding: str) -> ColourImage:
         return decode_raw(encoding=encoding, **self._asdict())
 
     def byte(self, row: int, position: int) -> int:
@@ -170,7 +170,7 @@ def test_every_encoding_has_its_reference() -> None:
 def sent_images(draw: st.DrawFn, encoding: str) -> Sent:
     """Noise that fits `encoding`."""
     layout = ENCODINGS[encoding]
-    height, width = (max(block * draw(st.integers(1, 7)), layout.least_side_px) for block in layout.block_hw)
+    height, width = (max(block * draw(st.integers(1, 7)), layout.min_side_px) for block in layout.block_hw)
     row_size = width * layout.pixel_bytes
     step = row_size + draw(st.sampled_from([0, 1, 13]))
     size = step * (int(height * layout.rows) - 1) + row_size
@@ -183,26 +183,26 @@ def sent_images(draw: st.DrawFn, encoding: str) -> Sent:
 @given(data=st.data())
 def test_every_pixel_is_what_the_slow_reference_says(encoding: str, data: st.DataObject) -> None:
     sent = data.draw(sent_images(encoding))
-    picture = sent.decoded(encoding)
-    assert picture.size_hw == (sent.height, sent.width)
+    image = sent.decoded(encoding)
+    assert image.size_hw == (sent.height, sent.width)
     expected = [
         [REFERENCES[encoding](sent, row, column) for column in range(sent.width)]
         for row in range(sent.height)
     ]
     tolerance = 0 if encoding in EXACT else 1
-    np.testing.assert_allclose(in_rgb(picture).astype(float), np.clip(expected, 0, 255), atol=tolerance)
+    np.testing.assert_allclose(in_rgb(image).astype(float), np.clip(expected, 0, 255), atol=tolerance)
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "8UC3"])
 def test_three_colours_are_viewed_not_copied_and_cannot_be_written(encoding: str) -> None:
     data = array("B", RGB.tobytes())
-    picture = decode(data, encoding=encoding)
-    assert np.shares_memory(picture.pixels, np.frombuffer(data, np.uint8))
+    image = decode(data, encoding=encoding)
+    assert np.shares_memory(image.pixels, np.frombuffer(data, np.uint8))
     with pytest.raises(ValueError, match="read-only"):
-        picture.pixels[0, 0, 0] = 0
+        image.pixels[0, 0, 0] = 0
 
 
-def test_bytes_after_the_picture_are_left_alone() -> None:
+def test_bytes_after_the_image_are_left_alone() -> None:
     np.testing.assert_array_equal(decode(RGB.tobytes() + b"more").pixels, RGB)
 
 
@@ -215,12 +215,12 @@ def test_bytes_after_the_picture_are_left_alone() -> None:
         pytest.param([700, 700], [0, 0], id="a single value"),
     ],
 )
-def test_16uc1_is_stretched_over_the_values_of_its_picture(values: list[int], expected: list[float]) -> None:
+def test_16uc1_is_stretched_over_the_values_of_its_image(values: list[int], expected: list[float]) -> None:
     data = np.array(values, ">u2").tobytes()
-    picture = decode(
+    image = decode(
         data, encoding="16UC1", height=1, width=len(values), step=2 * len(values), is_bigendian=True
     )
-    np.testing.assert_allclose(picture.pixels[0, :, 0].astype(float), expected, atol=0.5)
+    np.testing.assert_allclose(image.pixels[0, :, 0].astype(float), expected, atol=0.5)
 
 
 @pytest.mark.parametrize("encoding", ["yuv444", "32FC1", "bayer_rggb16", "RGB8", "", "x" * 10_000, "8UC4"])
@@ -283,12 +283,12 @@ numbers = st.integers(-1, 20) | st.integers(-(2**63), 2**64)
     width=numbers,
     step=numbers,
 )
-def test_hostile_numbers_give_a_picture_or_an_image_error(
+def test_hostile_numbers_give_an_image_or_an_image_error(
     size: int, encoding: str, height: int, width: int, step: int
 ) -> None:
     try:
-        picture = decode(bytes(size), encoding=encoding, height=height, width=width, step=step)
+        image = decode(bytes(size), encoding=encoding, height=height, width=width, step=step)
     except ImageError:
         return
-    assert picture.size_hw == (height, width)
-    assert picture.pixels.max() < 255  # reads every pixel
+    assert image.size_hw == (height, width)
+    assert image.pixels.max() < 255  # reads every pixel

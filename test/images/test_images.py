@@ -1,4 +1,4 @@
-"""A picture is what its type says, or is refused."""
+"""An image is what its type says, or is refused."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import ImageError, Picture, bytes_of
+from yolov5_lifecycle.images.image import ColourImage, ImageError, bytes_of
 
 BYTES = bytes(range(12))
 
@@ -25,9 +25,9 @@ BYTES = bytes(range(12))
     ],
     ids=["two axes", "four channels", "float", "no rows"],
 )
-def test_a_picture_of_other_pixels_is_refused(pixels: NDArray[Any]) -> None:
+def test_an_image_of_other_pixels_is_refused(pixels: NDArray[Any]) -> None:
     with pytest.raises(ImageError, match="found"):
-        Picture(pixels, "rgb")
+        ColourImage(pixels, "rgb")
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,9 @@ from yolov5_lifecycle.models.model import (
     WeightsError,
     blueprint,
     check_class_names,
+    checked_integer,
     checked_model,
     shown,
-    whole_number,
 )
 
 
@@ -82,7 +82,7 @@ def test_names_that_do_not_fit_are_refused(names: object, message: str) -> None:
 @pytest.mark.parametrize("value", [True, 1.0, "1", None, 0, 9, torch.tensor(1)], ids=repr)
 def test_anything_but_an_integer_in_range_is_refused(value: object) -> None:
     with pytest.raises(WeightsError, match="the size: expected an integer from 1 to 8, found"):
-        whole_number(value, "the size", 1, 8)
+        checked_integer(value, "the size", 1, 8)
 
 
 JSON_LIKE = st.recursive(

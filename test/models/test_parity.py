@@ -16,7 +16,7 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.nms import Selection, select
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 
@@ -36,10 +36,10 @@ def runtime(model: Model) -> Iterator[TorchRuntime]:
 
 
 @pytest.fixture(scope="module")
-def bus(reference_dir: Path) -> Picture:
+def bus(reference_dir: Path) -> ColourImage:
     pixels = cv2.imread(str(reference_dir / "images" / "bus.jpg"))
     assert pixels is not None
-    return Picture(pixels, "bgr")
+    return ColourImage(pixels, "bgr")
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def case(request: pytest.FixtureRequest, golden: Any) -> Any:
     return golden["cases"][CASE_NAMES.index(request.param)]
 
 
-def letterbox_of(case: Any, bus: Picture) -> Letterbox:
+def letterbox_of(case: Any, bus: ColourImage) -> Letterbox:
     settings = case["settings"]
     stride = 32 if settings["auto"] else settings["imgsz"]  # the only multiple up to itself makes a square
     return Letterbox.fit(bus.size_hw, image_size=settings["imgsz"], stride=stride)
@@ -84,13 +84,13 @@ def test_class_names_are_the_official_ones(model: Model, golden: Any) -> None:
     assert list(model.class_names) == golden["names"]
 
 
-def test_the_letterboxed_picture_is_the_same(case: Any, bus: Picture) -> None:
+def test_the_letterboxed_image_is_the_same(case: Any, bus: ColourImage) -> None:
     frame = letterbox_of(case, bus).apply(bus.pixels)
     assert [1, 3, *frame.shape[:2]] == case["network_input_shape"]
     assert frame.sum(dtype=np.int64) == case["letterbox_uint8_sum"]
 
 
-def test_detections_in_source_pixels_are_the_same(case: Any, bus: Picture, runtime: TorchRuntime) -> None:
+def test_detections_in_source_pixels_are_the_same(case: Any, bus: ColourImage, runtime: TorchRuntime) -> None:
     letterbox = letterbox_of(case, bus)
     found = select(runtime(letterbox.apply(bus.pixels), bus.order), selection_of(case))
     in_source = Detections(letterbox.undo(found.boxes_xyxy), found.scores, found.class_ids)
@@ -102,10 +102,10 @@ def test_detections_in_source_pixels_are_the_same(case: Any, bus: Picture, runti
 
 @pytest.mark.parametrize("case", [name for name in CASE_NAMES if name != "square frame"], indirect=True)
 def test_the_detector_puts_the_same_steps_together(
-    case: Any, bus: Picture, model: Model, runtime: TorchRuntime
+    case: Any, bus: ColourImage, model: Model, runtime: TorchRuntime
 ) -> None:
     image_size = case["settings"]["imgsz"]
     detector = Detector(runtime, class_names=model.class_names, image_size=image_size, stride=32)
-    for picture in (bus, Picture(np.ascontiguousarray(bus.pixels[..., ::-1]), "rgb")):
-        found = detector.detect(picture, selection_of(case))
+    for image in (bus, ColourImage(np.ascontiguousarray(bus.pixels[..., ::-1]), "rgb")):
+        found = detector.detect(image, selection_of(case))
         assert_same(found, case["detections_source_px"], atol_px=0.6 * max(bus.size_hw) / image_size)

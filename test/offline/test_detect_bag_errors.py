@@ -30,7 +30,7 @@ MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
 
 
 class RaisingRuntime:
-    """Raises the same with every picture."""
+    """Raises the same with every image."""
 
     name, device, precision = "raising", "cpu", "fp32"
 
@@ -38,7 +38,7 @@ class RaisingRuntime:
         self._error = error
 
     def __call__(
-        self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
+        self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
     ) -> NDArray[np.float32]:
         raise self._error
 
@@ -63,7 +63,7 @@ def test_detection_ends_after_too_many_failed_inferences(
 ) -> None:
     words = [str(drive), "--output", str(drive.parent / "found"), "--set", "max_consecutive_failures=2"]
     assert main(words, prepare=prepare_raising(error)) == 1
-    given_up = f"detect_bag: given up after {failures} failed pictures in a row: {error}\n"
+    given_up = f"detect_bag: given up after {failures} failed images in a row: {error}\n"
     assert capsys.readouterr().err.endswith(given_up)
     assert list(drive.parent.iterdir()) == [drive]
 
@@ -133,7 +133,7 @@ def a_good_one(folder: Path) -> Path:
             id="no such topic",
         ),
         pytest.param(
-            all_unreadable, [], "of 1 pictures none could be used: see why above", id="all unreadable"
+            all_unreadable, [], "of 1 images none could be used: see why above", id="all unreadable"
         ),
         pytest.param(without_messages, [], "is in it without a single message", id="no messages"),
         pytest.param(without_its_end, [], "`mcap recover` may mend it", id="without its end"),
@@ -184,8 +184,8 @@ def test_an_error_says_what_to_do_and_leaves_nothing_behind(
     [
         pytest.param(["drive"], "give --output", id="recording without output"),
         pytest.param(["drive", "--output", "x", "--annotated", "y"], "give --images", id="drawings of it"),
-        pytest.param(["shots", "--topic", "/a"], "no recording", id="topic of pictures"),
-        pytest.param(["shots", "--images"], "no recording", id="images of pictures"),
+        pytest.param(["shots", "--topic", "/a"], "no recording", id="topic of images"),
+        pytest.param(["shots", "--images"], "no recording", id="images of images"),
         pytest.param(["drive", "--output", "x", "--node", "a b"], "no full name of a node", id="node"),
         pytest.param([], "SOURCE", id="nothing"),
     ],

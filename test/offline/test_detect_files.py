@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 from sensor_msgs.msg import Image
-from support.damaged_pictures import claiming_too_much
+from support.damaged_images import claiming_too_much
 from support.detected_offline import SET_MODEL, published, run
 from support.recorded_scene import (
     COUNT,
     SIZE_HW,
-    pictures,
+    images,
     shown,
     video,
 )
@@ -26,13 +26,11 @@ from yolov5_lifecycle.ros.demo.child_process import entry_point
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting
 
 
-def test_pictures_become_lines_and_annotated_pictures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder, drawn = pictures(tmp_path / "shots"), tmp_path / "drawn"
-    (folder / "1.png").write_bytes(b"no picture")
+def test_images_become_lines_and_annotated_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, drawn = images(tmp_path / "shots"), tmp_path / "drawn"
+    (folder / "1.png").write_bytes(b"no image")
     (folder / "3.png").write_bytes(claiming_too_much())
-    (folder / "notes.txt").write_text("no picture either")
+    (folder / "notes.txt").write_text("no image either")
     assert run([str(folder), "--annotated", str(drawn), *SET_MODEL]) == 0
     output, error = capsys.readouterr()
     lines = [json.loads(line) for line in output.splitlines()]
@@ -46,7 +44,7 @@ def test_pictures_become_lines_and_annotated_pictures(
     np.testing.assert_allclose(boxes_xyxy, seen.boxes_xyxy, atol=1e-4)
     assert f"detect_bag: {folder / '1.png'}: rejected: " in error
     assert f"detect_bag: {folder / '3.png'}: rejected: " in error
-    assert "pictures    4: 2 detected, 2 rejected, 0 failed\n" in error
+    assert "images    4: 2 detected, 2 rejected, 0 failed\n" in error
     assert sorted(file.name for file in drawn.iterdir()) == ["0.png", "2.png"]
     assert cv2.imread(str(drawn / "0.png")).shape == (*SIZE_HW, 3)
 
@@ -54,7 +52,7 @@ def test_pictures_become_lines_and_annotated_pictures(
 def test_the_command_ends_quietly_when_nobody_reads_its_lines(tmp_path: Path) -> None:
     reader, writer = os.pipe()
     os.close(reader)
-    command = [entry_point("detect_bag"), str(pictures(tmp_path / "shots")), *SET_MODEL]
+    command = [entry_point("detect_bag"), str(images(tmp_path / "shots")), *SET_MODEL]
     ended = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
     os.close(writer)
     assert ended.returncode == EXIT_NOBODY_READS
@@ -74,7 +72,7 @@ def test_a_video_becomes_lines_in_a_file_and_an_annotated_video(tmp_path: Path) 
     capture.release()
 
 
-def test_a_picture_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     video(tmp_path / "0.avi").rename("0")
     assert run(["0", "--output", "found.jsonl", *SET_MODEL]) == 0
@@ -84,8 +82,8 @@ def test_a_picture_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pyte
 @pytest.mark.parametrize(
     ("source", "words", "told"),
     [
-        pytest.param("empty", [], "has no pictures", id="empty folder"),
-        pytest.param("notes.txt", [], "neither as a picture nor as a video", id="a text"),
+        pytest.param("empty", [], "has no images", id="empty folder"),
+        pytest.param("notes.txt", [], "neither as an image nor as a video", id="a text"),
         pytest.param("missing", [], "there is no such file or folder", id="missing"),
         pytest.param(
             "missing", ["--topic", "/x"], "there is no such file or folder", id="missing, with a topic"
@@ -93,7 +91,7 @@ def test_a_picture_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pyte
         pytest.param("shots/0.png", ["--output", "notes.txt"], "exists and is not", id="lines exist"),
         pytest.param("shots", ["--annotated", "empty"], "exists and is not", id="drawings exist"),
         pytest.param(
-            "shots/0.png", ["--annotated", "x.foo"], "x.foo: OpenCV cannot write", id="picture suffix"
+            "shots/0.png", ["--annotated", "x.foo"], "x.foo: OpenCV cannot write", id="image suffix"
         ),
         pytest.param("drive.avi", ["--annotated", "x.foo"], "ends in .mp4 or .avi", id="video suffix"),
     ],
@@ -107,7 +105,7 @@ def test_an_error_with_files_says_why_and_leaves_nothing_behind(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    pictures(tmp_path / "shots")
+    images(tmp_path / "shots")
     video(tmp_path / "drive.avi")
     Path("empty").mkdir()
     Path("notes.txt").write_text("keep me")

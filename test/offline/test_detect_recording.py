@@ -127,7 +127,7 @@ def test_metadata_that_contradicts_the_file_hides_no_image(
     metadata.write_text(metadata.read_text().replace("offered_qos_profiles: []", other_qos))
     assert other_qos in metadata.read_text()
     assert run([str(source), "--output", str(tmp_path / "found"), *SET_MODEL]) == 0
-    assert "pictures    1: 1 detected" in capsys.readouterr().err
+    assert "images    1: 1 detected" in capsys.readouterr().err
 
 
 def test_labels_are_latched(drive: Path, tmp_path: Path) -> None:
@@ -156,5 +156,5 @@ def test_unreadable_images_are_reported_counted_and_left_out(
     told = capsys.readouterr().err
     assert "detect_bag: 1700000000.540000007: rejected: " in told
     assert "detect_bag: 1700000000.580000007: rejected: Encoding '32FC1' is not supported" in told
-    assert "pictures    3: 1 detected, 2 rejected, 0 failed\n" in told
+    assert "images    3: 1 detected, 2 rejected, 0 failed\n" in told
     assert len(as_ros(tmp_path / "found")) == 2

@@ -17,11 +17,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 from support.recorded_scene import COMPRESSED, IMAGE, TOPIC, raw, record, video
 
-from yolov5_lifecycle.images.image import ImageError, Picture
+from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline import recording_limits
 from yolov5_lifecycle.offline.annotated_files import VideoOutput
 from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.picture_files import VideoFile
+from yolov5_lifecycle.offline.image_files import VideoFile
 from yolov5_lifecycle.offline.recorded_types import TYPES
 from yolov5_lifecycle.offline.recording import RecordedImage, RecordingError, open_recording
 from yolov5_lifecycle.offline.recording_limits import LimitError, unpacked_message
@@ -197,11 +197,11 @@ def test_a_pipe_is_no_video(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        pytest.param(lambda path: path.write_text("text"), "neither as a picture nor", id="text"),
-        pytest.param(lambda path: path.touch(), "neither as a picture nor", id="empty"),
+        pytest.param(lambda path: path.write_text("text"), "neither as an image nor", id="text"),
+        pytest.param(lambda path: path.touch(), "neither as an image nor", id="empty"),
         pytest.param(
             lambda path: os.truncate(video(path), 400),
-            "neither as a picture nor|without a picture",
+            "neither as an image nor|without an image",
             id="cut off",
         ),
     ],
@@ -217,13 +217,13 @@ def test_a_folder_that_is_called_like_a_video_is_a_folder(
 ) -> None:
     (tmp_path / "drive.mp4").mkdir()
     assert main([str(tmp_path / "drive.mp4")]) == 1
-    assert "drive.mp4 has no pictures" in capsys.readouterr().err
+    assert "drive.mp4 has no images" in capsys.readouterr().err
 
 
 def test_frames_that_change_their_size_are_all_drawn(tmp_path: Path) -> None:
     output = VideoOutput(tmp_path / "drawn.avi", 10.0)
     for size_hw in ((48, 64), (24, 32), (96, 64)):
-        output.add(Picture(np.zeros((*size_hw, 3), np.uint8), "rgb"))
+        output.add(ColourImage(np.zeros((*size_hw, 3), np.uint8), "rgb"))
     output.close()
     capture = cv2.VideoCapture(str(tmp_path / "drawn.avi"))
     assert [capture.read()[0] for _ in range(4)] == [True, True, True, False]

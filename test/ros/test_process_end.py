@@ -40,7 +40,7 @@ def scripted_detector(script: str) -> Iterator[tuple[ChildProcess, Observer]]:
 
 
 def send_until(observer: Observer, is_done: Callable[[], bool], what: str) -> None:
-    """Publish pictures to the node until `is_done()`."""
+    """Publish images to the node until `is_done()`."""
     observer.create_subscription(Detection2DArray, f"{NODE}/detections", lambda _: None, 10)
     publisher = observer.create_publisher(Image, f"{NODE}/image_raw", 1)
 

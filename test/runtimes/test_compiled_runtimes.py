@@ -18,7 +18,7 @@ from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.nms import Selection, select
 from yolov5_lifecycle.detection.prepared_model import load_detector
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.process.memory import release_unused_memory
@@ -65,7 +65,7 @@ def assert_same_predictions(raw: NDArray[np.float32], expected: NDArray[np.float
         pytest.param(TINY_P6, id="four levels"),
         pytest.param(TINY_DEEP, id="repeated bottlenecks, one class"),
         pytest.param(DETECT_ALONE, id="no layer but the last"),
-        pytest.param(PIXELS_TWICE, id="a first layer that joins the picture with itself"),
+        pytest.param(PIXELS_TWICE, id="a first layer that joins the image with itself"),
     ],
 )
 def test_a_random_network_predicts_what_it_predicts_in_torch(
@@ -122,11 +122,11 @@ def test_a_frame_of_another_shape_than_the_stride_allows_is_an_inference_error(r
 
 def test_loading_and_closing_many_times_keeps_no_memory(runtime_name: str) -> None:
     model = random_model(0, dataclasses.replace(SIZES["n"], classes=len(CLASS_NAMES)))
-    picture = Picture(random_frame(240, 320), "rgb")
+    image = ColourImage(random_frame(240, 320), "rgb")
 
     def cycle() -> float:
         detector = load_detector(model, runtime=runtime_name, image_size=320)
-        detector.detect(picture, Selection())
+        detector.detect(image, Selection())
         detector.close()
         release_unused_memory()
         return resident_mb(os.getpid())

@@ -118,7 +118,7 @@ def test_a_place_that_cannot_be_written_costs_the_memory_only(
 
 
 def test_what_was_not_used_for_longest_is_cleared_away(tmp_path: Path) -> None:
-    store = CompiledStore(tmp_path, most_bytes=400)  # three of them, each with a digest of 32 bytes
+    store = CompiledStore(tmp_path, max_bytes=400)  # three of them, each with a digest of 32 bytes
     for age_s, key in ((30, ONE), (20, TWO), (10, THREE)):
         store.keep(key, b"x" * 100)
         os.utime(tmp_path / key, (0, 1_000_000 - age_s))
@@ -130,7 +130,7 @@ def test_what_was_not_used_for_longest_is_cleared_away(tmp_path: Path) -> None:
 def test_what_is_larger_than_all_that_may_be_kept_is_not_kept(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    store = CompiledStore(tmp_path, most_bytes=100)
+    store = CompiledStore(tmp_path, max_bytes=100)
     store.keep(ONE, b"x" * 50)
     store.keep(TWO, b"x" * 100)
     assert [file.name for file in tmp_path.iterdir()] == [ONE]
@@ -141,7 +141,7 @@ def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_bytes(b"x" * 1000)
     (tmp_path / "folder").mkdir()
     (tmp_path / "link").symlink_to("nowhere")
-    store = CompiledStore(tmp_path, most_bytes=200)
+    store = CompiledStore(tmp_path, max_bytes=200)
     for key in (ONE, TWO):
         store.keep(key, b"x" * 100)
         os.utime(tmp_path / key, (0, 2**33))  # as before a clock is set back: the new one is kept

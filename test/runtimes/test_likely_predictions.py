@@ -17,7 +17,7 @@ from support.runtime_names import EVERY_RUNTIME
 
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection, select
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
@@ -67,12 +67,12 @@ def test_all_that_are_likely_enough_are_given_in_their_order_and_few_others(
     assert len(given_places) <= 3 * len(wanted), "more than the cells with one of them"
 
 
-@pytest.mark.parametrize("least_objectness", [0.999, 1.0])
+@pytest.mark.parametrize("min_objectness", [0.999, 1.0])
 def test_none_is_given_when_none_is_likely_enough(
-    least_objectness: float, runtime: Runtime, every_row: NDArray[np.float32]
+    min_objectness: float, runtime: Runtime, every_row: NDArray[np.float32]
 ) -> None:
     assert every_row[:, 4].max() < 0.99
-    rows = runtime(FRAME, "rgb", least_objectness)
+    rows = runtime(FRAME, "rgb", min_objectness)
     assert rows.shape == (0, every_row.shape[1])
     assert rows.dtype == np.float32
 
@@ -94,7 +94,7 @@ def test_detections_and_the_best_that_was_missed_are_those_of_all_predictions(
 ) -> None:
     selection = Selection(confidence_threshold=threshold, agnostic_nms=agnostic, classes=classes)
     found, expected = (
-        select(runtime(FRAME, "rgb", least), selection) for least in (selection.least_objectness, 0.0)
+        select(runtime(FRAME, "rgb", least), selection) for least in (selection.min_objectness, 0.0)
     )
     np.testing.assert_array_equal(found.class_ids, expected.class_ids)
     np.testing.assert_allclose(found.scores, expected.scores, rtol=0, atol=1e-6)
@@ -118,7 +118,7 @@ def test_weights_that_give_no_numbers_are_noticed_whatever_the_threshold(
     detector = Detector(loaded(model, runtime_name), class_names=CLASS_NAMES, image_size=128, stride=32)
     for threshold in (0.0, 1.0):
         with pytest.raises(InferenceError, match="not finite"):
-            detector.detect(Picture(FRAME, "rgb"), Selection(confidence_threshold=threshold))
+            detector.detect(ColourImage(FRAME, "rgb"), Selection(confidence_threshold=threshold))
 
 
 def test_products_of_matrices_start_no_threads_that_would_compete_with_the_network() -> None:

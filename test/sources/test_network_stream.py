@@ -189,7 +189,7 @@ def test_a_camera_that_closes_the_connection_is_connected_again() -> None:
         frames = list(islice(source.frames, 7))
         server.shutdown()
         thread.join()
-    assert {frame.picture.size_hw for frame in frames} == {(24, 32)}
+    assert {frame.image.size_hw for frame in frames} == {(24, 32)}
     assert source.rate_hz is None
     assert sum("is connected again" in report for report in reports) >= 2
     assert not any("secret" in report for report in reports)

@@ -1,4 +1,4 @@
-"""Playing pictures: when each is shown, and what becomes of a source that ends, fails or hangs."""
+"""Playing images: when each is shown, and what becomes of a source that ends, fails or hangs."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from yolov5_lifecycle.images.image import Picture
-from yolov5_lifecycle.sources.frames import PictureSource, SourceError, SourceFrame
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.sources.frames import ImageSource, SourceError, SourceFrame
 from yolov5_lifecycle.sources.playback import Playback
 
 PATIENCE_S = 60.0
 
 
 def frame(number: int) -> SourceFrame:
-    return SourceFrame(Picture(np.full((1, 1, 3), number % 256, np.uint8), "rgb"))
+    return SourceFrame(ColourImage(np.full((1, 1, 3), number % 256, np.uint8), "rgb"))
 
 
 def numbers(frames: list[SourceFrame]) -> list[int]:
-    return [int(shown.picture.pixels[0, 0, 0]) for shown in frames]
+    return [int(shown.image.pixels[0, 0, 0]) for shown in frames]
 
 
 @contextmanager
 def playback(
-    open_source: Callable[[], PictureSource],
+    open_source: Callable[[], ImageSource],
     show: Callable[[SourceFrame], None] = lambda _: None,
     *,
     rate_hz: float = 0.0,
@@ -59,7 +59,7 @@ def test_frames_are_shown_in_order_and_no_faster_than_asked(
 ) -> None:
     shown: list[SourceFrame] = []
     begun_s = time.monotonic()
-    source = PictureSource(map(frame, range(4)), own_hz)
+    source = ImageSource(map(frame, range(4)), own_hz)
     with playback(lambda: source, shown.append, rate_hz=asked_hz) as playing:
         wait_for_end(playing)
     assert numbers(shown) == [0, 1, 2, 3]
@@ -79,7 +79,7 @@ def test_a_device_is_read_at_its_own_pace_and_what_is_too_much_is_dropped(
         if len(shown) == 3:
             enough.set()
 
-    device = PictureSource(map(frame, itertools.count()), rate_hz=None)
+    device = ImageSource(map(frame, itertools.count()), rate_hz=None)
     with playback(lambda: device, show, rate_hz=rate_hz):
         assert enough.wait(PATIENCE_S)
     assert (numbers(shown[:3]) == [0, 1, 2]) is is_every_one_shown
@@ -87,7 +87,7 @@ def test_a_device_is_read_at_its_own_pace_and_what_is_too_much_is_dropped(
 
 def test_nothing_is_shown_before_it_is_awaited() -> None:
     awaited, shown = threading.Event(), threading.Event()
-    source = PictureSource(map(frame, range(1)), 1000.0)
+    source = ImageSource(map(frame, range(1)), 1000.0)
     with playback(lambda: source, lambda _: shown.set(), is_awaited=awaited.is_set) as playing:
         assert not shown.wait(0.1)
         awaited.set()
@@ -96,7 +96,7 @@ def test_nothing_is_shown_before_it_is_awaited() -> None:
 
 
 def test_playback_that_nobody_awaits_can_be_stopped() -> None:
-    source = PictureSource(map(frame, range(1)), 1000.0)
+    source = ImageSource(map(frame, range(1)), 1000.0)
     with playback(lambda: source, is_awaited=lambda: False) as playing:
         assert not playing.is_finished
 
@@ -104,9 +104,9 @@ def test_playback_that_nobody_awaits_can_be_stopped() -> None:
 def test_a_source_that_hangs_is_abandoned() -> None:
     is_mended = threading.Event()
 
-    def hang() -> PictureSource:
+    def hang() -> ImageSource:
         is_mended.wait(PATIENCE_S)
-        return PictureSource(map(frame, range(1)), 1000.0)
+        return ImageSource(map(frame, range(1)), 1000.0)
 
     shown: list[SourceFrame] = []
     with playback(hang, shown.append) as playing:
@@ -128,6 +128,6 @@ def failing() -> Iterator[SourceFrame]:
     ],
 )
 def test_a_failure_ends_the_playback_and_is_reported(show: Callable[[SourceFrame], None], told: str) -> None:
-    with playback(lambda: PictureSource(failing(), 1000.0), show) as playing:
+    with playback(lambda: ImageSource(failing(), 1000.0), show) as playing:
         wait_for_end(playing)
     assert re.fullmatch(told, playing.failure, re.DOTALL)

@@ -31,7 +31,7 @@ def _assert_within(truth: Truth, size_hw: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("size_hw", SIZES_HW)
 @pytest.mark.parametrize("seed", range(5))
-def test_the_truth_of_a_still_lies_inside_the_picture(seed: int, size_hw: tuple[int, int]) -> None:
+def test_the_truth_of_a_still_lies_inside_the_image(seed: int, size_hw: tuple[int, int]) -> None:
     pixels, truth = random_scene(np.random.default_rng(seed), size_hw)
     assert pixels.shape == (*size_hw, 3)
     assert pixels.dtype == np.uint8
@@ -40,7 +40,7 @@ def test_the_truth_of_a_still_lies_inside_the_picture(seed: int, size_hw: tuple[
 
 @pytest.mark.parametrize("size_hw", SIZES_HW)
 @pytest.mark.parametrize("index", [0, 1, 37, 100_000])
-def test_the_truth_of_a_frame_lies_inside_the_picture(index: int, size_hw: tuple[int, int]) -> None:
+def test_the_truth_of_a_frame_lies_inside_the_image(index: int, size_hw: tuple[int, int]) -> None:
     pixels, truth = Scene(3, size_hw).frame(index)
     assert pixels.shape == (*size_hw, 3)
     assert pixels.dtype == np.uint8
@@ -172,7 +172,7 @@ def test_a_shape_across_the_edge_is_boxed_by_what_is_visible() -> None:
         pytest.param((-480, 640), id="negative"),
     ],
 )
-def test_a_picture_too_small_for_shapes_is_refused(size_hw: tuple[int, int]) -> None:
+def test_an_image_too_small_for_shapes_is_refused(size_hw: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="at least 64 pixels"):
         Scene(0, size_hw)
     with pytest.raises(ValueError, match="at least 64 pixels"):

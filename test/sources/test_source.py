@@ -1,4 +1,4 @@
-"""Where a camera's images come from: the scene, folders, picture and video files, devices."""
+"""Where a camera's images come from: the scene, folders, image and video files, devices."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
-from support.damaged_pictures import claiming_too_much
-from support.grey_pictures import GREYS, grey_folder, grey_video, nearest_grey
-from support.hostile_pictures import HOSTILE_JPEGS
+from support.damaged_images import claiming_too_much
+from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
+from support.hostile_images import HOSTILE_JPEGS
 
 from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.sources.scene import Scene
@@ -29,16 +29,16 @@ def video(tmp_path: Path) -> Path:
 
 
 def greys(source: Path, count: int, *, loop: bool) -> list[int]:
-    """The brightness of the first pictures, to the nearest of GREYS."""
+    """The brightness of the first images, to the nearest of GREYS."""
     frames = islice(open_source(str(source), loop=loop).frames, count)
-    return [nearest_grey(frame.picture) for frame in frames]
+    return [nearest_grey(frame.image) for frame in frames]
 
 
 def test_the_scene_comes_with_its_truth() -> None:
     frames = list(islice(open_source("synthetic", seed=4, size_hw=(120, 160)).frames, 3))
     for index, frame in enumerate(frames):
         pixels, truth = Scene(4, (120, 160)).frame(index)
-        assert (frame.picture.pixels == pixels).all()
+        assert (frame.image.pixels == pixels).all()
         assert frame.truth is not None
         assert (frame.truth.boxes_xyxy == truth.boxes_xyxy).all()
 
@@ -53,22 +53,20 @@ def test_files_repeat_with_loop(source: str, request: pytest.FixtureRequest) -> 
     assert greys(request.getfixturevalue(source), 10, loop=True) == [*GREYS, *GREYS, *GREYS[:2]]
 
 
-def test_one_picture_is_a_source(folder: Path) -> None:
+def test_one_image_is_a_source(folder: Path) -> None:
     assert greys(folder / "10.png", 3, loop=True) == [170, 170, 170]
     assert greys(folder / "10.png", 3, loop=False) == [170]
 
 
 @pytest.mark.parametrize("source", ["folder", "video"])
-def test_pictures_of_files_get_the_size_that_was_asked_for(
-    source: str, request: pytest.FixtureRequest
-) -> None:
+def test_images_of_files_get_the_size_that_was_asked_for(source: str, request: pytest.FixtureRequest) -> None:
     path = request.getfixturevalue(source)
     frames = [next(open_source(str(path), size_hw=size_hw).frames) for size_hw in (None, (12, 40))]
-    assert [frame.picture.size_hw for frame in frames] == [(24, 32), (12, 40)]
+    assert [frame.image.size_hw for frame in frames] == [(24, 32), (12, 40)]
 
 
 @pytest.mark.parametrize(("source", "rate_hz"), [("video", 10.0), ("folder", 30.0)])
-def test_a_video_has_its_own_rate_and_pictures_a_usual_one(
+def test_a_video_has_its_own_rate_and_images_a_usual_one(
     source: str, rate_hz: float, request: pytest.FixtureRequest
 ) -> None:
     assert open_source(str(request.getfixturevalue(source))).rate_hz == pytest.approx(rate_hz)
@@ -79,15 +77,15 @@ def test_a_source_that_is_nothing_is_refused(tmp_path: Path) -> None:
         open_source(str(tmp_path / "no/such.mp4"))
 
 
-def test_a_folder_without_pictures_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match="has no pictures"):
+def test_a_folder_without_images_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="has no images"):
         open_source(str(tmp_path))
 
 
 @pytest.mark.parametrize("name", ["text.mp4", "text"])
 def test_a_file_that_is_no_video_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("this is no video")
-    with pytest.raises(SourceError, match="neither as a picture nor as a video"):
+    with pytest.raises(SourceError, match="neither as an image nor as a video"):
         open_source(str(tmp_path / name))
 
 
@@ -114,7 +112,7 @@ def test_a_number_that_no_device_has_is_refused(source: str) -> None:
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        pytest.param(b"damaged", "9.png cannot be read", id="no picture"),
+        pytest.param(b"damaged", "9.png cannot be read", id="no image"),
         pytest.param(
             claiming_too_much(), "9.png cannot be read.* OpenCV refuses the image: ", id="too large a claim"
         ),
@@ -126,43 +124,43 @@ def test_a_number_that_no_device_has_is_refused(source: str) -> None:
         pytest.param(b"", "9.png cannot be read", id="nothing"),
     ],
 )
-def test_a_damaged_picture_of_a_folder_is_skipped_and_reported_once(
+def test_a_damaged_image_of_a_folder_is_skipped_and_reported_once(
     folder: Path, content: bytes, told: str
 ) -> None:
     (folder / "9.png").write_bytes(content)
     reports: list[str] = []
     frames = islice(open_source(str(folder), report=reports.append).frames, 9)
-    assert [nearest_grey(frame.picture) for frame in frames] == [grey for grey in GREYS if grey != 90] * 3
+    assert [nearest_grey(frame.image) for frame in frames] == [grey for grey in GREYS if grey != 90] * 3
     assert len(reports) == 2
     assert re.search(f"skipped: {re.escape(str(folder))}/{told}", reports[0])
-    assert reports[1] == "1 of 4 pictures were skipped."
+    assert reports[1] == "1 of 4 images were skipped."
 
 
 @pytest.mark.parametrize("loop", [False, True])
-def test_a_folder_without_a_readable_picture_ends_with_the_reason(folder: Path, loop: bool) -> None:
+def test_a_folder_without_a_readable_image_ends_with_the_reason(folder: Path, loop: bool) -> None:
     for path in folder.glob("*.png"):
         path.write_bytes(b"damaged")
-    with pytest.raises(SourceError, match="None of the 4 pictures can be read"):
+    with pytest.raises(SourceError, match="None of the 4 images can be read"):
         list(open_source(str(folder), loop=loop).frames)
 
 
-def test_of_many_damaged_pictures_only_the_first_are_named(folder: Path) -> None:
+def test_of_many_damaged_images_only_the_first_are_named(folder: Path) -> None:
     for number in range(20, 40):
         (folder / f"{number}.png").write_bytes(b"damaged")
     reports: list[str] = []
     assert len(list(open_source(str(folder), loop=False, report=reports.append).frames)) == len(GREYS)
     assert reports[9].endswith("Further ones are only counted.")
-    assert reports[10:] == ["20 of 24 pictures were skipped."]
+    assert reports[10:] == ["20 of 24 images were skipped."]
 
 
-def test_a_damaged_picture_alone_is_refused(folder: Path) -> None:
+def test_a_damaged_image_alone_is_refused(folder: Path) -> None:
     (folder / "9.png").write_bytes(b"damaged")
-    with pytest.raises(SourceError, match=r"9\.png cannot be read as a picture"):
+    with pytest.raises(SourceError, match=r"9\.png cannot be read as an image"):
         next(open_source(str(folder / "9.png")).frames)
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir], ids=["pipe", "folder"])
-def test_what_is_called_like_a_picture_and_is_none_is_skipped(
+def test_what_is_called_like_an_image_and_is_none_is_skipped(
     folder: Path, make: Callable[[Path], object]
 ) -> None:
     make(folder / "7.png")
@@ -171,7 +169,7 @@ def test_what_is_called_like_a_picture_and_is_none_is_skipped(
     assert "7.png is not a regular file" in reports[0]
 
 
-def test_a_pipe_among_the_pictures_is_not_waited_for(folder: Path) -> None:
+def test_a_pipe_among_the_images_is_not_waited_for(folder: Path) -> None:
     (folder / "9.png").unlink()
     os.mkfifo(folder / "9.png")
     reports: list[str] = []

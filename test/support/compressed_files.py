@@ -1,4 +1,4 @@
-"""Small pictures as compressed files."""
+"""Small images as compressed files."""
 
 from __future__ import annotations
 

@@ -32,10 +32,10 @@ def published(message: Image | CompressedImage) -> tuple[Detection2DArray, Image
     """What the node publishes for `message`: detections and annotated image."""
     settings = Settings.model_validate(MODEL)
     detector = prepare_once(settings, USUAL_SOURCE_HW).detector
-    picture = messages.picture(message)
-    detections = detector.detect(picture, selection(settings, detector.class_names))
-    drawn = annotate(picture, detections, detector.class_names)
+    image = messages.image_of_message(message)
+    detections = detector.detect(image, selection(settings, detector.class_names))
+    drawn = annotate(image, detections, detector.class_names)
     return (
         messages.detection_array(detections, detector.class_names, message.header),
-        messages.image_message(drawn, f"{picture.order}8", message.header),
+        messages.image_message(drawn, f"{image.order}8", message.header),
     )

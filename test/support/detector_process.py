@@ -25,7 +25,7 @@ from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from support.worker import worker_domain
 from yolov5_lifecycle.images.encodings import encoded
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.domain import isolated
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
@@ -41,7 +41,7 @@ WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"
 PARAMETERS: dict[str, object] = {"weights": WEIGHTS, "image_size": 320, "device": "cpu"}
 SEED = 8
 SCENE = Scene(SEED, (240, 320))
-MOST_PENDING = 2
+MAX_PENDING = 2
 """Frames under way: one waits, one is in work."""
 _ANSWER_S = 2.0
 _STEPS = {
@@ -126,7 +126,7 @@ class DetectorProcess:
         return answers()[0]
 
     def look(self, index: int = 0) -> Sighting:
-        """What the node finds in picture number `index` of the scene, sent now."""
+        """What the node finds in image number `index` of the scene, sent now."""
         return Sighting.now(self.detect(scene_image(index)))
 
     def late_label_info(self) -> LabelInfo:
@@ -178,8 +178,8 @@ def parameter_file(folder: Path, text: str) -> list[str]:
 
 
 def scene_image(index: int = 0, *, encoding: str = "rgb8", padding: int = 0, scene: Scene = SCENE) -> Image:
-    """Picture number `index` of the scene, stamped now; every row is followed by `padding` bytes."""
-    pixels = encoded(Picture(scene.frame(index)[0], "rgb"), encoding)
+    """ColourImage number `index` of the scene, stamped now; every row is followed by `padding` bytes."""
+    pixels = encoded(ColourImage(scene.frame(index)[0], "rgb"), encoding)
     seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
     header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id="lens")
     message = image_message(pixels, encoding, header)
@@ -191,7 +191,7 @@ def scene_image(index: int = 0, *, encoding: str = "rgb8", padding: int = 0, sce
 
 
 def scene_truth(index: int = 0, *, scene: Scene = SCENE) -> Sighting:
-    """What that picture shows."""
+    """What that image shows."""
     truth = scene.frame(index)[1]
     names = tuple(CLASS_NAMES[class_id] for class_id in truth.class_ids)
     return Sighting(0, 0.0, names, (1.0,) * len(names), truth.boxes_xyxy.astype(np.float64))
@@ -201,4 +201,4 @@ def is_balanced(status: Mapping[str, str]) -> bool:
     """Whether every frame received is in exactly one count, and no more are under way than can be."""
     ends = [*(outcome.value for outcome in Outcome), "pending"]
     counts = [int(status[f"frames {end}"]) for end in ends]
-    return int(status["frames received"]) == sum(counts) and 0 <= counts[-1] <= MOST_PENDING
+    return int(status["frames received"]) == sum(counts) and 0 <= counts[-1] <= MAX_PENDING

@@ -14,7 +14,7 @@ from yolov5_lifecycle.models.model import Model, blueprint
 from yolov5_lifecycle.models.network import Network
 
 CLASS_NAMES = ("cat", "dog", "cow")
-_GAIN = 2.3  # as they are initialised, weights let a picture fade away from layer to layer
+_GAIN = 2.3  # as they are initialised, weights let an image fade away from layer to layer
 TINY: Architecture = dataclasses.replace(SIZES["n"], width_multiple=0.125, classes=len(CLASS_NAMES))
 
 
@@ -44,7 +44,7 @@ def random_frame(height: int = 64, width: int = 96) -> NDArray[np.uint8]:
 
 
 def blank_model(architecture: Architecture) -> Model:
-    """A model of any size in no time: every weight is the same, and no picture shows it anything."""
+    """A model of any size in no time: every weight is the same, and no image shows it anything."""
     state = {
         key: torch.full_like(tensor, 1 / 1024 if tensor.is_floating_point() else 0, device="cpu")
         for key, tensor in blueprint(architecture).state_dict().items()

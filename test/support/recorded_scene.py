@@ -1,4 +1,4 @@
-"""The synthetic scene as recordings, pictures and videos."""
+"""The synthetic scene as recordings, images and videos."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _SCENE = Scene(8, SIZE_HW)
 
 
 def shown(number: int) -> tuple[NDArray[np.uint8], Truth]:
-    """RGB pixels of a picture and what they show."""
+    """RGB pixels of an image and what they show."""
     return _SCENE.frame(number)
 
 
 def recorded_ns(number: int) -> int:
-    """When the picture was recorded: later than it was taken, see `stamp_s`."""
+    """When the image was recorded: later than it was taken, see `stamp_s`."""
     return 1_700_000_000_500_000_007 + number * 40_000_000
 
 
@@ -75,7 +75,7 @@ def record(
     return path
 
 
-def pictures(folder: Path) -> Path:
+def images(folder: Path) -> Path:
     """The scene as .png files in the new `folder`."""
     folder.mkdir()
     for number in range(COUNT):

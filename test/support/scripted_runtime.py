@@ -27,9 +27,9 @@ class ScriptedRuntime:
         self.is_closed = False
 
     def __call__(
-        self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
+        self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
     ) -> NDArray[np.float32]:
-        self.calls.append((frame.shape, order, least_objectness))
+        self.calls.append((frame.shape, order, min_objectness))
         return self.run()
 
     def close(self) -> None:

@@ -298,7 +298,7 @@ class ServedNode:
 
 
 def image(height: int = 48, width: int = 64, encoding: str = "rgb8") -> Image:
-    """A grey picture."""
+    """A grey image."""
     message = Image(height=height, width=width, encoding=encoding, step=width * 3)
     message.data = array("B", bytes([114]) * (height * width * 3))
     return message

@@ -142,15 +142,15 @@ def written(folder: Path) -> list[str]:
 
 def main() -> None:
     folder = Path(sys.argv[1])
-    picture, converted = folder / "picture.png", folder / "out" / "converted.safetensors"
-    picture.write_bytes(Path(sys.argv[2]).read_bytes())
+    image, converted = folder / "image.png", folder / "out" / "converted.safetensors"
+    image.write_bytes(Path(sys.argv[2]).read_bytes())
     prepare_network(folder)
     packets = Packets()
     model = f"weights={MODEL}"
     trials: dict[str, Callable[[Mapping[str, str]], None]] = {
         "nodes": run_nodes,
         "detect_bag": run_command(
-            entry_point("detect_bag"), str(picture), "--set", model, "--set", "runtime=onnxruntime"
+            entry_point("detect_bag"), str(image), "--set", model, "--set", "runtime=onnxruntime"
         ),
         "convert": run_command(entry_point("convert"), str(MODEL), str(converted)),
         "fetch_weights": run_command(

@@ -15,15 +15,15 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import load_detector
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, Truth, random_scene
 
 UNSEEN_SEED = 999_331
 """Training seeds its generators with pairs of integers, so no single integer repeats a training image."""
-PICTURES = 300
+IMAGES = 300
 _SMALLEST_IOU = 0.5
 
-LabelledPicture = tuple[NDArray[np.uint8], Truth]
+LabelledImage = tuple[NDArray[np.uint8], Truth]
 
 
 @dataclass(frozen=True)
@@ -87,18 +87,20 @@ def iou(boxes_xyxy: NDArray[np.float32], others_xyxy: NDArray[np.float32]) -> ND
     return overlap
 
 
-def evaluate(detector: Detector, pictures: Iterable[LabelledPicture]) -> Tally:
+def evaluate(detector: Detector, images: Iterable[LabelledImage]) -> Tally:
     """Run `detector` with the default thresholds on RGB images with known ground truth."""
-    return tally((detector.detect(Picture(pixels, "rgb"), Selection()), truth) for pixels, truth in pictures)
+    return tally(
+        (detector.detect(ColourImage(pixels, "rgb"), Selection()), truth) for pixels, truth in images
+    )
 
 
-def stills(seed: int, count: int, size_hw: tuple[int, int]) -> Iterator[LabelledPicture]:
+def stills(seed: int, count: int, size_hw: tuple[int, int]) -> Iterator[LabelledImage]:
     """`count` random scenes."""
     rng = np.random.default_rng(seed)
     return (random_scene(rng, size_hw) for _ in range(count))
 
 
-def moving(seed: int, count: int, size_hw: tuple[int, int]) -> Iterator[LabelledPicture]:
+def moving(seed: int, count: int, size_hw: tuple[int, int]) -> Iterator[LabelledImage]:
     """One frame each of `count` moving scenes."""
     return (Scene(seed + number, size_hw).frame(37 * number) for number in range(count))
 
@@ -113,8 +115,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=UNSEEN_SEED)
     arguments = parser.parse_args()
     model = load_weights(arguments.weights).model
-    print("| pictures | image_size | precision | recall | circles with score > 0.6 |\n|---|---|---|---|---|")
-    for kind, pictures, size_hw, image_size in (
+    print("| images | image_size | precision | recall | circles with score > 0.6 |\n|---|---|---|---|---|")
+    for kind, images, size_hw, image_size in (
         ("stills", stills, (256, 320), 320),
         ("stills", stills, (480, 640), 640),
         ("moving", moving, (480, 640), 640),
@@ -122,7 +124,7 @@ def main() -> None:
         ("moving", moving, (240, 320), 320),
     ):
         detector = load_detector(model, image_size=image_size)
-        result = evaluate(detector, pictures(arguments.seed, PICTURES, size_hw))
+        result = evaluate(detector, images(arguments.seed, IMAGES, size_hw))
         circles = result.scores[result.class_ids == CLASS_NAMES.index("circle")]
         sure = float((circles > 0.6).mean()) if len(circles) else 0.0
         name = f"{kind} {size_hw[1]}x{size_hw[0]}"

@@ -26,7 +26,7 @@ _BOX_GAIN, _OBJECTNESS_GAIN, _CLASS_GAIN = 0.05, 0.4, 0.1
 class Matches:
     """Cells of one level assigned to a target: indices (m,) into the logits, and their target values."""
 
-    pictures: Tensor
+    images: Tensor
     anchors: Tensor
     rows: Tensor
     columns: Tensor
@@ -46,8 +46,8 @@ def detection_loss(logits: list[Tensor], targets: Tensor, architecture: Architec
         anchors_wh = level.new_tensor(anchors_px) / stride
         matches = match(targets, anchors_wh, stride=stride, grid_hw=(level.shape[2], level.shape[3]))
         objectness = torch.zeros_like(level[..., 4])
-        if len(matches.pictures):
-            where = (matches.pictures, matches.anchors, matches.rows, matches.columns)
+        if len(matches.images):
+            where = (matches.images, matches.anchors, matches.rows, matches.columns)
             answers = level[where]
             overlap = ciou(_decoded(answers, matches.anchors_wh), matches.boxes)
             wanted = functional.one_hot(matches.class_ids, architecture.classes).to(level.dtype)
@@ -77,7 +77,7 @@ def match(targets: Tensor, anchors_wh: Tensor, *, stride: int, grid_hw: tuple[in
     step, hit = ((cells >= 0) & (cells < size_xy)).all(dim=2).nonzero(as_tuple=True)
     cells, target, anchor = cells[step, hit], target[hit], anchor[hit]
     return Matches(
-        pictures=targets[target, 0].long(),
+        images=targets[target, 0].long(),
         anchors=anchor,
         rows=cells[:, 1],
         columns=cells[:, 0],

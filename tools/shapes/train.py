@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.data import DataLoader
 
+from tools.shapes.images import Batch, Batches
 from tools.shapes.loss import detection_loss
-from tools.shapes.pictures import Batch, Batches
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.model import Model, checked_model

@@ -29,9 +29,9 @@ from yolov5_lifecycle.models.model import (
     blueprint,
     check_class_names,
     check_fit,
+    checked_integer,
     checked_model,
     shown,
-    whole_number,
 )
 
 _WRAPPERS = ("AutoShape", "autoShape", "DetectMultiBackend")
@@ -163,7 +163,7 @@ def _head_path(modules: Mapping[str, Stub]) -> str:
 
 
 def _classes(head: Stub) -> int:
-    classes = whole_number(head.get("nc"), "the number of classes", 1, MAX_CLASSES)
+    classes = checked_integer(head.get("nc"), "the number of classes", 1, MAX_CLASSES)
     outputs = head.get("no")
     if not isinstance(outputs, int) or outputs != classes + 5:
         raise WeightsError(

@@ -27,10 +27,10 @@ from yolov5_lifecycle.models.model import (
     blueprint,
     check_class_names,
     check_fit,
+    checked_integer,
     checked_model,
     first_line,
     shown,
-    whole_number,
 )
 
 FORMAT = "yolov5_lifecycle 1"
@@ -157,14 +157,14 @@ def _architecture(described: Any) -> Architecture:
             for sources, repeats, kind, args in described["layers"]
         ]
         strides = tuple(
-            whole_number(stride, "a stride", 1, MAX_STRIDE)
+            checked_integer(stride, "a stride", 1, MAX_STRIDE)
             for stride in described["strides"][: MAX_LEVELS + 1]
         )
         anchors_px: AnchorsPx = tuple(
             tuple((float(width), float(height)) for width, height in level)
             for level in described["anchors_px"]
         )
-        classes = whole_number(described["classes"], "the number of classes", 1, MAX_CLASSES)
+        classes = checked_integer(described["classes"], "the number of classes", 1, MAX_CLASSES)
     except WeightsError:
         raise
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:
@@ -172,7 +172,7 @@ def _architecture(described: Any) -> Architecture:
     counts = {len(level) for level in anchors_px}
     if not 1 <= len(anchors_px) == len(strides) <= MAX_LEVELS or len(counts) != 1:
         raise WeightsError("expected a stride and equally many anchors for each of 1 to 8 levels")
-    whole_number(counts.pop(), "the anchors of a level", 1, MAX_ANCHORS)
+    checked_integer(counts.pop(), "the anchors of a level", 1, MAX_ANCHORS)
     yaml = described | {"backbone": rows, "head": []}
     return architecture_of(yaml, classes=classes, anchors_px=anchors_px, strides=strides)
 

@@ -8,7 +8,7 @@ from fractions import Fraction
 from typing import Any
 
 from yolov5_lifecycle.models.architecture import LAYER_KINDS, AnchorsPx, Architecture, Layer, LayerKind
-from yolov5_lifecycle.models.model import WeightsError, shown, whole_number
+from yolov5_lifecycle.models.model import WeightsError, checked_integer, shown
 
 MAX_LAYERS = 200
 MAX_CHANNELS = 8192
@@ -93,7 +93,7 @@ def layer_sources(sources: object, index: int) -> tuple[int, ...]:
     if not 1 <= len(listed) <= 16:
         raise WeightsError(f"layer {index} reads {len(listed)} layers, expected 1 to 16")
     numbers = [
-        whole_number(source, f"the input of layer {index}", -max(index, 1), index - 1) for source in listed
+        checked_integer(source, f"the input of layer {index}", -max(index, 1), index - 1) for source in listed
     ]
     return tuple(number if number >= -1 else index + number for number in numbers)
 
@@ -119,7 +119,7 @@ def _layer(row: object, index: int) -> Layer:
     kind = layer_kind(module if isinstance(module, str) else shown(module), f"layer {index}")
     layer = Layer(
         sources=layer_sources(sources, index),
-        repeats=whole_number(repeats, f"the number of layer {index}", 1, MAX_REPEATS),
+        repeats=checked_integer(repeats, f"the number of layer {index}", 1, MAX_REPEATS),
         kind=kind,
         args=_arguments(kind, list(arguments), index),
     )
@@ -138,7 +138,7 @@ def _arguments(kind: LayerKind, arguments: list[object], index: int) -> tuple[in
         if arguments in _FIXED_ARGUMENTS[kind]:
             return ()
         raise _unsupported(kind, arguments, index)
-    channels = whole_number([*arguments, None][0], f"the channels of layer {index}", 1, MAX_CHANNELS)
+    channels = checked_integer([*arguments, None][0], f"the channels of layer {index}", 1, MAX_CHANNELS)
     rest = arguments[1:]
     if kind == "C3" and rest in ([], [True], [False]):
         return (channels, *(int(shortcut == 1) for shortcut in rest))
@@ -148,7 +148,7 @@ def _arguments(kind: LayerKind, arguments: list[object], index: int) -> tuple[in
             return (channels, window)
     if kind == "Conv" and len(rest) <= 3:
         kernel, stride, *padding = rest + [1, 1][len(rest) :]
-        kernel, stride = _kernel(kernel, index), whole_number(stride, f"the stride of layer {index}", 1, 8)
+        kernel, stride = _kernel(kernel, index), checked_integer(stride, f"the stride of layer {index}", 1, 8)
         # An even kernel at stride 1 shrinks its input by one.
         if padding in ([], [None], [(kernel - 1) // 2]) and (kernel % 2 or stride > 1):
             return (channels, kernel, stride)
@@ -156,7 +156,7 @@ def _arguments(kind: LayerKind, arguments: list[object], index: int) -> tuple[in
 
 
 def _kernel(value: object, index: int) -> int:
-    return whole_number(value, f"the kernel of layer {index}", 1, 15)
+    return checked_integer(value, f"the kernel of layer {index}", 1, 15)
 
 
 def _unsupported(kind: LayerKind, arguments: list[object], index: int) -> WeightsError:

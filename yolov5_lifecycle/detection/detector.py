@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.nms import Selection, select
-from yolov5_lifecycle.images.image import Order, Picture
+from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.models.architecture import image_size_problem
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 
@@ -47,16 +47,16 @@ class Detector:
 
         Raises ImageError for anything else, such as None from cv2.imread.
         """
-        return self.detect(Picture(pixels, order), self.selection)
+        return self.detect(ColourImage(pixels, order), self.selection)
 
-    def detect(self, picture: Picture, selection: Selection) -> Detections:
-        """Detections in pixels of `picture`, clipped to it; boxes entirely in the padding are dropped.
+    def detect(self, image: ColourImage, selection: Selection) -> Detections:
+        """Detections in pixels of `image`, clipped to it; boxes entirely in the padding are dropped.
 
         Raises InferenceError when the network fails or its predictions are invalid.
         """
-        letterbox = Letterbox.fit(picture.size_hw, image_size=self.image_size, stride=self.stride)
-        frame = letterbox.apply(picture.pixels)
-        raw = self.runtime(frame, picture.order, selection.least_objectness)
+        letterbox = Letterbox.fit(image.size_hw, image_size=self.image_size, stride=self.stride)
+        frame = letterbox.apply(image.pixels)
+        raw = self.runtime(frame, image.order, selection.min_objectness)
         self._check(raw)
         found = select(raw, selection)
         boxes_xyxy = letterbox.undo(found.boxes_xyxy)
@@ -70,9 +70,9 @@ class Detector:
 
         Raises InferenceError like `detect`.
         """
-        picture = Picture(np.full((*source_hw, 3), 114, np.uint8), "rgb")
+        image = ColourImage(np.full((*source_hw, 3), 114, np.uint8), "rgb")
         for _ in range(2):
-            self.detect(picture, Selection())
+            self.detect(image, Selection())
 
     def close(self) -> None:
         """Free the network. Idempotent."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.images.image import Order, Picture
+from yolov5_lifecycle.images.image import ColourImage, Order
 
 Colour = tuple[int, int, int]
 
@@ -21,22 +21,22 @@ _MAX_NAME_LETTERS = 40
 _GOLDEN_RATIO = 0.618034  # its multiples spread evenly over the hue circle for any number of classes
 
 
-def annotate(picture: Picture, detections: Detections, class_names: Sequence[str]) -> NDArray[np.uint8]:
+def annotate(image: ColourImage, detections: Detections, class_names: Sequence[str]) -> NDArray[np.uint8]:
     """A copy (H, W, 3) of the image, same channel order, with boxes and labels such as "dog 0.87".
 
     Line width and font size scale with the image; a label that does not fit is truncated. Non-ASCII
     characters lose their accents or become question marks. Higher scores are drawn over lower ones.
     """
-    canvas = np.array(picture.pixels, order="C")
-    pen = _Pen.for_picture(picture.size_hw)
-    corners = _corners_inside(detections.boxes_xyxy, picture.size_hw)
+    canvas = np.array(image.pixels, order="C")
+    pen = _Pen.for_image(image.size_hw)
+    corners = _corners_inside(detections.boxes_xyxy, image.size_hw)
     rows = list(zip(corners, detections.scores.tolist(), detections.class_ids.tolist(), strict=True))[::-1]
     for (x1, y1, x2, y2), _, class_id in rows:
-        cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, picture.order), pen.line_px)
+        cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, image.order), pen.line_px)
     for (x1, y1, _, _), score, class_id in rows:
-        colour = class_colour(class_id, picture.order)
+        colour = class_colour(class_id, image.order)
         label = pen.label(printable(class_names[class_id]), score, canvas.shape[1])
-        _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, picture.order))
+        _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, image.order))
     return canvas
 
 
@@ -71,7 +71,7 @@ class _Pen:
     text_thickness: int
 
     @classmethod
-    def for_picture(cls, size_hw: tuple[int, int]) -> _Pen:
+    def for_image(cls, size_hw: tuple[int, int]) -> _Pen:
         side = min(size_hw)
         line_px = max(round(side / 240), 1)
         return cls(line_px, line_px + 1, max(side / 900, 0.4), max(round(side / 480), 1))

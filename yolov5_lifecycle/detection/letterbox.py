@@ -37,7 +37,7 @@ class Letterbox:
         Raises ValueError when a side is not positive or `image_size` is not a positive multiple.
         """
         if min(source_hw) < 1:
-            raise ValueError(f"The sides of a picture must be at least 1 pixel, found {source_hw}.")
+            raise ValueError(f"The sides of an image must be at least 1 pixel, found {source_hw}.")
         if image_size < 1 or image_size % stride:
             raise ValueError(f"The image size must be a positive multiple of {stride}, found {image_size}.")
         scale = image_size / max(source_hw)

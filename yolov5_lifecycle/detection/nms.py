@@ -28,7 +28,7 @@ class Selection:
     agnostic_nms: bool = False
 
     @property
-    def least_objectness(self) -> float:
+    def min_objectness(self) -> float:
         """Minimum objectness of a prediction that can become a detection or `best_missed`."""
         return min(self.confidence_threshold, WORTH_TELLING)
 

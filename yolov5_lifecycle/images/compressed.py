@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded
-from yolov5_lifecycle.images.image import ImageError, Picture, bytes_of, check_size
+from yolov5_lifecycle.images.image import ColourImage, ImageError, bytes_of, check_size
 from yolov5_lifecycle.images.jpeg_structure import is_jpeg, jpeg_size_hw
 from yolov5_lifecycle.images.png_structure import is_png, png_structure
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
@@ -26,12 +26,12 @@ _VALUES: dict[str, type[np.unsignedinteger[Any]]] = {
 """Encodings whose PNG holds raw sensor values rather than a viewable image, and their dtype."""
 
 
-def compressed_picture(image: Any) -> Picture:
+def compressed_image(image: Any) -> ColourImage:
     """Decode a sensor_msgs/CompressedImage, deserialised by any library. Raises ImageError."""
     return decode_compressed(image.data, format_text=image.format)
 
 
-def decode_compressed(data: Any, *, format_text: str = "") -> Picture:
+def decode_compressed(data: Any, *, format_text: str = "") -> ColourImage:
     """Decode a JPEG or PNG file; `data` as for `decode_raw`.
 
     `format_text` is the message's `format`, such as "rgb8; jpeg compressed bgr8"; empty and unknown values
@@ -54,33 +54,33 @@ def decode_compressed(data: Any, *, format_text: str = "") -> Picture:
         return _decode_values(file, encoding)
     pixels = _decoded(file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     # "compressed rgb": the encoder swapped red and blue; image_transport swaps them back the same way.
-    return Picture(pixels, "rgb" if "compressed rgb" in format_text else "bgr")
+    return ColourImage(pixels, "rgb" if "compressed rgb" in format_text else "bgr")
 
 
-def decode_image_file(data: NDArray[np.uint8]) -> Picture:
+def decode_image_file(data: NDArray[np.uint8]) -> ColourImage:
     """Decode an image file (N,) of any format that OpenCV supports, rotated as its EXIF data specify.
 
     JPEG and PNG are checked as in `decode_compressed`; for other formats OpenCV's own pixel limit applies,
     which `prepare_environment` sets. Raises ImageError when it is larger or cannot be decoded.
     """
     if is_jpeg(data) or is_png(data):
-        return Picture(_decoded(_checked(data), cv2.IMREAD_COLOR), "bgr")
-    return Picture(_opencv_pixels(data, cv2.IMREAD_COLOR), "bgr")
+        return ColourImage(_decoded(_checked(data), cv2.IMREAD_COLOR), "bgr")
+    return ColourImage(_opencv_pixels(data, cv2.IMREAD_COLOR), "bgr")
 
 
-def encode_jpeg(picture: Picture, encoding: Literal["bgr8", "mono8"] = "bgr8") -> NDArray[np.uint8]:
+def encode_jpeg(image: ColourImage, encoding: Literal["bgr8", "mono8"] = "bgr8") -> NDArray[np.uint8]:
     """Encode an image as a JPEG file (N,), in colour or greyscale.
 
     Raises ImageError when OpenCV cannot encode it.
     """
     try:
         is_encoded, data = cv2.imencode(
-            ".jpg", encoded(picture, encoding), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
+            ".jpg", encoded(image, encoding), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
         )
     except cv2.error as error:
-        raise ImageError(f"OpenCV cannot compress the picture: {error.err}.") from None
+        raise ImageError(f"OpenCV cannot compress the image: {error.err}.") from None
     if not is_encoded:
-        raise ImageError("OpenCV cannot compress the picture.")
+        raise ImageError("OpenCV cannot compress the image.")
     return np.asarray(data, np.uint8).reshape(-1)
 
 
@@ -111,7 +111,7 @@ def _checked(buffer: NDArray[np.uint8]) -> _CheckedFile:
     return file
 
 
-def _decode_values(file: _CheckedFile, encoding: str) -> Picture:
+def _decode_values(file: _CheckedFile, encoding: str) -> ColourImage:
     values = _decoded(file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     if values.dtype != _VALUES[encoding]:
         expected = np.dtype(_VALUES[encoding]).name

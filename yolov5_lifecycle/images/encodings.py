@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import ImageError, Order, Picture, bytes_of, check_size
+from yolov5_lifecycle.images.image import ColourImage, ImageError, Order, bytes_of, check_size
 
 _CONVERSIONS: dict[tuple[Order, str], int | None] = {
     ("rgb", "rgb8"): None,
@@ -66,7 +66,7 @@ Decode = Callable[[_RawImage], NDArray[np.uint8]]
 class _Layout(NamedTuple):
     """Memory layout of an encoding: buffer `rows` per image row, `pixel_bytes` per pixel.
 
-    Image sides must be multiples of `block_hw` and at least `least_side_px`.
+    Image sides must be multiples of `block_hw` and at least `min_side_px`.
     """
 
     decode: Decode
@@ -74,7 +74,7 @@ class _Layout(NamedTuple):
     order: Order = "rgb"
     rows: float = 1
     block_hw: tuple[int, int] = (1, 1)
-    least_side_px: int = 1
+    min_side_px: int = 1
 
 
 def _as_sent(image: _RawImage) -> NDArray[np.uint8]:
@@ -123,7 +123,7 @@ def _full_chroma(image: _RawImage) -> NDArray[np.uint8]:
 
 def _bayer(conversion: int) -> _Layout:
     # OpenCV turns smaller images black.
-    return _Layout(_by_opencv(conversion), 1, least_side_px=3)
+    return _Layout(_by_opencv(conversion), 1, min_side_px=3)
 
 
 _BGR8 = _Layout(_as_sent, 3, "bgr")
@@ -158,7 +158,7 @@ ENCODINGS: Mapping[str, _Layout] = MappingProxyType(
 """Supported encodings of sensor_msgs/Image by name; docs/images.md has a table."""
 
 
-def raw_picture(image: Any) -> Picture:
+def raw_image(image: Any) -> ColourImage:
     """Decode a sensor_msgs/Image, deserialised by any library; see `decode_raw`. Raises ImageError."""
     return decode_raw(
         image.data,
@@ -172,7 +172,7 @@ def raw_picture(image: Any) -> Picture:
 
 def decode_raw(
     data: Any, *, encoding: str, height: int, width: int, step: int, is_bigendian: bool
-) -> Picture:
+) -> ColourImage:
     """Decode an uncompressed buffer with the layout of sensor_msgs/Image.
 
     `data` is any contiguous buffer (bytes, array.array, memoryview, ndarray); `step` is the row stride in
@@ -186,7 +186,7 @@ def decode_raw(
     image = _RawImage(bytes_of(data), encoding, height, width, step, is_bigendian)
     _check_size(image)
     _check_buffer(image)
-    return Picture(image.layout.decode(image), image.layout.order)
+    return ColourImage(image.layout.decode(image), image.layout.order)
 
 
 def _check_size(image: _RawImage) -> None:
@@ -198,9 +198,9 @@ def _check_size(image: _RawImage) -> None:
             f"Pixels of {image.encoding} come in blocks of {block_height} x {block_width}: expected a height "
             f"and a width of whole blocks, found {height} x {width}."
         )
-    if min(height, width) < layout.least_side_px:
+    if min(height, width) < layout.min_side_px:
         raise ImageError(
-            f"Sides of {image.encoding} pictures must be at least {layout.least_side_px} pixels, "
+            f"Sides of {image.encoding} images must be at least {layout.min_side_px} pixels, "
             f"found {height} x {width}."
         )
 
@@ -217,10 +217,10 @@ def _check_buffer(image: _RawImage) -> None:
         )
 
 
-def encoded(picture: Picture, encoding: str) -> NDArray[np.uint8]:
+def encoded(image: ColourImage, encoding: str) -> NDArray[np.uint8]:
     """Pixels (H, W, channels) in `encoding`: rgb8, bgr8, mono8, rgba8 or bgra8; else KeyError."""
-    conversion = _CONVERSIONS[picture.order, encoding]
+    conversion = _CONVERSIONS[image.order, encoding]
     if conversion is None:
-        return picture.pixels
-    pixels = np.asarray(cv2.cvtColor(picture.pixels, conversion), np.uint8)
-    return pixels.reshape(*picture.size_hw, -1)  # OpenCV drops the axis of a single channel
+        return image.pixels
+    pixels = np.asarray(cv2.cvtColor(image.pixels, conversion), np.uint8)
+    return pixels.reshape(*image.size_hw, -1)  # OpenCV drops the axis of a single channel

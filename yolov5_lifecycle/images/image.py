@@ -19,7 +19,7 @@ class ImageError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class ColourImage:
     """Pixels with their channel order, so that no conversion pass is needed.
 
     Raises ImageError on construction unless `pixels` is a uint8 array (H, W, 3) with sides in [1, 16384].

@@ -86,7 +86,7 @@ def check_class_names(names: object, classes: int) -> tuple[str, ...]:
     return tuple(names)
 
 
-def whole_number(value: object, what: str, least: int, most: int) -> int:
+def checked_integer(value: object, what: str, least: int, most: int) -> int:
     """Return `value` if it is an int in [`least`, `most`]; else raise WeightsError naming `what`."""
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
         raise WeightsError(f"{what}: expected an integer from {least} to {most}, found {shown(value)}")

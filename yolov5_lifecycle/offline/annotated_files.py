@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.encodings import encoded
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 
 
-def write_picture(path: Path, drawn: Picture) -> None:
+def write_image(path: Path, drawn: ColourImage) -> None:
     """Write one image in the format given by the file extension; raises OutputError."""
     try:
         is_written = cv2.imwrite(str(path), encoded(drawn, "bgr8"))
     except cv2.error as error:
-        raise OutputError(f"{path.name}: OpenCV cannot write this picture: {error.err}.") from None
+        raise OutputError(f"{path.name}: OpenCV cannot write this image: {error.err}.") from None
     if not is_written:
-        raise OutputError(f"{path.name}: this picture cannot be written; is the disk full?")
+        raise OutputError(f"{path.name}: this image cannot be written; is the disk full?")
 
 
 class VideoOutput:
@@ -43,7 +43,7 @@ class VideoOutput:
         self._writer: Any = None
         self._size_hw = (0, 0)
 
-    def add(self, drawn: Picture) -> None:
+    def add(self, drawn: ColourImage) -> None:
         """Append a frame; raises OutputError if this OpenCV cannot write the format."""
         frame: NDArray[np.uint8] = encoded(drawn, "bgr8")
         if self._writer is None:
@@ -67,10 +67,10 @@ class VideoOutput:
 
 
 def detection_line(
-    identity: Mapping[str, str | int], picture: Picture, detections: Detections, class_names: Sequence[str]
+    identity: Mapping[str, str | int], image: ColourImage, detections: Detections, class_names: Sequence[str]
 ) -> str:
     """A line of JSON with the `identity` of an image, its size and its detections, boxes in image pixels."""
-    height, width = picture.size_hw
+    height, width = image.size_hw
     found = [
         {"class_name": one.class_name, "score": one.score, "box_xyxy": one.box_xyxy}
         for one in detections.objects(class_names)

@@ -67,10 +67,10 @@ def report(account: Account) -> str:
     names = ", ".join(f"{name} {count}" for name, count in objects.most_common())
     missing = f" of {account.expected} announced" if balance.received < account.expected else ""
     return (
-        f"pictures    {balance.received}{missing}: {balance[Outcome.DETECTED]} detected, "
+        f"images    {balance.received}{missing}: {balance[Outcome.DETECTED]} detected, "
         f"{balance[Outcome.REJECTED]} rejected, {balance[Outcome.FAILED]} failed\n"
         f"detections  {objects.total()}{': ' if names else ''}{names}\n"
-        f"rate        {account.rate_hz:.1f} pictures per second\n"
+        f"rate        {account.rate_hz:.1f} images per second\n"
     )
 
 
@@ -142,7 +142,7 @@ class _Terminal:
         if self._shows_progress and now_s >= self._due_s:
             self._due_s = now_s + _PROGRESS_PERIOD_S
             of_all = f" of {account.expected}" if account.expected else ""
-            text = f"{account.balance.received}{of_all} pictures, {account.rate_hz:.1f} per second"
+            text = f"{account.balance.received}{of_all} images, {account.rate_hz:.1f} per second"
             show_progress(f"{text:<60}")  # padded to overwrite a longer text
             self._is_line_open = True
 
@@ -172,23 +172,23 @@ def command_parser() -> argparse.ArgumentParser:
     """The argument parser of the command."""
     parser = CommandParser(
         "detect_bag",
-        description="Detect objects in every image of a recording, a video or a folder of pictures.",
+        description="Detect objects in every image of a recording, a video or a folder of images.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "source", type=Path, metavar="SOURCE", help="a recording of ros2 bag, a video, a picture or a folder"
+        "source", type=Path, metavar="SOURCE", help="a recording of ros2 bag, a video, an image or a folder"
     )
     parser.add_argument(
         "--output",
         type=Path,
         metavar="PATH",
-        help="new recording with the detections; for pictures, new file with JSON lines (default: stdout)",
+        help="new recording with the detections; for images, new file with JSON lines (default: stdout)",
     )
     parser.add_argument("--topic", help="which images of the recording (default: the only ones)")
     parser.add_argument("--images", action="store_true", help="put annotated images into the new recording")
     parser.add_argument(
-        "--annotated", type=Path, metavar="PATH", help="new annotated video, picture or folder of pictures"
+        "--annotated", type=Path, metavar="PATH", help="new annotated video, image or folder of images"
     )
     parser.add_argument(
         "--params-file", type=Path, metavar="FILE.yaml", help="parameters as the detector is given them"

@@ -11,15 +11,15 @@ from typing import TextIO
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import annotate
-from yolov5_lifecycle.images.image import Picture
-from yolov5_lifecycle.offline.annotated_files import VideoOutput, detection_line, write_picture
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.offline.annotated_files import VideoOutput, detection_line, write_image
 from yolov5_lifecycle.offline.detecting import Account, LoadDetector, OfflineDetector
-from yolov5_lifecycle.offline.picture_files import (
-    PictureFile,
+from yolov5_lifecycle.offline.image_files import (
+    ImageFile,
     VideoFile,
     VideoFrame,
-    is_picture,
-    picture_files,
+    image_files,
+    is_image,
 )
 
 
@@ -32,22 +32,22 @@ def detect_files(source: Path, output: Path | None, *, annotated: Path | None, l
     with ExitStack() as stack:
         lines = stack.enter_context(_text(output)) if output else sys.stdout
         drawings = stack.enter_context(whole_output(annotated)) if annotated else None
-        if source.is_dir() or is_picture(source):
-            return _detect_pictures(source, lines, drawings, load)
+        if source.is_dir() or is_image(source):
+            return _detect_images(source, lines, drawings, load)
         return _detect_video(source, lines, drawings, load)
 
 
-def _detect_pictures(source: Path, lines: TextIO, drawings: Path | None, load: LoadDetector) -> Account:
-    files = picture_files(source)
+def _detect_images(source: Path, lines: TextIO, drawings: Path | None, load: LoadDetector) -> Account:
+    files = image_files(source)
     detector = load()
     if drawings and source.is_dir():
         drawings.mkdir()
 
-    def write(file: PictureFile, picture: Picture, detections: Detections) -> None:
-        lines.write(detection_line(file.identity, picture, detections, detector.class_names))
+    def write(file: ImageFile, image: ColourImage, detections: Detections) -> None:
+        lines.write(detection_line(file.identity, image, detections, detector.class_names))
         if drawings:
             target = drawings / file.path.name if source.is_dir() else drawings
-            write_picture(target, _drawn(picture, detections, detector))
+            write_image(target, _drawn(image, detections, detector))
 
     return detector.run(files, expected=len(files), write=write)
 
@@ -58,16 +58,16 @@ def _detect_video(source: Path, lines: TextIO, drawings: Path | None, load: Load
         output = stack.enter_context(closing(VideoOutput(drawings, video.rate_hz))) if drawings else None
         detector = load()
 
-        def write(frame: VideoFrame, picture: Picture, detections: Detections) -> None:
-            lines.write(detection_line(frame.identity, picture, detections, detector.class_names))
+        def write(frame: VideoFrame, image: ColourImage, detections: Detections) -> None:
+            lines.write(detection_line(frame.identity, image, detections, detector.class_names))
             if output:
-                output.add(_drawn(picture, detections, detector))
+                output.add(_drawn(image, detections, detector))
 
         return detector.run(video.frames, expected=video.claimed_frames, write=write)
 
 
-def _drawn(picture: Picture, detections: Detections, detector: OfflineDetector) -> Picture:
-    return Picture(annotate(picture, detections, detector.class_names), picture.order)
+def _drawn(image: ColourImage, detections: Detections, detector: OfflineDetector) -> ColourImage:
+    return ColourImage(annotate(image, detections, detector.class_names), image.order)
 
 
 @contextmanager

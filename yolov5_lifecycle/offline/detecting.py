@@ -11,14 +11,14 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.detection.selection import model_problems, selection
-from yolov5_lifecycle.images.image import ImageError, Picture
-from yolov5_lifecycle.offline.recording import StoredPicture
+from yolov5_lifecycle.images.image import ColourImage, ImageError
+from yolov5_lifecycle.offline.recording import StoredImage
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
 
-Stored = TypeVar("Stored", bound=StoredPicture)
+Stored = TypeVar("Stored", bound=StoredImage)
 
 
 class DetectingError(RuntimeError):
@@ -78,10 +78,10 @@ class OfflineDetector:
 
     def run(
         self,
-        pictures: Iterable[Stored],
+        images: Iterable[Stored],
         *,
         expected: int,
-        write: Callable[[Stored, Picture, Detections], None],
+        write: Callable[[Stored, ColourImage, Detections], None],
     ) -> Account:
         """Detect in every image and `write` the result; images that fail are reported and counted.
 
@@ -89,25 +89,25 @@ class OfflineDetector:
         image could be used.
         """
         account = Account(expected)
-        for stored in pictures:
+        for stored in images:
             account.receive()
             account.finish(self._detect(stored, write, account.objects))
             self._watch.progress(account)
         if not account.balance[Outcome.DETECTED]:
             raise DetectingError(
-                f"of {account.balance.received} pictures none could be used: see why above, or choose others"
+                f"of {account.balance.received} images none could be used: see why above, or choose others"
             )
         return account
 
     def _detect(
         self,
         stored: Stored,
-        write: Callable[[Stored, Picture, Detections], None],
+        write: Callable[[Stored, ColourImage, Detections], None],
         objects: Counter[str],
     ) -> Outcome:
         try:
-            picture = stored.load()
-            detections = self._detector.detect(picture, self._selection)
+            image = stored.load()
+            detections = self._detector.detect(image, self._selection)
         except ImageError as error:
             self._watch.lost(stored.label, Outcome.REJECTED, error)
             return Outcome.REJECTED
@@ -116,7 +116,7 @@ class OfflineDetector:
             self._count_failure(error)
             return Outcome.FAILED
         self._failures = 0
-        write(stored, picture, detections)
+        write(stored, image, detections)
         objects.update(self.class_names[class_id] for class_id in detections.class_ids.tolist())
         return Outcome.DETECTED
 
@@ -125,7 +125,7 @@ class OfflineDetector:
         too_many = self._failures >= self.settings.max_consecutive_failures
         if too_many or isinstance(error, DeviceLostError):
             raise DetectingError(
-                f"given up after {self._failures} failed pictures in a row: {error}"
+                f"given up after {self._failures} failed images in a row: {error}"
             ) from error
 
 

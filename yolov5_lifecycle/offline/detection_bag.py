@@ -12,7 +12,7 @@ from rosbags.rosbag2 import Writer
 
 from yolov5_lifecycle.detection.detections import Detections, FoundObject
 from yolov5_lifecycle.detection.draw import annotate
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.recorded_types import TYPES
 from yolov5_lifecycle.offline.recording import RecordedImage
 
@@ -38,9 +38,9 @@ class DetectionBag:
         self._detections = self._topic(f"{node}/detections", _DETECTIONS, depth=10)
         self._images = self._topic(f"{node}/image", _IMAGE, depth=1) if images else None
 
-    def write(self, image: RecordedImage, picture: Picture, detections: Detections) -> None:
-        """Write the node's messages for `image`, with its header and at the time of its recording."""
-        timestamp_ns, header = image.timestamp_ns, image.message.header
+    def write(self, recorded: RecordedImage, image: ColourImage, detections: Detections) -> None:
+        """Write the node's messages for `recorded`, with its header and at the time of its recording."""
+        timestamp_ns, header = recorded.timestamp_ns, recorded.message.header
         if not self._is_labelled:
             labels = _label_info(self._class_names, self._threshold, header.stamp)
             self._add(self._labels, timestamp_ns, labels)
@@ -48,8 +48,8 @@ class DetectionBag:
         found = detections.objects(self._class_names)
         self._add(self._detections, timestamp_ns, detection_array(found, header))
         if self._images is not None:
-            drawn = annotate(picture, detections, self._class_names)
-            self._add(self._images, timestamp_ns, _image(drawn, f"{picture.order}8", header))
+            drawn = annotate(image, detections, self._class_names)
+            self._add(self._images, timestamp_ns, _image(drawn, f"{image.order}8", header))
 
     def _topic(
         self, name: str, type_name: str, *, depth: int, durability: QosDurability = QosDurability.VOLATILE

@@ -13,9 +13,9 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2.reader import DirectoryReader
 
-from yolov5_lifecycle.images.compressed import compressed_picture
-from yolov5_lifecycle.images.encodings import raw_picture
-from yolov5_lifecycle.images.image import ImageError, Picture
+from yolov5_lifecycle.images.compressed import compressed_image
+from yolov5_lifecycle.images.encodings import raw_image
+from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.recorded_types import TYPES
 from yolov5_lifecycle.offline.recording_limits import (
     bounded_reading,
@@ -55,8 +55,8 @@ class RecordedImage:
                 f"Expected a message of {self.type_name}, found other bytes ({in_one_line(str(error))})."
             ) from None
 
-    def load(self) -> Picture:
-        decode = compressed_picture if self.type_name == _COMPRESSED else raw_picture
+    def load(self) -> ColourImage:
+        decode = compressed_image if self.type_name == _COMPRESSED else raw_image
         return decode(self.message)
 
 
@@ -180,12 +180,12 @@ def _readable(path: Path) -> Iterator[None]:
         ) from error
 
 
-class StoredPicture(Protocol):
+class StoredImage(Protocol):
     """An image of a recording, a folder or a video, loaded on demand."""
 
     @property
     def label(self) -> str:
         """Its name in messages: a time stamp, a file, a frame number."""
 
-    def load(self) -> Picture:
+    def load(self) -> ColourImage:
         """Load the pixels; raises ImageError."""

@@ -21,14 +21,14 @@ from vision_msgs.msg import (
 )
 
 from yolov5_lifecycle.detection.detections import Detections, FoundObject
-from yolov5_lifecycle.images.compressed import compressed_picture
-from yolov5_lifecycle.images.encodings import raw_picture
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.compressed import compressed_image
+from yolov5_lifecycle.images.encodings import raw_image
+from yolov5_lifecycle.images.image import ColourImage
 
 
-def picture(message: Image | CompressedImage) -> Picture:
+def image_of_message(message: Image | CompressedImage) -> ColourImage:
     """Image in `message`, without a copy where the encoding allows; raises ImageError."""
-    return compressed_picture(message) if isinstance(message, CompressedImage) else raw_picture(message)
+    return compressed_image(message) if isinstance(message, CompressedImage) else raw_image(message)
 
 
 def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> Image:

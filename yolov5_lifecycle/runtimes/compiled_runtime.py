@@ -48,14 +48,14 @@ class CompiledRuntime:
         return self._engine.name
 
     def __call__(
-        self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
+        self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
     ) -> NDArray[np.float32]:
         """See `Runtime`; the first frame of each size waits for the compiler."""
         height, width, _ = frame.shape
         try:
             # Denormal floats are zero in this thread; the engine sees to its own threads.
             with self._compiled.running((height, width)) as compiled:
-                return compiled(frame, order, least_objectness)
+                return compiled(frame, order, min_objectness)
         except InferenceError:  # it was closed
             raise
         except self._engine.errors as error:
@@ -75,8 +75,6 @@ class _Compiled:
         self._head = head
         self._planes = np.empty((1, 3, *size_hw), np.uint8)
 
-    def __call__(
-        self, frame: NDArray[np.uint8], order: Order, least_objectness: float
-    ) -> NDArray[np.float32]:
+    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float) -> NDArray[np.float32]:
         cv2.split(frame, [self._planes[0, plane] for plane in _PLANES[order]])  # written in place
-        return self._head(self._run(self._planes), least_objectness)
+        return self._head(self._run(self._planes), min_objectness)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from yolov5_lifecycle.runtimes.cache_folder import NO_PLACE, read_cache, write_cache
 
-MOST_BYTES = 1 << 30
+MAX_BYTES = 1 << 30
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
 _KEY = re.compile(r"[0-9a-f]{64}")
@@ -23,17 +23,17 @@ _log = logging.getLogger(__name__)
 class CompiledStore:
     """Bytes by a key of 64 hexadecimal digits, one file each, in a `folder` that may begin with ~.
 
-    Beyond `most_bytes` in total, the least recently used files are evicted.
+    Beyond `max_bytes` in total, the least recently used files are evicted.
     """
 
-    def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
         self._folder = folder
-        self._most_bytes = most_bytes
+        self._max_bytes = max_bytes
 
     def read(self, key: str) -> bytes | None:
         """The content cached under `key`; None when it is missing or damaged."""
         path = self._folder / key
-        found = read_cache(path, self._most_bytes, head_bytes=_DIGEST_BYTES)
+        found = read_cache(path, self._max_bytes, head_bytes=_DIGEST_BYTES)
         if found is None:
             return None
         digest, kept = found
@@ -43,7 +43,7 @@ class CompiledStore:
 
     def keep(self, key: str, content: bytes) -> None:
         """Cache `content` under `key`; a failure is only logged."""
-        if _DIGEST_BYTES + len(content) > self._most_bytes:
+        if _DIGEST_BYTES + len(content) > self._max_bytes:
             _log.warning("The compiled model is not kept: %d bytes are too many", len(content))
             return
         try:
@@ -52,13 +52,13 @@ class CompiledStore:
             _log.warning("The compiled model is not kept: %s", error)
             return
         with suppress(*NO_PLACE):  # another process may evict at the same time
-            self._clear_away(self._folder.expanduser() / key)
+            self._evict(self._folder.expanduser() / key)
 
-    def _clear_away(self, newest: Path) -> None:
+    def _evict(self, newest: Path) -> None:
         used_bytes = newest.stat().st_size
         for size_bytes, path in _last_used_first(newest):
             used_bytes += size_bytes
-            if used_bytes > self._most_bytes:
+            if used_bytes > self._max_bytes:
                 with suppress(OSError):
                     path.unlink(missing_ok=True)
 

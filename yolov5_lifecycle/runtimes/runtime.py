@@ -34,11 +34,11 @@ class Runtime(Protocol):
         """The resolved precision: fp32 or fp16."""
 
     def __call__(
-        self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
+        self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
     ) -> NDArray[np.float32]:
         """Raw predictions (n, 5 + C) for a letterboxed frame (h, w, 3): rows of `Network.forward`.
 
-        In that order: all rows whose objectness is not below `least_objectness`, in [0, 1], up to rounding;
+        In that order: all rows whose objectness is not below `min_objectness`, in [0, 1], up to rounding;
         which other rows are returned depends on the runtime. Raises InferenceError.
         """
 

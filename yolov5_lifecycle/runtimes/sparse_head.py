@@ -27,12 +27,12 @@ class DetectionHead:
             for convolution, anchors, stride in zip(detect.m, detect.anchors, detect.strides, strict=True)
         ]
 
-    def __call__(self, features: Sequence[Features], least_objectness: float) -> NDArray[np.float32]:
+    def __call__(self, features: Sequence[Features], min_objectness: float) -> NDArray[np.float32]:
         """The rows specified by `Runtime`, all anchors of a cell at once, from the features of each level."""
         with np.errstate(all="ignore"):  # NaN propagates to the caller, which checks the rows
-            least_logit = np.log(least_objectness) - np.log1p(-least_objectness)
+            min_logit = np.log(min_objectness) - np.log1p(-min_objectness)
             rows = [
-                level.rows(known, np.flatnonzero(~(level.objectness(known) < least_logit)))
+                level.rows(known, np.flatnonzero(~(level.objectness(known) < min_logit)))
                 for level, known in zip(self._levels, features, strict=True)
             ]
         return np.concatenate(rows)

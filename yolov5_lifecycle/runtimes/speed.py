@@ -15,7 +15,7 @@ from yolov5_lifecycle.runtimes.registry import RuntimeAbsentError, load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 
 _ROUNDS = 9
-_NOTHING_FOUND = 1.0  # as least_objectness: detections in a grey image must not affect the timing
+_NOTHING_FOUND = 1.0  # as min_objectness: detections in a grey image must not affect the timing
 _ENOUGH_S = 2.0  # large networks are measured in fewer rounds
 
 

@@ -68,14 +68,14 @@ class TorchRuntime:
         return _PRECISIONS[self._dtype]
 
     def __call__(
-        self, frame: NDArray[np.uint8], order: Order, least_objectness: float = 0.0
+        self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
     ) -> NDArray[np.float32]:
         """See `Runtime`; DeviceLostError when CUDA no longer works in this process."""
         height, width, _ = frame.shape
         rgb = cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) if order == "bgr" else frame
         try:
             with torch.inference_mode(), self._forwards.running((height, width)) as forward:
-                return _likely(forward(torch.from_numpy(rgb)), least_objectness)
+                return _likely(forward(torch.from_numpy(rgb)), min_objectness)
         except InferenceError:  # it was closed
             raise
         except torch.OutOfMemoryError as error:
@@ -119,10 +119,10 @@ def _forward(
     return eager
 
 
-def _likely(raw: Tensor, least_objectness: float) -> NDArray[np.float32]:
-    """The rows of `raw` whose objectness is not below `least_objectness`; NaN rows are kept."""
+def _likely(raw: Tensor, min_objectness: float) -> NDArray[np.float32]:
+    """The rows of `raw` whose objectness is not below `min_objectness`; NaN rows are kept."""
     # Filtered on the device, as all rows would be 8 MB to copy from a GPU.
-    rows: NDArray[np.float32] = raw[~(raw[:, 4] < least_objectness)].cpu().numpy()
+    rows: NDArray[np.float32] = raw[~(raw[:, 4] < min_objectness)].cpu().numpy()
     return rows
 
 

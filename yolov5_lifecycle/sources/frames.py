@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.sources.scene import Truth
 
 
@@ -17,12 +17,12 @@ class SourceError(ValueError):
 class SourceFrame:
     """One image and, for the synthetic scene only, its ground truth."""
 
-    picture: Picture
+    image: ColourImage
     truth: Truth | None = None
 
 
 @dataclass(frozen=True)
-class PictureSource:
+class ImageSource:
     """Frames and their nominal rate.
 
     `rate_hz` is None for a device, which delivers frames at its own pace.

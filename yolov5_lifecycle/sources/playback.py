@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.sources.frames import PictureSource, SourceError, SourceFrame
+from yolov5_lifecycle.sources.frames import ImageSource, SourceError, SourceFrame
 
 _POLL_S = 0.02
 
@@ -25,7 +25,7 @@ class Playback:
 
     def __init__(
         self,
-        open_source: Callable[[], PictureSource],
+        open_source: Callable[[], ImageSource],
         show: Callable[[SourceFrame], None],
         *,
         rate_hz: float,
@@ -59,7 +59,7 @@ class Playback:
         except Exception:  # noqa: BLE001 - nothing else would report why the thread ended
             self.failure = traceback.format_exc()
 
-    def _play(self, source: PictureSource) -> None:
+    def _play(self, source: ImageSource) -> None:
         while not self._is_awaited():
             if self._stop.wait(_POLL_S):
                 return

@@ -277,5 +277,5 @@ def _check_size(size_hw: tuple[int, int]) -> None:
     if min(size_hw) < SMALLEST_SIDE_PX:
         raise ValueError(
             f"a scene needs at least {SMALLEST_SIDE_PX} pixels on each side, got {size_hw[0]} rows and "
-            f"{size_hw[1]} columns: ask for a larger picture"
+            f"{size_hw[1]} columns: ask for a larger image"
         )

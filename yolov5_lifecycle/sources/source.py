@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.compressed import decode_image_file
-from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, Picture
+from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.sources.frames import PictureSource, SourceError, SourceFrame
+from yolov5_lifecycle.sources.frames import ImageSource, SourceError, SourceFrame
 from yolov5_lifecycle.sources.network_stream import Report, Wait, is_stream, open_stream, sleep
 from yolov5_lifecycle.sources.scene import Scene
 
 SYNTHETIC = "synthetic"
-PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
-PICTURE_RATE_HZ = 30.0
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+IMAGE_RATE_HZ = 30.0
 """Default rate for sources without their own."""
 _MAX_DEVICE_DIGITS = 9
 _MAX_VIDEO_RATE_HZ = 1000.0
@@ -42,7 +42,7 @@ def open_source(
     loop: bool = True,
     report: Report = _keep_silent,
     wait: Wait = sleep,
-) -> PictureSource:
+) -> ImageSource:
     """Open `source`: "synthetic", a device, a URL, a GStreamer pipeline, a video, an image or a folder.
 
     Every image is resized to `size_hw`; None keeps the size of the source (the scene: 480 x 640). With
@@ -60,14 +60,14 @@ def open_source(
     path = Path(source).expanduser()
     if is_stream(source) and not _exists(path):
         stream = open_stream(source, reconnects=loop, report=report, wait=wait)
-        return PictureSource((_frame(pixels, size_hw) for pixels in stream.frames), stream.rate_hz)
+        return ImageSource((_frame(pixels, size_hw) for pixels in stream.frames), stream.rate_hz)
     if not _exists(path):
         raise SourceError(
             f"'{in_one_line(source)}' is neither '{SYNTHETIC}', nor the number of a device, nor a URL, "
             "nor a file or folder that exists."
         )
-    if path.is_dir() or path.suffix.lower() in PICTURE_SUFFIXES:
-        return PictureSource(_pictures(picture_paths(path), size_hw, loop, report), PICTURE_RATE_HZ)
+    if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
+        return ImageSource(_images(image_paths(path), size_hw, loop, report), IMAGE_RATE_HZ)
     return _video(path, size_hw, loop)
 
 
@@ -97,18 +97,19 @@ def _devices() -> str:
     return f" There are: {', '.join(map(str, found))}." if found else " There is no /dev/video* here."
 
 
-def _synthetic(seed: int, size_hw: tuple[int, int]) -> PictureSource:
+def _synthetic(seed: int, size_hw: tuple[int, int]) -> ImageSource:
     try:
         scene = Scene(seed, size_hw)
     except ValueError as error:
         raise SourceError(str(error)) from None
     frames = (
-        SourceFrame(Picture(pixels, "rgb"), truth) for pixels, truth in map(scene.frame, itertools.count())
+        SourceFrame(ColourImage(pixels, "rgb"), truth)
+        for pixels, truth in map(scene.frame, itertools.count())
     )
-    return PictureSource(frames, PICTURE_RATE_HZ)
+    return ImageSource(frames, IMAGE_RATE_HZ)
 
 
-def _device(number: int, size_hw: tuple[int, int] | None) -> PictureSource:
+def _device(number: int, size_hw: tuple[int, int] | None) -> ImageSource:
     capture = cv2.VideoCapture(number)
     if not capture.isOpened():
         raise SourceError(
@@ -120,16 +121,16 @@ def _device(number: int, size_hw: tuple[int, int] | None) -> PictureSource:
 
     def frames() -> Iterator[SourceFrame]:
         yield from _captured(capture, size_hw)
-        raise SourceError(f"Device {number} gives no more pictures: was it unplugged?")
+        raise SourceError(f"Device {number} gives no more images: was it unplugged?")
 
-    return PictureSource(frames(), rate_hz=None)
+    return ImageSource(frames(), rate_hz=None)
 
 
-def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> PictureSource:
+def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> ImageSource:
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise SourceError(
-            f"{path} can be read neither as a picture nor as a video: "
+            f"{path} can be read neither as an image nor as a video: "
             "copy it again, or convert it to .mp4, .jpg or .png."
         )
     sides = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
@@ -139,13 +140,13 @@ def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> PictureSo
             f"{path}: expected at most {MAX_SIDE_PX} pixels a side, found {sides[0]:g} x {sides[1]:g}."
         )
     told_hz = capture.get(cv2.CAP_PROP_FPS)
-    rate_hz = told_hz if 0 < told_hz <= _MAX_VIDEO_RATE_HZ else PICTURE_RATE_HZ
+    rate_hz = told_hz if 0 < told_hz <= _MAX_VIDEO_RATE_HZ else IMAGE_RATE_HZ
     captured = _captured(capture, size_hw)
     first = next(captured, None)
     if first is None:
-        raise SourceError(f"{path} is a video without a picture that can be read.")
+        raise SourceError(f"{path} is a video without an image that can be read.")
     repeated = _repeated(path, size_hw) if loop else ()
-    return PictureSource(itertools.chain([first], captured, repeated), rate_hz)
+    return ImageSource(itertools.chain([first], captured, repeated), rate_hz)
 
 
 def _repeated(path: Path, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
@@ -174,14 +175,14 @@ def _captured(capture: cv2.VideoCapture, size_hw: tuple[int, int] | None) -> Ite
         capture.release()
 
 
-def picture_paths(path: Path) -> list[Path]:
+def image_paths(path: Path) -> list[Path]:
     """`path` itself, or the images in that folder in natural order; SourceError if it has none."""
     if not path.is_dir():
         return [path]
-    found = (file for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES)
+    found = (file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
     paths = sorted(found, key=_natural_order)
     if not paths:
-        raise SourceError(f"The folder {path} has no pictures ({', '.join(PICTURE_SUFFIXES)}).")
+        raise SourceError(f"The folder {path} has no images ({', '.join(IMAGE_SUFFIXES)}).")
     return paths
 
 
@@ -191,7 +192,7 @@ def _natural_order(path: Path) -> list[tuple[str, int]]:
     return [(text, int(number or 0)) for text, number in pairs]
 
 
-def _pictures(
+def _images(
     paths: Sequence[Path], size_hw: tuple[int, int] | None, loop: bool, report: Report
 ) -> Iterator[SourceFrame]:
     """Image files in order; with `loop`, endlessly. Of several, unreadable ones are skipped."""
@@ -205,13 +206,13 @@ def _pictures(
                 _report_skipped(len(skipped), len(paths), str(error), report)
             if len(skipped) == len(paths):
                 raise SourceError(
-                    str(error) if len(paths) == 1 else f"None of the {len(paths)} pictures can be read."
+                    str(error) if len(paths) == 1 else f"None of the {len(paths)} images can be read."
                 ) from None
         else:
             skipped.pop(path, None)
             yield frame
         if number == len(paths) and skipped:
-            report(f"{len(skipped)} of {len(paths)} pictures were skipped.")
+            report(f"{len(skipped)} of {len(paths)} images were skipped.")
 
 
 def _report_skipped(count: int, total: int, problem: str, report: Report) -> None:
@@ -229,12 +230,12 @@ def _file_pixels(path: Path) -> NDArray[np.uint8]:
         return decode_image_file(np.fromfile(path, np.uint8)).pixels
     except (OSError, ImageError) as error:
         raise SourceError(
-            f"{path} cannot be read as a picture: replace it, or take it away. {error}"
+            f"{path} cannot be read as an image: replace it, or take it away. {error}"
         ) from None
 
 
 def _frame(pixels: NDArray[np.uint8], size_hw: tuple[int, int] | None) -> SourceFrame:
-    return SourceFrame(Picture(_sized(pixels, size_hw), "bgr"))
+    return SourceFrame(ColourImage(_sized(pixels, size_hw), "bgr"))
 
 
 def _sized(pixels: NDArray[np.uint8], size_hw: tuple[int, int] | None) -> NDArray[np.uint8]:

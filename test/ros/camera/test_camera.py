@@ -20,17 +20,17 @@ from support.calibration_file import calibration_url
 from support.camera_process import END_S, camera_process
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import PARAMETERS, SCENE, as_arguments, detector_process
-from support.grey_pictures import GREYS, grey_folder, grey_video, nearest_grey
+from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded
-from yolov5_lifecycle.images.image import Order, Picture
+from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.camera.transport import IMAGE_FORMS, ImageForm, jpeg_message
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
 from yolov5_lifecycle.ros.demo.observer import Observer
-from yolov5_lifecycle.ros.messages import picture
+from yolov5_lifecycle.ros.messages import image_of_message
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 from yolov5_lifecycle.sources.source import open_source
 
@@ -55,7 +55,7 @@ def test_what_is_encoded_is_decoded_to_the_same_colours(order: Order, encoding: 
     pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
     if encoding == "mono8":
         pixels[...] = pixels[..., :1]
-    buffer = encoded(Picture(pixels, order), encoding)
+    buffer = encoded(ColourImage(pixels, order), encoding)
     height, width, channels = buffer.shape
     decoded = decode_raw(
         buffer.tobytes(),
@@ -79,8 +79,8 @@ def test_what_is_encoded_is_decoded_to_the_same_colours(order: Order, encoding: 
 )
 def test_a_jpeg_has_the_colours_and_names_the_encoding(encoding: str, format_: str) -> None:
     rgb = (90, 90, 90) if encoding == "mono8" else (200, 90, 20)
-    message = jpeg_message(Picture(np.full((16, 16, 3), rgb, np.uint8), "rgb"), encoding, Header())
-    assert np.allclose(picture(message).pixels, rgb[::-1], atol=3)
+    message = jpeg_message(ColourImage(np.full((16, 16, 3), rgb, np.uint8), "rgb"), encoding, Header())
+    assert np.allclose(image_of_message(message).pixels, rgb[::-1], atol=3)
     assert message.format == format_
 
 
@@ -116,7 +116,7 @@ def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer
     scene = Scene(4, (120, 160))
     index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
     stamps = sorted(images.keys() & truths.keys())
-    indices = [index_of[picture(images[stamp]).pixels[..., ::-1].tobytes()] for stamp in stamps]
+    indices = [index_of[image_of_message(images[stamp]).pixels[..., ::-1].tobytes()] for stamp in stamps]
     assert indices == sorted(set(indices))
     for stamp, index in zip(stamps, indices, strict=True):
         image, told, truth = images[stamp], Sighting.now(truths[stamp]), scene.frame(index)[1]
@@ -132,14 +132,14 @@ def test_a_video_played_once_reaches_a_subscriber_completely(
     observer.create_subscription(Image, "/image_raw", images.append, RELIABLE)
     arguments = as_arguments({"source": str(video), "loop": "false", "rate": 1000})
     with camera_process(ros_domain, "--ros-args", *arguments) as camera:
-        observer.wait_for(lambda: len(images) == len(GREYS), "every picture")
+        observer.wait_for(lambda: len(images) == len(GREYS), "every image")
         assert camera.wait(END_S) == 0
-    assert [nearest_grey(picture(image)) for image in images] == [*GREYS]
+    assert [nearest_grey(image_of_message(image)) for image in images] == [*GREYS]
     assert "waiting for a subscriber to /image_raw\n" in camera.output
     assert "publishing 32 x 24 (rgb8) at 1000 images per second on /image_raw\n" in camera.output
 
 
-def test_every_transport_sends_the_same_pictures_on_the_remapped_topics(
+def test_every_transport_sends_the_same_images_on_the_remapped_topics(
     observer: Observer, ros_domain: int
 ) -> None:
     raws = collected(observer, Image, "/front/image_raw")
@@ -148,12 +148,12 @@ def test_every_transport_sends_the_same_pictures_on_the_remapped_topics(
     parameters = {"image_transport": "both", "width": 160, "height": 120, "frame_id": "lens"}
     arguments = ["-r", "image_raw:=/front/image_raw", *as_arguments(parameters)]
     with camera_process(ros_domain, "--ros-args", *arguments):
-        observer.wait_for(lambda: bool(raws.keys() & jpegs.keys() & infos.keys()), "one picture everywhere")
+        observer.wait_for(lambda: bool(raws.keys() & jpegs.keys() & infos.keys()), "one image everywhere")
     stamp = min(raws.keys() & jpegs.keys() & infos.keys())
     raw, jpeg, info = raws[stamp], jpegs[stamp], infos[stamp]
     assert raw.header == jpeg.header == info.header
     assert (info.header.frame_id, info.width, info.height, info.k[0]) == ("lens", 160, 120, 0.0)
-    assert jpeg == jpeg_message(picture(raw), "rgb8", raw.header)
+    assert jpeg == jpeg_message(image_of_message(raw), "rgb8", raw.header)
 
 
 def test_compressed_images_come_alone_and_with_the_quality_of_service_that_was_asked_for(
@@ -168,7 +168,7 @@ def test_compressed_images_come_alone_and_with_the_quality_of_service_that_was_a
         return [publisher.qos_profile.reliability for publisher in publishers]
 
     with camera_process(ros_domain, "--ros-args", *as_arguments(parameters | override)):
-        observer.wait_for(lambda: bool(jpegs and offers()), "a picture and its publisher")
+        observer.wait_for(lambda: bool(jpegs and offers()), "an image and its publisher")
         assert offers() == [ReliabilityPolicy.BEST_EFFORT]
         assert observer.count_publishers("/image_raw") == 0
     assert {jpeg.format for jpeg in jpegs.values()} == {"mono8; jpeg compressed "}

@@ -13,7 +13,7 @@ from support.calibration_file import calibration_url
 from support.camera_process import END_S, camera_process
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import as_arguments
-from support.grey_pictures import grey_folder
+from support.grey_images import grey_folder
 
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 

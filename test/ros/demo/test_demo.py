@@ -27,7 +27,7 @@ def sighting(*objects: tuple[str, tuple[float, ...]], stamp_ns: int = 0, latency
 
 
 @pytest.mark.long
-def test_the_demo_passes_and_leaves_its_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_demo_passes_and_leaves_its_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with ChildProcess("demo", [entry_point("demo")], os.environ) as demo:
         code = demo.wait(250.0)

@@ -26,7 +26,7 @@ from yolov5_lifecycle.images.encodings import ENCODINGS
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, recall, stamp_ns
 from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
-from yolov5_lifecycle.ros.messages import image_message, picture
+from yolov5_lifecycle.ros.messages import image_message, image_of_message
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 
@@ -59,7 +59,7 @@ def test_a_camera_and_the_detector_find_the_shapes_where_they_are(detector: Dete
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "mono8", "rgba8", "bgra8"])
 def test_every_encoding_is_understood(active: DetectorProcess, encoding: str, padding: int) -> None:
     shown = scene_image(7, encoding="mono8" if encoding == "mono8" else "rgb8")
-    plain = image_message(picture(shown).pixels, "rgb8", shown.header)
+    plain = image_message(image_of_message(shown).pixels, "rgb8", shown.header)
     expected = Sighting.now(active.detect(plain))
     assert encoding == "mono8" or expected.found_of(scene_truth(7)) >= len(scene_truth(7).scores) - 1
     found = Sighting.now(active.detect(scene_image(7, encoding=encoding, padding=padding)))
@@ -83,7 +83,7 @@ GREY_ROWS: dict[str, Callable[[NDArray[np.uint8], NDArray[np.uint8]], NDArray[np
     **dict.fromkeys(("nv12", "nv21"), lambda grey, neutral: np.vstack((grey, neutral[::2]))),
     "nv24": lambda grey, neutral: np.vstack((grey, neutral, neutral)),
 }
-"""The rows of a grey picture in the encodings that only cameras send, its chroma neutral."""
+"""The rows of a grey image in the encodings that only cameras send, its chroma neutral."""
 
 
 @pytest.mark.parametrize("encoding", GREY_ROWS)
@@ -92,7 +92,7 @@ def test_every_encoding_of_cameras_is_understood(active: DetectorProcess, encodi
     grey = np.frombuffer(image.data, np.uint8).reshape(image.height, image.width)
     rows = GREY_ROWS[encoding](grey, np.full_like(grey, 128))
     image.encoding, image.step, image.data = encoding, rows.shape[1], array("B", rows.tobytes())
-    plain = image_message(picture(image).pixels, "rgb8", scene_image().header)
+    plain = image_message(image_of_message(image).pixels, "rgb8", scene_image().header)
     found, expected = (Sighting.now(active.detect(each)) for each in (image, plain))
     assert found.class_names == expected.class_names != ()
     assert found.scores == pytest.approx(expected.scores, abs=1e-4)
@@ -102,7 +102,7 @@ def test_no_encoding_is_forgotten() -> None:
     assert {*GREY_ROWS, "rgb8", "bgr8", "mono8", "rgba8", "bgra8"} == {*ENCODINGS}
 
 
-def test_a_picture_without_shapes_gives_an_empty_message(active: DetectorProcess) -> None:
+def test_an_image_without_shapes_gives_an_empty_message(active: DetectorProcess) -> None:
     image = scene_image()
     image.data[:] = type(image.data)("B", bytes([114]) * len(image.data))
     assert active.detect(image).detections == []
@@ -142,7 +142,7 @@ def test_the_annotated_image_has_the_header_of_its_source_and_boxes_drawn(active
     active.observer.wait_for(lambda: bool(drawn), "an annotated image")
     active.observer.destroy_subscription(subscription)
     assert drawn[0].header == source.header
-    changed = (picture(drawn[0]).pixels != picture(source).pixels).any(axis=2)
+    changed = (image_of_message(drawn[0]).pixels != image_of_message(source).pixels).any(axis=2)
     for x1, y1, _, y2 in np.rint(found.boxes_xyxy).astype(int):
         left_side = changed[y1 + 3 : y2 - 3, max(x1 - 1, 0) : x1 + 2]
         assert left_side.any(axis=1).mean() > 0.9

@@ -16,10 +16,10 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
 from yolov5_lifecycle.images.compressed import encode_jpeg
-from yolov5_lifecycle.images.image import ImageError, Order, Picture
+from yolov5_lifecycle.images.image import ColourImage, ImageError, Order
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.outputs import Outputs
-from yolov5_lifecycle.ros.messages import picture
+from yolov5_lifecycle.ros.messages import image_of_message
 
 HEADER = Header(frame_id="lens")
 PIXELS = np.full((48, 64, 3), (10, 120, 240), np.uint8)
@@ -43,19 +43,19 @@ def observer(ros_domain: int) -> Iterator[Observer]:
         yield observer
 
 
-def made(node: LifecycleNode, encode: Callable[[Picture], NDArray[np.uint8]] = encode_jpeg) -> Outputs:
+def made(node: LifecycleNode, encode: Callable[[ColourImage], NDArray[np.uint8]] = encode_jpeg) -> Outputs:
     outputs = Outputs(node, on_subscribers_changed=lambda: None, encode=encode)
     node.trigger_activate()
     return outputs
 
 
 def publish_until(
-    outputs: Outputs, picture: Picture, observer: Observer, received: Callable[[], bool]
+    outputs: Outputs, image: ColourImage, observer: Observer, received: Callable[[], bool]
 ) -> None:
     """A listener may be seen before it sees the publisher, so once is not enough."""
 
     def is_received() -> bool:
-        outputs.publish_image(picture, HEADER)
+        outputs.publish_image(image, HEADER)
         return received()
 
     observer.wait_for(is_received, "the images")
@@ -66,7 +66,7 @@ def listen(observer: Observer, message_type: type, topic: str, received: list[An
 
 
 @pytest.mark.parametrize("order", ["rgb", "bgr"])
-def test_a_picture_is_published_in_both_forms_with_its_header_and_colours(
+def test_an_image_is_published_in_both_forms_with_its_header_and_colours(
     node: LifecycleNode, observer: Observer, order: Order
 ) -> None:
     raw: list[Image] = []
@@ -75,35 +75,35 @@ def test_a_picture_is_published_in_both_forms_with_its_header_and_colours(
     listen(observer, Image, "/yolov5/image", raw)
     listen(observer, CompressedImage, "/yolov5/image/compressed", compressed)
     observer.wait_for(lambda: outputs.image_subscribers == 2, "both listeners")
-    publish_until(outputs, Picture(PIXELS, order), observer, lambda: bool(raw and compressed))
+    publish_until(outputs, ColourImage(PIXELS, order), observer, lambda: bool(raw and compressed))
     assert raw[0].header == compressed[0].header == HEADER
     assert compressed[0].format == f"{order}8; jpeg compressed bgr8"
-    assert (raw[0].encoding, picture(raw[0]).order) == (f"{order}8", order)
-    np.testing.assert_array_equal(picture(raw[0]).pixels, PIXELS)
+    assert (raw[0].encoding, image_of_message(raw[0]).order) == (f"{order}8", order)
+    np.testing.assert_array_equal(image_of_message(raw[0]).pixels, PIXELS)
     in_bgr = PIXELS if order == "bgr" else PIXELS[..., ::-1]
-    np.testing.assert_allclose(picture(compressed[0]).pixels.astype(int), in_bgr, atol=5)
+    np.testing.assert_allclose(image_of_message(compressed[0]).pixels.astype(int), in_bgr, atol=5)
 
 
 def test_only_images_with_subscribers_are_encoded(node: LifecycleNode, observer: Observer) -> None:
-    encoded: list[Picture] = []
+    encoded: list[ColourImage] = []
 
-    def encode(picture: Picture) -> NDArray[np.uint8]:
-        encoded.append(picture)
-        return encode_jpeg(picture)
+    def encode(image: ColourImage) -> NDArray[np.uint8]:
+        encoded.append(image)
+        return encode_jpeg(image)
 
     raw: list[Image] = []
     outputs = made(node, encode)
     assert (outputs.subscribers, outputs.image_subscribers) == (0, 0)
     listen(observer, Image, "/yolov5/image", raw)
     observer.wait_for(lambda: outputs.subscribers == 1, "a listener")
-    publish_until(outputs, Picture(PIXELS, "rgb"), observer, lambda: bool(raw))
+    publish_until(outputs, ColourImage(PIXELS, "rgb"), observer, lambda: bool(raw))
     assert not encoded
 
 
-def test_a_picture_that_cannot_be_compressed_is_still_published_raw(
+def test_an_image_that_cannot_be_compressed_is_still_published_raw(
     node: LifecycleNode, observer: Observer
 ) -> None:
-    def encode(picture: Picture) -> NDArray[np.uint8]:
+    def encode(image: ColourImage) -> NDArray[np.uint8]:
         raise ImageError("no room")
 
     raw: list[Image] = []
@@ -111,7 +111,7 @@ def test_a_picture_that_cannot_be_compressed_is_still_published_raw(
     listen(observer, Image, "/yolov5/image", raw)
     listen(observer, CompressedImage, "/yolov5/image/compressed", [])
     observer.wait_for(lambda: outputs.image_subscribers == 2, "both listeners")
-    publish_until(outputs, Picture(PIXELS, "rgb"), observer, lambda: bool(raw))
+    publish_until(outputs, ColourImage(PIXELS, "rgb"), observer, lambda: bool(raw))
 
 
 def test_the_compressed_topic_follows_the_remapped_raw_one(ros_domain: int) -> None:

@@ -46,16 +46,14 @@ def test_a_refused_reload_leaves_model_and_value_alone(served: ServedNode, prepa
     assert not prepare.running.is_closed
 
 
-def test_a_model_is_warmed_up_for_pictures_like_the_last_one(
-    served: ServedNode, prepare: Preparations
-) -> None:
+def test_a_model_is_warmed_up_for_images_like_the_last_one(served: ServedNode, prepare: Preparations) -> None:
     served.bring_to("active")
     served.detect()
     assert served.set(image_size=320)[0]
     assert served.transition("deactivate")
     assert served.transition("activate")
-    picture_hw = image().height, image().width
-    assert prepare.sources_hw == [USUAL_SOURCE_HW, picture_hw, picture_hw]
+    image_hw = image().height, image().width
+    assert prepare.sources_hw == [USUAL_SOURCE_HW, image_hw, image_hw]
 
 
 def test_a_reload_is_logged(served: ServedNode, prepare: Preparations) -> None:

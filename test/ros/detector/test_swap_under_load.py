@@ -42,7 +42,7 @@ def weights(tmp_path: Path) -> tuple[Path, Path]:
 
 @pytest.fixture
 def detector(weights: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Iterator[DetectorProcess]:
-    """Active, with the profile that carries whole pictures."""
+    """Active, with the profile that carries whole images."""
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(REPOSITORY / "config" / "shm.xml"))
     parameters = {
         "weights": weights[0],

@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 from support.served_node import Preparations, ServedNode, class_ids_of, image
 
-from yolov5_lifecycle.ros.messages import picture
+from yolov5_lifecycle.ros.messages import image_of_message
 
 
 def test_labels_are_latched_with_the_current_threshold(served: ServedNode) -> None:
@@ -92,7 +92,7 @@ def test_a_subscriber_to_the_compressed_image_alone_gets_it(served: ServedNode) 
         if subscription.topic == "/yolov5/detections":
             served.client.destroy_subscription(subscription)
     served.send_until(lambda: bool(drawn), "a compressed image")
-    assert picture(drawn[0]).size_hw == (48, 64)
+    assert image_of_message(drawn[0]).size_hw == (48, 64)
 
 
 def test_the_subscription_takes_the_reliability_that_the_cameras_offer(served: ServedNode) -> None:

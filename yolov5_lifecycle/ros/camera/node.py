@@ -22,7 +22,7 @@ from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
 from yolov5_lifecycle.ros.start_arguments import initialize, start_arguments
 from yolov5_lifecycle.settings.schema import SettingsError
-from yolov5_lifecycle.sources.frames import PictureSource, SourceFrame
+from yolov5_lifecycle.sources.frames import ImageSource, SourceFrame
 from yolov5_lifecycle.sources.playback import Playback
 from yolov5_lifecycle.sources.source import open_source
 
@@ -82,7 +82,7 @@ class CameraNode(PrintableNode):
     def _topics(self) -> str:
         return " and ".join(self._outputs.image_topics)
 
-    def _open(self) -> PictureSource:
+    def _open(self) -> ImageSource:
         source = open_source(
             self._settings.source,
             size_hw=self._settings.size_hw,
@@ -96,8 +96,8 @@ class CameraNode(PrintableNode):
 
     def _show(self, frame: SourceFrame) -> None:
         self._outputs.publish(frame)
-        if frame.picture.size_hw != self._size_hw:
-            self._report_size(frame.picture.size_hw)
+        if frame.image.size_hw != self._size_hw:
+            self._report_size(frame.image.size_hw)
         if not self._settings.loop:
             self._outputs.wait_until_delivered(_DELIVERY_S)
 

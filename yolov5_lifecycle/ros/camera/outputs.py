@@ -81,8 +81,8 @@ class CameraOutputs:
             self._truths.publish(detection_array(_certain(frame.truth), CLASS_NAMES, header))
         for publisher, message in self._images:
             if publisher.get_subscription_count():
-                publisher.publish(message(frame.picture, self._settings.encoding, header))
-        self._infos.publish(camera_info(header, frame.picture.size_hw, self._calibration))
+                publisher.publish(message(frame.image, self._settings.encoding, header))
+        self._infos.publish(camera_info(header, frame.image.size_hw, self._calibration))
 
     def wait_until_delivered(self, timeout_s: float) -> None:
         """Wait until all reliable subscribers have acknowledged everything, at most `timeout_s`."""
@@ -110,9 +110,9 @@ def camera_info(header: Header, size_hw: tuple[int, int], calibration: Calibrati
 
 
 def _check_calibrated(frame: SourceFrame, calibration: Calibration | None) -> None:
-    if calibration is None or frame.picture.size_hw == calibration.size_hw:
+    if calibration is None or frame.image.size_hw == calibration.size_hw:
         return
-    (height, width), (calibrated_height, calibrated_width) = frame.picture.size_hw, calibration.size_hw
+    (height, width), (calibrated_height, calibrated_width) = frame.image.size_hw, calibration.size_hw
     raise SourceError(
         f"The images are {width} x {height}, but camera_info_url has the calibration for "
         f"{calibrated_width} x {calibrated_height}: calibrate again at this size, or set width and height if "

@@ -10,20 +10,20 @@ from std_msgs.msg import Header
 
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.encodings import encoded
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.messages import compressed_image_message, image_message
 
 Transport = Literal["raw", "compressed", "both"]
 
 
-def raw_message(picture: Picture, encoding: str, header: Header) -> Image:
-    """Image message of `picture` in `encoding`."""
-    return image_message(encoded(picture, encoding), encoding, header)
+def raw_message(image: ColourImage, encoding: str, header: Header) -> Image:
+    """Image message of `image` in `encoding`."""
+    return image_message(encoded(image, encoding), encoding, header)
 
 
-def jpeg_message(picture: Picture, encoding: str, header: Header) -> CompressedImage:
-    """JPEG message of `picture`, which image_transport decompresses to `encoding`."""
-    jpeg = encode_jpeg(picture, "mono8" if encoding == "mono8" else "bgr8")
+def jpeg_message(image: ColourImage, encoding: str, header: Header) -> CompressedImage:
+    """JPEG message of `image`, which image_transport decompresses to `encoding`."""
+    jpeg = encode_jpeg(image, "mono8" if encoding == "mono8" else "bgr8")
     return compressed_image_message(jpeg, encoding, header)
 
 
@@ -32,7 +32,7 @@ class ImageForm(NamedTuple):
 
     suffix: str
     message_type: type
-    message: Callable[[Picture, str, Header], Any]
+    message: Callable[[ColourImage, str, Header], Any]
 
 
 _RAW = ImageForm("", Image, raw_message)

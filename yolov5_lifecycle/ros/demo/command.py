@@ -14,7 +14,7 @@ import cv2
 from ament_index_python.packages import get_package_share_directory
 
 from yolov5_lifecycle.commands.command_parser import CommandParser
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, ProcessError, entry_point
 from yolov5_lifecycle.ros.demo.demonstration import Demonstration, DemonstrationError, Phase
 from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
@@ -38,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     begun_s = time.monotonic()
     try:
-        phases, picture_path = _run(lambda text: _say(f"[{time.monotonic() - begun_s:5.1f} s] {text}"))
+        phases, image_path = _run(lambda text: _say(f"[{time.monotonic() - begun_s:5.1f} s] {text}"))
     except (DemonstrationError, NoAnswerError, ProcessError, OSError, RuntimeError) as error:
         _say(f"demo failed: {error}")
         return 1
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     first = phases[0]
     _say(
         f"demo ok: {len(first.sightings)} frames watched, {first.recall:.1%} of the shapes found, "
-        f"median latency {first.latencies_ms[0]:.0f} ms, picture in {picture_path}, "
+        f"median latency {first.latencies_ms[0]:.0f} ms, image in {image_path}, "
         f"{time.monotonic() - begun_s:.0f} s"
     )
     return 0
@@ -137,7 +137,7 @@ def _expect_clean_end(name: str, code: int) -> None:
         raise DemonstrationError(f"the {name} ended with exit code {code} instead of 0")
 
 
-def _saved(annotated: Picture) -> Path:
+def _saved(annotated: ColourImage) -> Path:
     path = OUTPUT / "annotated.png"
     pixels = annotated.pixels if annotated.order == "bgr" else annotated.pixels[..., ::-1]
     if not cv2.imwrite(str(path), pixels):

@@ -12,10 +12,10 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, recall, stamp_ns
 from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
-from yolov5_lifecycle.ros.messages import picture
+from yolov5_lifecycle.ros.messages import image_of_message
 
 WATCHED_MESSAGES = 120
 _LATER_MESSAGES = 30
@@ -58,11 +58,11 @@ class Demonstration:
         self._tell = tell
         self._sightings: list[Sighting] = []
         self._truths: dict[int, Sighting] = {}
-        self._annotated: Picture | None = None
+        self._annotated: ColourImage | None = None
         observer.create_subscription(Detection2DArray, "/yolov5/detections", self._take, 10)
         observer.create_subscription(Detection2DArray, "/camera/truth", self._take_truth, 10)
 
-    def run(self) -> tuple[list[Phase], Picture]:
+    def run(self) -> tuple[list[Phase], ColourImage]:
         """Run all phases; return them and an annotated image. Raises DemonstrationError or NoAnswerError."""
         self._tell("waiting for the camera and the detector")
         self._observer.wait_for(lambda: bool(self._truths), "messages on /camera/truth")
@@ -71,7 +71,7 @@ class Demonstration:
         self._transition("configure", "inactive")
         self._transition("activate", "active")
         phases = [self._watch()]
-        annotated = self._annotated_picture()
+        annotated = self._annotated_image()
         phases += [self._narrow(), self._swap()]
         self._stop()
         self._transition("activate", "active")
@@ -96,7 +96,7 @@ class Demonstration:
         self._tell(f"found {found:.1%} of the true shapes where they are")
         return Phase("all classes", seen, found)
 
-    def _annotated_picture(self) -> Picture:
+    def _annotated_image(self) -> ColourImage:
         """Receive an image from ~/image that shows several objects."""
         self._tell("waiting for an annotated image with several objects")
         subscription = self._observer.create_subscription(
@@ -197,7 +197,7 @@ class Demonstration:
         image_ns = stamp_ns(message.header)
         objects = [len(seen.scores) for seen in self._sightings if seen.stamp_ns == image_ns]
         if objects and objects[0] >= _SEVERAL:
-            self._annotated = picture(message)
+            self._annotated = image_of_message(message)
 
 
 def longest_gap_s(sightings: Sequence[Sighting]) -> float:

@@ -14,7 +14,7 @@ from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
 from yolov5_lifecycle.ros.detector.model_loader import ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.outputs import Outputs
-from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastPicture
+from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.ros.parameters import SettingsParameters
@@ -49,10 +49,8 @@ class ManagedResources:
             on_failure=self._failures.failed, on_success=self._failures.succeeded
         )
         self._topic = ImageTopic(node, "raw")
-        self._last_picture = LastPicture()
-        self.loader = ModelLoader(
-            node, prepare, last_picture=self._last_picture, on_device_lost=on_device_lost
-        )
+        self._last_image = LastImage()
+        self.loader = ModelLoader(node, prepare, last_image=self._last_image, on_device_lost=on_device_lost)
         self.detection: Detection | None = None
         self._outputs: Outputs | None = None
         self._loading_for: Outputs | None = None
@@ -157,7 +155,7 @@ class ManagedResources:
             topic=self._topic,
             outputs=outputs,
             worker=self._worker,
-            last_picture=self._last_picture,
+            last_image=self._last_image,
         )
 
     def _follow_subscribers(self) -> None:

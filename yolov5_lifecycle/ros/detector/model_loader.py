@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.ros.detector.background import Background
-from yolov5_lifecycle.ros.detector.pipeline import LastPicture
+from yolov5_lifecycle.ros.detector.pipeline import LastImage
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
@@ -32,18 +32,18 @@ class ModelLoader:
         node: Node,
         prepare: Prepare,
         *,
-        last_picture: LastPicture,
+        last_image: LastImage,
         on_device_lost: Callable[[str], None],
     ) -> None:
         self._node = node
         self._prepare = prepare
-        self._last_picture = last_picture
+        self._last_image = last_image
         self._on_device_lost = on_device_lost
         self._background = Background(node)
 
     def begin(self, settings: Settings) -> Preparation:
         """Queue the preparation of the model for `settings`."""
-        return self._background.submit(lambda: self._prepare(settings, self._last_picture.size_hw))
+        return self._background.submit(lambda: self._prepare(settings, self._last_image.size_hw))
 
     async def load(self, wanted: Callable[[], Settings | None]) -> Preparation | None:
         """Prepare the model for `wanted()`, repeated if other settings are wanted once it is done.

@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from yolov5_lifecycle.images.compressed import encode_jpeg
-from yolov5_lifecycle.images.image import ImageError, Picture
+from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.ros.messages import compressed_image_message, image_message
 from yolov5_lifecycle.ros.qos_overrides import overriding_options
 from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE, DETECTIONS, IMAGE, LABEL_INFO, endpoint_name
@@ -34,7 +34,7 @@ class Outputs:
         node: LifecycleNode,
         *,
         on_subscribers_changed: Callable[[], None],
-        encode: Callable[[Picture], NDArray[np.uint8]] = encode_jpeg,
+        encode: Callable[[ColourImage], NDArray[np.uint8]] = encode_jpeg,
     ) -> None:
         self._node = node
         self._encode = encode
@@ -63,20 +63,20 @@ class Outputs:
             int(publisher.get_subscription_count()) for publisher in (self._image, self._compressed_image)
         )
 
-    def publish_image(self, picture: Picture, header: Header) -> None:
+    def publish_image(self, image: ColourImage, header: Header) -> None:
         """Publish an annotated image, raw and compressed, on each topic that has a subscriber."""
         if self._image.get_subscription_count():
-            self._image.publish(image_message(picture.pixels, f"{picture.order}8", header))
+            self._image.publish(image_message(image.pixels, f"{image.order}8", header))
         if self._compressed_image.get_subscription_count():
             try:
-                jpeg = self._encode(picture)
+                jpeg = self._encode(image)
             except ImageError as error:
                 # The detections are published; only the compressed image is missing.
                 self._node.get_logger().warning(
                     f"no image on {COMPRESSED_IMAGE}: {error}", throttle_duration_sec=5.0
                 )
                 return
-            self._compressed_image.publish(compressed_image_message(jpeg, f"{picture.order}8", header))
+            self._compressed_image.publish(compressed_image_message(jpeg, f"{image.order}8", header))
 
     def close(self) -> None:
         for publisher in self._publishers:

@@ -9,7 +9,7 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.images.image import Picture
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.outputs import Outputs
@@ -21,12 +21,12 @@ class DetectedFrame:
     """A frame with its image and what was detected in it."""
 
     frame: ReceivedFrame
-    picture: Picture
+    image: ColourImage
     detections: Detections
 
 
 @dataclass
-class LastPicture:
+class LastImage:
     """Height and width of the last image, used to warm up new models; initially a usual size.
 
     Written by the inference thread.
@@ -44,13 +44,13 @@ class Pipeline:
     outputs: Outputs
     latencies: LatencyWindow
     empty_frames: EmptyFrames
-    last_picture: LastPicture
+    last_image: LastImage
 
     def detect(self, frame: ReceivedFrame) -> DetectedFrame:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
-        picture = messages.picture(frame.message)
-        self.last_picture.size_hw = picture.size_hw
-        return DetectedFrame(frame, picture, self.detector.detect(picture, self.selection))
+        image = messages.image_of_message(frame.message)
+        self.last_image.size_hw = image.size_hw
+        return DetectedFrame(frame, image, self.detector.detect(image, self.selection))
 
     def publish(self, result: DetectedFrame) -> None:
         """Publish the detections and, if it has subscribers, the annotated image."""
@@ -61,5 +61,5 @@ class Pipeline:
         self.latencies.add(now_s, (now_s - result.frame.received_s) * 1e3)
         self.empty_frames.add(now_s, len(detections), detections.best_missed)
         if self.outputs.image_subscribers:
-            drawn = annotate(result.picture, detections, class_names)
-            self.outputs.publish_image(Picture(drawn, result.picture.order), header)
+            drawn = annotate(result.image, detections, class_names)
+            self.outputs.publish_image(ColourImage(drawn, result.image.order), header)

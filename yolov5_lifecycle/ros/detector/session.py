@@ -16,7 +16,7 @@ from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
 from yolov5_lifecycle.ros.detector.model_loader import Preparation
 from yolov5_lifecycle.ros.detector.outputs import Outputs
-from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastPicture, Pipeline
+from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage, Pipeline
 from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
@@ -46,14 +46,14 @@ class Detection:
         topic: ImageTopic,
         outputs: Outputs,
         worker: Worker[ReceivedFrame, DetectedFrame],
-        last_picture: LastPicture,
+        last_image: LastImage,
     ) -> None:
         self._node = node
         self._settings = settings
         self._topic = topic
         self._outputs = outputs
         self._worker = worker
-        self._last_picture = last_picture
+        self._last_image = last_image
         self.losses = ImageLosses()
         self.problem = ""
         self.latencies = LatencyWindow()
@@ -161,7 +161,7 @@ class Detection:
             outputs=self._outputs,
             latencies=self.latencies,
             empty_frames=self.empty_frames,
-            last_picture=self._last_picture,
+            last_image=self._last_image,
         )
         self._worker.start(pipeline, max_rate_hz=settings.max_rate)
 

@@ -41,9 +41,9 @@ class Batches(Dataset[Batch]):
     def __getitem__(self, index: int) -> Batch:
         rng = np.random.default_rng((self.seed, index))
         size_hw, count, _ = _BATCHES[rng.choice(len(_BATCHES), p=[share for *_, share in _BATCHES])]
-        pictures = [spoilt_scene(rng, size_hw) for _ in range(count)]
-        pixels = np.stack([pixels for pixels, _ in pictures]).transpose(0, 3, 1, 2)
-        targets = np.concatenate([_targets(number, truth) for number, (_, truth) in enumerate(pictures)])
+        images = [spoilt_scene(rng, size_hw) for _ in range(count)]
+        pixels = np.stack([pixels for pixels, _ in images]).transpose(0, 3, 1, 2)
+        targets = np.concatenate([_targets(number, truth) for number, (_, truth) in enumerate(images)])
         return Batch(torch.from_numpy(np.ascontiguousarray(pixels)), torch.from_numpy(targets))
 
 

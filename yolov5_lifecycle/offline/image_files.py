@@ -8,18 +8,18 @@ from pathlib import Path
 
 import cv2
 
-from yolov5_lifecycle.images.image import ImageError, Picture
+from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.sources.source import (
-    PICTURE_RATE_HZ,
-    PICTURE_SUFFIXES,
+    IMAGE_RATE_HZ,
+    IMAGE_SUFFIXES,
+    image_paths,
     open_source,
-    picture_paths,
 )
 
 
 @dataclass(frozen=True)
-class PictureFile:
+class ImageFile:
     """An image file."""
 
     path: Path
@@ -33,10 +33,10 @@ class PictureFile:
         """The keys that identify it in a line of JSON."""
         return {"file": str(self.path)}
 
-    def load(self) -> Picture:
+    def load(self) -> ColourImage:
         try:
             # An absolute path is never mistaken for a camera index.
-            return next(open_source(str(self.path.absolute()), loop=False).frames).picture
+            return next(open_source(str(self.path.absolute()), loop=False).frames).image
         except SourceError as error:
             raise ImageError(str(error)) from None
 
@@ -46,7 +46,7 @@ class VideoFrame:
     """A video frame, counted from 0."""
 
     number: int
-    picture: Picture
+    image: ColourImage
 
     @property
     def label(self) -> str:
@@ -57,18 +57,18 @@ class VideoFrame:
         """The keys that identify it in a line of JSON."""
         return {"frame": self.number}
 
-    def load(self) -> Picture:
-        return self.picture
+    def load(self) -> ColourImage:
+        return self.image
 
 
-def is_picture(path: Path) -> bool:
+def is_image(path: Path) -> bool:
     """Whether `path` has an image file extension; any other file may be a video."""
-    return path.suffix.lower() in PICTURE_SUFFIXES
+    return path.suffix.lower() in IMAGE_SUFFIXES
 
 
-def picture_files(path: Path) -> list[PictureFile]:
+def image_files(path: Path) -> list[ImageFile]:
     """The image `path`, or the images in the folder `path`; raises SourceError for a folder without any."""
-    return [PictureFile(file) for file in picture_paths(path)]
+    return [ImageFile(file) for file in image_paths(path)]
 
 
 @dataclass(frozen=True)
@@ -88,5 +88,5 @@ class VideoFile:
         capture = cv2.VideoCapture(str(path))
         claimed_frames = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
         capture.release()
-        frames = (VideoFrame(number, frame.picture) for number, frame in enumerate(source.frames))
-        return cls(frames, source.rate_hz or PICTURE_RATE_HZ, claimed_frames)
+        frames = (VideoFrame(number, frame.image) for number, frame in enumerate(source.frames))
+        return cls(frames, source.rate_hz or IMAGE_RATE_HZ, claimed_frames)

@@ -1,4 +1,4 @@
-"""Files of pictures that are none."""
+"""Files of images that are none."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 def claiming_too_much() -> bytes:
-    """A picture file whose header claims more pixels (40000 x 40000) than OpenCV takes in."""
+    """An image file whose header claims more pixels (40000 x 40000) than OpenCV takes in."""
     is_encoded, encoded = cv2.imencode(".bmp", np.zeros((1, 1, 3), np.uint8))
     assert is_encoded
     data = bytearray(np.asarray(encoded).tobytes())
