@@ -243,7 +243,7 @@ def test_inference_that_cannot_go_on_is_given_up(
 ) -> None:
     words = [str(drive), "--output", str(drive.parent / "found"), "--set", "max_consecutive_failures=2"]
     assert main(words, prepare=prepare_raising(error)) == 1
-    given_up = f"detect_bag: given up after {failures} failed pictures in a row: {error}\n"
+    given_up = f"detect_bag: stopped after {failures} consecutive failed images: {error}\n"
     assert capsys.readouterr().err.endswith(given_up)
     assert list(drive.parent.iterdir()) == [drive]
 

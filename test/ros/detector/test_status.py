@@ -111,8 +111,8 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
         ),
         pytest.param(
             BLIND,
-            "nothing scored above confidence_threshold 0.9 in the last 152 frames, the best 0.61: if there "
-            "was something, lower it, or empty classes",
+            "nothing scored above confidence_threshold 0.9 in the last 152 frames, the best 0.61: if "
+            "objects were visible, lower it or clear classes",
             id="below-threshold",
         ),
         pytest.param(
