@@ -63,8 +63,8 @@ def test_detection_ends_after_too_many_failed_inferences(
 ) -> None:
     words = [str(drive), "--output", str(drive.parent / "found"), "--set", "max_consecutive_failures=2"]
     assert main(words, prepare=prepare_raising(error)) == 1
-    given_up = f"detect_bag: given up after {failures} failed images in a row: {error}\n"
-    assert capsys.readouterr().err.endswith(given_up)
+    stopped = f"detect_bag: stopped after {failures} consecutive failed images: {error}\n"
+    assert capsys.readouterr().err.endswith(stopped)
     assert list(drive.parent.iterdir()) == [drive]
 
 

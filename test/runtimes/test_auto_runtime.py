@@ -100,7 +100,7 @@ def test_what_was_measured_is_remembered_for_the_size_of_frame(tmp_path: Path) -
     again = chosen(tmp_path)
     assert again.runtime == "torch"
     assert again.reason.startswith("torch 1.5 ms, ")
-    assert again.reason.endswith(f"; remembered in {record}")
+    assert again.reason.endswith(f"; cached in {record}")
     assert chosen(tmp_path, (96, 64)).reason.endswith("; measured now")
 
 
@@ -126,7 +126,7 @@ def test_a_damaged_record_is_measured_again_and_replaced(
     record = tmp_path / record_name
     record.write_bytes(content)
     assert chosen(tmp_path).reason.endswith("; measured now")
-    assert chosen(tmp_path).reason.endswith(f"; remembered in {record}")
+    assert chosen(tmp_path).reason.endswith(f"; cached in {record}")
 
 
 @needs_choice
@@ -137,7 +137,7 @@ def test_what_is_no_record_is_replaced(
     record = tmp_path / record_name
     make(record)
     assert chosen(tmp_path).reason.endswith("; measured now")
-    assert chosen(tmp_path).reason.endswith(f"; remembered in {record}")
+    assert chosen(tmp_path).reason.endswith(f"; cached in {record}")
 
 
 @needs_choice

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 from array import array
@@ -107,6 +108,9 @@ class ServedNode:
         validate: Validate = validated,
     ) -> None:
         """`parameters` are `name:=value`; `arguments` are further words of the command line."""
+        # A node of an earlier test that is still in a reference cycle would keep /rosout, which rcl registers by
+        # the name of the node: https://github.com/ros2/rcl/blob/jazzy/rcl/src/rcl/logging_rosout.c
+        gc.collect()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, args=[])
         assignments = [word for parameter in parameters for word in ("-p", parameter)]

@@ -125,7 +125,7 @@ class OfflineDetector:
         too_many = self._failures >= self.settings.max_consecutive_failures
         if too_many or isinstance(error, DeviceLostError):
             raise DetectingError(
-                f"given up after {self._failures} failed images in a row: {error}"
+                f"stopped after {self._failures} consecutive failed images: {error}"
             ) from error
 
 

@@ -58,7 +58,7 @@ def choose_runtime(
     record = (folder or cache_folder("choices")) / f"{_key(model, installed, frame_hw)}.json"
     figures_ms = read_figures(record, installed)
     if figures_ms is not None:
-        return _fastest(figures_ms, f"remembered in {record}")
+        return _fastest(figures_ms, f"cached in {record}")
     figures_ms = measure(model, installed, precision=precision, frame_hw=frame_hw)
     problem = write_figures(record, figures_ms)
     return _fastest(figures_ms, problem or "measured now")
