@@ -11,7 +11,7 @@ from yolov5_lifecycle.process.environment import prepare_environment
 
 prepare_environment()  # as the commands do; child processes inherit it
 if "PYTEST_XDIST_WORKER" in os.environ:
-    # torch's threads spin while they wait for each other: beside other workers that takes ten times the CPU time.
+    # Beside other workers, more threads for one network only wait for each other; child processes inherit it.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
