@@ -10,6 +10,9 @@ from pathlib import Path
 from yolov5_lifecycle.process.environment import prepare_environment
 
 prepare_environment()  # as the commands do; child processes inherit it
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # Beside other workers, more threads for one network only wait for each other; child processes inherit it.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import HealthCheck, settings
