@@ -136,7 +136,7 @@ def a_good_one(folder: Path) -> Path:
             all_unreadable, [], "of 1 images none could be used: see why above", id="all unreadable"
         ),
         pytest.param(without_messages, [], "is in it without a single message", id="no messages"),
-        pytest.param(without_its_end, [], "`mcap recover` may mend it", id="without its end"),
+        pytest.param(without_its_end, [], "`mcap recover` may repair it", id="without its end"),
         pytest.param(with_damaged_pages, [], "the recording cannot be read", id="damaged pages"),
         pytest.param(without_metadata, [], "the recording cannot be read", id="without metadata"),
         pytest.param(not_a_recording, [], "magic is invalid", id="not a recording"),

@@ -138,8 +138,11 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "a pickle cut short": (lambda: archive(b"X\xff\xff\xff\x7fabc"), "cut short"),
     "an empty pickle": (lambda: archive(b"", start=b""), "damaged"),
     "a name with an escape": (lambda: archive(name("models.y\\x6flo", "Model")), FOREIGN),
-    "a name that is no text": (lambda: archive(b"cmodels.\xff\nModel\n"), "holds a text that is none"),
-    "a text that is none": (lambda: archive(b"X\x02\x00\x00\x00\xff\xff"), "holds a text that is none"),
+    "a name that is not UTF-8": (lambda: archive(b"cmodels.\xff\nModel\n"), "contains an invalid string"),
+    "a string that is not UTF-8": (
+        lambda: archive(b"X\x02\x00\x00\x00\xff\xff"),
+        "contains an invalid string",
+    ),
     "a memo that was never written": (lambda: archive(get(5)), "damaged"),
     "an item set in a set": (
         lambda: archive(call(name("__builtin__", "set"), asm.EMPTY_LIST) + text("a") + text("b") + b"s"),

@@ -108,8 +108,8 @@ class ServedNode:
         validate: Validate = validated,
     ) -> None:
         """`parameters` are `name:=value`; `arguments` are further words of the command line."""
-        # A node of an earlier test that is still in a reference cycle would keep /rosout, which rcl registers by
-        # the name of the node: https://github.com/ros2/rcl/blob/jazzy/rcl/src/rcl/logging_rosout.c
+        # A node of an earlier test, still in a reference cycle, would keep the publisher of /rosout, which
+        # rcl registers by node name: https://github.com/ros2/rcl/blob/jazzy/rcl/src/rcl/logging_rosout.c
         gc.collect()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, args=[])

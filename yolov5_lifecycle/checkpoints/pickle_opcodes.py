@@ -85,4 +85,4 @@ def _decoded(text: bytes, encoding: str) -> str:
     try:
         return text.decode(encoding, "surrogatepass")
     except UnicodeDecodeError:
-        raise WeightsError("its pickle is damaged: it holds a text that is none") from None
+        raise WeightsError("its pickle is damaged: it contains an invalid string") from None

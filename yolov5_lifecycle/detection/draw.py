@@ -17,7 +17,7 @@ from yolov5_lifecycle.images.image import ColourImage, Order
 Colour = tuple[int, int, int]
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_MAX_NAME_LETTERS = 40
+_MAX_NAME_CHARACTERS = 40
 _GOLDEN_RATIO = 0.618034  # its multiples spread evenly over the hue circle for any number of classes
 
 
@@ -83,8 +83,8 @@ class _Pen:
 
     def label(self, name: str, score: float, max_width: int) -> str:
         """Name and score, the name truncated to fit `max_width`; empty when nothing fits."""
-        whole = [name] if len(name) <= _MAX_NAME_LETTERS else []
-        cut = [name[:length] + ".." for length in range(min(len(name), _MAX_NAME_LETTERS) - 1, 0, -1)]
+        whole = [name] if len(name) <= _MAX_NAME_CHARACTERS else []
+        cut = [name[:length] + ".." for length in range(min(len(name), _MAX_NAME_CHARACTERS) - 1, 0, -1)]
         labels = (f"{short} {score:.2f}" for short in [*whole, *cut])
         return next(
             (text for text in labels if self.text_size(text)[0] + 2 * self.margin_px <= max_width), ""

@@ -144,5 +144,5 @@ def _opencv_pixels(buffer: NDArray[np.uint8], flags: int) -> NDArray[Any]:
     except cv2.error as error:
         raise ImageError(f"OpenCV refuses the image: {error.err}.") from None
     if pixels is None:
-        raise ImageError(f"Expected a whole image, found {buffer.size} bytes that cannot be decoded.")
+        raise ImageError(f"Expected a complete image, found {buffer.size} bytes that cannot be decoded.")
     return np.ascontiguousarray(pixels)

@@ -122,7 +122,7 @@ class _Walk:
         length = self._number(self._position)
         if length < 2 or self._position + length > len(self._data):
             raise ImageError(
-                f"Expected a whole JPEG, found {len(self._data)} bytes in which {_name(marker)} "
+                f"Expected a complete JPEG, found {len(self._data)} bytes in which {_name(marker)} "
                 f"claims {length} bytes at {self._position}."
             )
         self._position += length
@@ -147,7 +147,9 @@ class _Walk:
 
     def _byte(self, position: int) -> int:
         if position >= len(self._data):
-            raise ImageError(f"Expected a whole JPEG, found {len(self._data)} bytes that end in its header.")
+            raise ImageError(
+                f"Expected a complete JPEG, found {len(self._data)} bytes that end in its header."
+            )
         return self._data[position]
 
 

@@ -60,7 +60,7 @@ def png_structure(buffer: NDArray[np.uint8]) -> PngStructure:
     else:
         raise ImageError(f"A PNG may have {MAX_CHUNKS} chunks, this one has more.")
     if b"IDAT" not in found:
-        raise ImageError(f"Expected a whole PNG, found {len(data)} bytes without pixels (IDAT).")
+        raise ImageError(f"Expected a complete PNG, found {len(data)} bytes without pixels (IDAT).")
     width, height = struct.unpack_from(">II", data, len(_SIGNATURE) + _CHUNK.size)
     return PngStructure((height, width), _joined(buffer, kept))
 
@@ -72,7 +72,7 @@ def _chunk(data: memoryview, position: int) -> tuple[bytes, int]:
         end = position + _AROUND_DATA + length
         if end <= len(data):
             return name, end
-    raise ImageError(f"Expected a whole PNG, found {len(data)} bytes that end within a chunk.")
+    raise ImageError(f"Expected a complete PNG, found {len(data)} bytes that end within a chunk.")
 
 
 def _check_chunk(name: bytes, found: set[bytes], size: int) -> None:

@@ -121,7 +121,7 @@ def check_fit(expected: Mapping[str, Tensor], tensors: Mapping[str, Tensor]) -> 
     for key, blank in expected.items():
         if key not in tensors:
             raise WeightsError(
-                f"the tensor {key} is missing: the file is not whole; copy or convert it again"
+                f"the tensor {key} is missing: the file is incomplete; copy or convert it again"
             )
         found = tensors[key]
         if found.shape != blank.shape:

@@ -176,7 +176,7 @@ def _readable(path: Path) -> Iterator[None]:
         reason = in_one_line(str(error))[:500] or type(error).__name__
         raise RecordingError(
             f"{path}: the recording cannot be read: {reason.removesuffix('.')}. "
-            "If its end is missing, `ros2 bag reindex` or `mcap recover` may mend it."
+            "If its end is missing, `ros2 bag reindex` or `mcap recover` may repair it."
         ) from error
 
 

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 # In /proc/cpuinfo: CPU model and features, on x86 and ARM.
-_TELLING = ("model name", "flags", "Features", "CPU implementer", "CPU part")
+_RELEVANT_FIELDS = ("model name", "flags", "Features", "CPU implementer", "CPU part")
 
 
 def installed_build(package: str) -> str | None:
@@ -28,5 +28,5 @@ def processor() -> str:
         first, *_ = Path("/proc/cpuinfo").read_text(errors="replace").split("\n\n")
     except OSError:  # not Linux
         return f"{platform.machine()} {platform.processor()}"
-    told = [line for line in first.splitlines() if line.startswith(_TELLING)]
-    return "\n".join([platform.machine(), *told])
+    relevant = [line for line in first.splitlines() if line.startswith(_RELEVANT_FIELDS)]
+    return "\n".join([platform.machine(), *relevant])

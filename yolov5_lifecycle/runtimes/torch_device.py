@@ -37,8 +37,8 @@ def resolve_precision(precision: str, device: torch.device) -> torch.dtype:
         raise DeviceError(f"Precision must be auto, fp32 or fp16, found {precision[:40]!r}.")
     if precision == "fp16" and device.type == "cpu":
         raise DeviceError(
-            "Precision 'fp16' needs a GPU, found device 'cpu', which computes half numbers slower than whole "
-            "ones. Use precision 'auto' or 'fp32'."
+            "Precision 'fp16' needs a GPU, found device 'cpu', where fp16 is slower than fp32. "
+            "Use precision 'auto' or 'fp32'."
         )
     return torch.float16 if precision == "fp16" else torch.float32
 

@@ -31,8 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the demonstration; return 0 on success, 1 on a failure, 130 on an interrupt."""
     CommandParser(
         "demo",
-        description="Lead camera and detector, two processes, through a whole life. "
-        f"The last image goes to {OUTPUT}; there is nothing to choose.",
+        description="Run camera and detector as two processes and drive the detector through every lifecycle "
+        f"transition. The last image is written to {OUTPUT}; there are no options.",
     ).parse_args(argv)
     # On SIGTERM, the child processes must end as well.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
@@ -79,9 +79,9 @@ def _row(phase: Phase) -> list[str]:
     ]
 
 
-def _run(tell: Callable[[str], None]) -> tuple[list[Phase], Path]:
+def _run(report: Callable[[str], None]) -> tuple[list[Phase], Path]:
     with own_domain() as domain, _processes(domain) as (camera, detector):
-        tell(f"camera and detector started as processes {camera.process_id} and {detector.process_id}")
+        report(f"camera and detector started as processes {camera.process_id} and {detector.process_id}")
         running = [camera, detector]
 
         def check() -> None:
@@ -90,7 +90,9 @@ def _run(tell: Callable[[str], None]) -> tuple[list[Phase], Path]:
 
         try:
             with closing(Observer("demo", domain=domain, check=check)) as observer:
-                demonstration = Demonstration(observer, RemoteLifecycleNode(observer, "/yolov5"), tell=tell)
+                demonstration = Demonstration(
+                    observer, RemoteLifecycleNode(observer, "/yolov5"), report=report
+                )
                 phases, annotated = demonstration.run()
                 running.remove(detector)
                 demonstration.shut_down()
@@ -98,7 +100,7 @@ def _run(tell: Callable[[str], None]) -> tuple[list[Phase], Path]:
             raise DemonstrationError(f"{error}. The detector's last words:\n{detector.last_words}") from error
         _expect_clean_end("detector", detector.stop(signal.SIGINT, timeout_s=_END_S))
         _expect_clean_end("camera", camera.stop(signal.SIGINT, timeout_s=_END_S))
-        tell("both processes ended with exit code 0")
+        report("both processes ended with exit code 0")
     return phases, _saved(annotated)
 
 

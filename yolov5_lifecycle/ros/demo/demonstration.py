@@ -48,14 +48,14 @@ class Phase:
 
 
 class Demonstration:
-    """Drives `detector` with the camera's images and checks its output; calls `tell` once per step."""
+    """Drives `detector` with the camera's images and checks its output; calls `report` once per step."""
 
     def __init__(
-        self, observer: Observer, detector: RemoteLifecycleNode, *, tell: Callable[[str], None]
+        self, observer: Observer, detector: RemoteLifecycleNode, *, report: Callable[[str], None]
     ) -> None:
         self._observer = observer
         self._detector = detector
-        self._tell = tell
+        self._report = report
         self._sightings: list[Sighting] = []
         self._truths: dict[int, Sighting] = {}
         self._annotated: ColourImage | None = None
@@ -64,7 +64,7 @@ class Demonstration:
 
     def run(self) -> tuple[list[Phase], ColourImage]:
         """Run all phases; return them and an annotated image. Raises DemonstrationError or NoAnswerError."""
-        self._tell("waiting for the camera and the detector")
+        self._report("waiting for the camera and the detector")
         self._observer.wait_for(lambda: bool(self._truths), "messages on /camera/truth")
         self._detector.wait_until_reachable()
         self._expect_state("unconfigured")
@@ -85,7 +85,7 @@ class Demonstration:
         self._transition("shutdown", "finalized")
 
     def _watch(self) -> Phase:
-        self._tell(f"watching {WATCHED_MESSAGES} messages")
+        self._report(f"watching {WATCHED_MESSAGES} messages")
         seen = self._next(WATCHED_MESSAGES)
         found = recall(seen, self._truths)
         if not found >= _LOWEST_RECALL:
@@ -93,12 +93,12 @@ class Demonstration:
                 f"of the camera's true shapes {found:.1%} were found where they are, "
                 f"expected at least {_LOWEST_RECALL:.0%}"
             )
-        self._tell(f"found {found:.1%} of the true shapes where they are")
+        self._report(f"found {found:.1%} of the true shapes where they are")
         return Phase("all classes", seen, found)
 
     def _annotated_image(self) -> ColourImage:
         """Receive an image from ~/image that shows several objects."""
-        self._tell("waiting for an annotated image with several objects")
+        self._report("waiting for an annotated image with several objects")
         subscription = self._observer.create_subscription(
             Image, "/yolov5/image", self._take_image, QoSProfile(depth=1)
         )
@@ -124,7 +124,9 @@ class Demonstration:
             raise DemonstrationError(
                 f"not one {_ONLY_CLASS} was seen in {len(seen)} images, though the scene has some"
             )
-        self._tell(f"the next {len(seen)} messages have circles only, none scored below {_RAISED_THRESHOLD}")
+        self._report(
+            f"the next {len(seen)} messages have circles only, none scored below {_RAISED_THRESHOLD}"
+        )
         self._set(confidence_threshold=before, classes=[])
         return Phase(f"{_ONLY_CLASS} >= {_RAISED_THRESHOLD}", seen)
 
@@ -139,14 +141,14 @@ class Demonstration:
         gap_s = longest_gap_s(around)
         if gap_s > _LONGEST_GAP_S:
             raise DemonstrationError(f"no detections for {gap_s:.1f} s while the model was changed")
-        self._tell(
+        self._report(
             f"model prepared and swapped in {took_s:.1f} s, longest gap between messages {gap_s * 1e3:.0f} ms"
         )
         return Phase(f"image_size {size}", seen, recall(seen, self._truths))
 
     def _watch_again(self) -> Phase:
         seen = self._next(_LATER_MESSAGES)
-        self._tell("messages come again")
+        self._report("messages come again")
         return Phase("activated again", seen, recall(seen, self._truths))
 
     def _stop(self) -> None:
@@ -156,10 +158,10 @@ class Demonstration:
         late = [seen for seen in self._sightings if seen.stamp_ns > answered_ns]
         if late:
             raise DemonstrationError(f"{len(late)} messages of images taken after the node was deactivated")
-        self._tell(f"messages stopped: none in {_SILENCE_S:g} s")
+        self._report(f"messages stopped: none in {_SILENCE_S:g} s")
 
     def _transition(self, label: str, goal: str) -> None:
-        self._tell(label)
+        self._report(label)
         if not self._detector.change_state(label):
             raise DemonstrationError(f"the detector refused to {label}; its log says why")
         if goal != "finalized":
@@ -171,7 +173,7 @@ class Demonstration:
             raise DemonstrationError(f"expected the detector to be {expected}, but it is {state}")
 
     def _set(self, **values: object) -> None:
-        self._tell("set " + ", ".join(f"{name}: {value}" for name, value in values.items()))
+        self._report("set " + ", ".join(f"{name}: {value}" for name, value in values.items()))
         refusal = self._detector.set_parameters(**values)
         if refusal:
             raise DemonstrationError(f"setting {values} was refused: {refusal}")
