@@ -37,7 +37,7 @@ export AMENT_PREFIX_PATH := $(abspath $(VENV))
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 
-# Found now: the recipes look in the environment first, whose own Python goes when it is made anew.
+# Resolved now: the recipes search the virtual environment first, and its own Python is deleted when it is recreated.
 override PYTHON := $(or $(shell PATH="$${PATH//'$(abspath $(VENV))/bin:'/}"; command -v $(PYTHON)),$(PYTHON))
 
 # A stamp is written after its step has succeeded, never before: an interrupted step is done again from its beginning.
@@ -59,14 +59,14 @@ help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make test     the tests, without the long ones  (SET=apt: with numpy and OpenCV of Ubuntu 24.04, in .venv-apt)'
 	@echo 'make test-all all tests'
-	@echo 'make coverage all tests, and which lines of the package it reaches, child processes included'
+	@echo 'make coverage all tests, with the line coverage of the package, child processes included'
 	@echo 'make bench    how fast each runtime is, quiet and beside a busy process  (BENCH_FLAGS="--quick")'
-	@echo 'make soak     hours of hostile neighbours, faults and signals; table, and build/soak/report.json'
-	@echo 'make fuzz     searches, led by coverage, for images, weights and settings that are taken wrongly'
+	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
+	@echo 'make fuzz     coverage-guided fuzzing of the parsers of images, weights and settings'
 	@echo 'make lint     ruff and mypy --strict'
-	@echo 'make install  what the others do first: .venv with the pinned packages, messages and this package'
-	@echo 'make docs     writes what is derived from the settings: YAML file, schema, reference page'
-	@echo 'make clean    removes everything that make has made, .venv included'
+	@echo 'make install  the first step of the others: .venv with the pinned packages, messages and this package'
+	@echo 'make docs     regenerates what is derived from the settings: YAML file, schema, reference page'
+	@echo 'make clean    removes everything that make has created, .venv included'
 	@echo 'Variables: PYTHON=python3.12  SET=apt  TORCH=cpu  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"  SOAK_FLAGS="--minutes 5"'
 
 install: $(PACKAGE)
