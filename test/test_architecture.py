@@ -33,7 +33,7 @@ RANKS = (
     ("printable", "package_path", "regular_file", "unfinished"),
     ("atomic_file", "process"),
     ("images", "models"),
-    ("settings", "checkpoints", "runtimes", "streaming", "sources"),
+    ("settings", "checkpoints", "runtimes", "streaming", "sources", "spatial"),
     ("detection",),
     ("commands",),
     ("offline",),
@@ -42,7 +42,7 @@ RANKS = (
 RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders}
 # What a user starts, and what makes a detector or a selection from settings.
 EDGE = ("settings.", "commands.", "offline.", "ros.", "detection.prepared_model", "detection.selection")
-WITHOUT_TORCH = ("images", "settings", "streaming", "sources", "process")
+WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process")
 
 PRIVATE_BY_NAME_ONLY = {
     "os._exit",  # documented
@@ -114,6 +114,7 @@ def test_settings_are_imported_at_the_edge_only(module: str) -> None:
     [
         pytest.param(tuple(folder for folder in RANK if folder != "ros"), ROS_MODULES, id="ROS"),
         pytest.param(WITHOUT_TORCH, ("torch", *ROS_MODULES), id="torch"),
+        pytest.param(("spatial",), ("cv2", "torch", *ROS_MODULES), id="all but numpy"),
     ],
 )
 def test_what_does_not_need_a_library_imports_without_it(

@@ -61,12 +61,22 @@ def test_the_node_has_the_name_that_the_configurations_use() -> None:
 
 def test_rviz_shows_images_of_the_node() -> None:
     layout = yaml.safe_load((CONFIG / "yolov5.rviz").read_text())["Visualization Manager"]
-    shown = [display["Topic"]["Value"] for display in layout["Displays"]]
+    images = [display for display in layout["Displays"] if display["Class"] == "rviz_default_plugins/Image"]
+    shown = [display["Topic"]["Value"] for display in images]
     assert shown == [f"{NODE}/image", f"{NODE}/image_raw"]
-    asked = [display["Topic"]["Reliability Policy"] for display in layout["Displays"]]
+    asked = [display["Topic"]["Reliability Policy"] for display in images]
     assert asked == ["Reliable", "Best Effort"], "what the detector offers; what any camera can serve"
     assert set(shown) <= topics()
-    assert {display["Class"] for display in layout["Displays"]} == {"rviz_default_plugins/Image"}
+
+
+def test_rviz_is_ready_for_boxes_in_space() -> None:
+    layout = yaml.safe_load((CONFIG / "yolov5.rviz").read_text())["Visualization Manager"]
+    (boxes,) = values({"displays": layout["Displays"][2:]}, "Topic")
+    assert (boxes["Value"], boxes["Reliability Policy"]) == (f"{NODE}/detections_3d", "Reliable")
+    assert [display["Class"] for display in layout["Displays"][2:]] == [
+        "vision_msgs_rviz_plugins/Detection3DArray"
+    ]
+    assert not layout["Displays"][2]["Enabled"], "the plugin is not installed everywhere"
 
 
 def test_foxglove_shows_every_panel_once_and_topics_of_the_node() -> None:

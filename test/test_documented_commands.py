@@ -37,7 +37,7 @@ from support.recorded_scene import images, jpeg, raw, record, video
 
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
-from benchmark import bench
+from benchmark import bench, depth
 from yolov5_lifecycle.commands import convert
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
@@ -70,6 +70,8 @@ NOT_RUN = {
 TOPICS = {row[0].partition(" ")[2].strip("`").replace("~", NODE) for row in table(README, "Topics")}
 PARSERS = {"BENCH_FLAGS": bench.parser, "FUZZ_FLAGS": fuzz.parser, "SOAK_FLAGS": soak.parser}
 """What takes the words that `make` hands on."""
+MODULE_PARSERS = {"benchmark.depth": depth.parser}
+"""What takes the words behind a module that Python runs."""
 TRANSITIONS = {"configure", "activate", "deactivate", "cleanup", "shutdown"}
 ADDITIONS = {
     "detector": ["-p", "autostart:=true", "-p", "runtime:=torch"],
@@ -135,6 +137,10 @@ def check_launch(package: str, file: str, *arguments: str) -> None:
     assert {argument.partition(":=")[0] for argument in arguments} <= declared_arguments(file).keys()
 
 
+def check_module(module: str, *words: str) -> None:
+    MODULE_PARSERS[module]().parse_args(words)
+
+
 def check_service(verb: str, service: str, service_type: str, request: str) -> None:
     assert (verb, service) == ("call", f"{NODE}/set_parameters_atomically")
     assert service_type == "rcl_interfaces/srv/SetParametersAtomically"
@@ -153,6 +159,7 @@ CHECKS: dict[str, Callable[..., None]] = {
     "ros2 service": check_service,
     "ros2 topic": check_topic,
     "ros2 launch": check_launch,
+    "PYTHONPATH=test python -m": check_module,
 }
 
 

@@ -12,8 +12,11 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 from vision_msgs.msg import (
     BoundingBox2D,
+    BoundingBox3D,
     Detection2D,
     Detection2DArray,
+    Detection3D,
+    Detection3DArray,
     LabelInfo,
     ObjectHypothesis,
     ObjectHypothesisWithPose,
@@ -24,6 +27,7 @@ from yolov5_lifecycle.detection.detections import Detections, FoundObject
 from yolov5_lifecycle.images.compressed import compressed_image
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.spatial.placement import Box3D, Placement
 
 
 def image_of_message(message: Image | CompressedImage) -> ColourImage:
@@ -68,6 +72,33 @@ def _detection(found: FoundObject, header: Header) -> Detection2D:
     bbox.center.position.x, bbox.center.position.y = found.centre_xy
     hypothesis = ObjectHypothesis(class_id=found.class_name, score=found.score)
     return Detection2D(header=header, results=[ObjectHypothesisWithPose(hypothesis=hypothesis)], bbox=bbox)
+
+
+def detection_3d_array_message(
+    detections: Detection2DArray, placements: Sequence[Placement], frame_id: str
+) -> Detection3DArray:
+    """Detection3DArray message of those `detections` that have a place in space, one placement for each.
+
+    Stamp, order, ids, classes and scores are those of `detections`; `frame_id` is the optical frame of the
+    depth image. Raises ValueError when there are not as many placements as detections.
+    """
+    header = Header(stamp=detections.header.stamp, frame_id=frame_id)
+    placed = [
+        _detection_3d(detection, placement, header)
+        for detection, placement in zip(detections.detections, placements, strict=True)
+        if isinstance(placement, Box3D)
+    ]
+    return Detection3DArray(header=header, detections=placed)
+
+
+def _detection_3d(detection: Detection2D, box: Box3D, header: Header) -> Detection3D:
+    bbox = BoundingBox3D()
+    bbox.center.position.x, bbox.center.position.y, bbox.center.position.z = box.centre_xyz_m
+    bbox.size.x, bbox.size.y, bbox.size.z = box.size_xyz_m
+    results = [ObjectHypothesisWithPose(hypothesis=result.hypothesis) for result in detection.results]
+    for result in results:
+        result.pose.pose = bbox.center
+    return Detection3D(header=header, results=results, bbox=bbox, id=detection.id)
 
 
 def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:

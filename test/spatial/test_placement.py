@@ -1,0 +1,283 @@
+"""Boxes and a depth image become boxes in space near the ground truth, or a reason."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from support.depth_scene import CAMERA, SHAPES, THIN, DepthScene, Difficulty, Shape, random_depth_scene
+
+from yolov5_lifecycle.images.image import MAX_SIDE_PX
+from yolov5_lifecycle.spatial.depth_image import DepthImage, decode_depth
+from yolov5_lifecycle.spatial.intrinsics import Intrinsics
+from yolov5_lifecycle.spatial.placement import MAX_BOXES_AT_ONCE, Box3D, Placement, Unplaced, place
+
+SIZE_HW = CAMERA.size_hw
+DIFFICULTIES = {
+    "sloped background": Difficulty(),
+    "30 % holes": Difficulty(hole_share=0.3),
+    "half occluded": Difficulty(hole_share=0.3, is_half_occluded=True),
+    "on a floor": Difficulty(hole_share=0.3, stands_on_floor=True),
+}
+SCENES_PER_SHAPE = 16
+SOLID = tuple(shape for shape in SHAPES if shape not in THIN)
+
+Boxes = NDArray[np.float32]
+
+
+def in_metres(depth_m: NDArray[np.float32]) -> DepthImage:
+    return DepthImage(depth_m, 1.0)
+
+
+def placed(scene: DepthScene) -> Placement:
+    (placement,) = place(scene.box_xyxy[None], SIZE_HW, in_metres(scene.depth_m), CAMERA)
+    return placement
+
+
+@cache
+def centre_errors(difficulty: str, shapes: tuple[Shape, ...]) -> NDArray[np.float64]:
+    """Distances of found and true centres in parts of the range; 1 for an object that is not found."""
+    rng = np.random.default_rng(14)
+    errors = []
+    for shape in shapes * SCENES_PER_SHAPE:
+        scene = random_depth_scene(rng, shape, DIFFICULTIES[difficulty])
+        found = placed(scene)
+        error_m = (
+            scene.range_m
+            if isinstance(found, Unplaced)
+            else math.dist(found.centre_xyz_m, scene.centre_xyz_m)
+        )
+        errors.append(error_m / scene.range_m)
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("shapes", [SOLID, THIN], ids=["solid", "thin"])
+@pytest.mark.parametrize("difficulty", DIFFICULTIES)
+def test_the_median_error_of_the_centre_is_at_most_2_percent_of_the_range(
+    difficulty: str, shapes: tuple[Shape, ...]
+) -> None:
+    assert np.median(centre_errors(difficulty, shapes)) <= 0.02
+
+
+@pytest.mark.parametrize(
+    ("difficulty", "shapes"),
+    [
+        pytest.param("sloped background", SOLID, id="solid"),
+        pytest.param("sloped background", THIN, id="thin"),
+        pytest.param("30 % holes", SOLID, id="solid, 30 % holes"),
+        pytest.param("30 % holes", THIN, id="thin, 30 % holes"),
+        pytest.param("half occluded", SOLID, id="solid, half occluded"),
+        pytest.param("on a floor", SOLID, id="solid, on a floor"),
+    ],
+)
+def test_95_of_100_centres_are_at_most_5_percent_of_the_range_away(
+    difficulty: str, shapes: tuple[Shape, ...]
+) -> None:
+    assert np.quantile(centre_errors(difficulty, shapes), 0.95) <= 0.05
+
+
+def test_95_of_100_centres_of_all_scenes_together_are_at_most_5_percent_of_the_range_away() -> None:
+    errors = [centre_errors(name, shapes) for name in list(DIFFICULTIES)[:3] for shapes in (SOLID, THIN)]
+    assert np.quantile(np.concatenate(errors), 0.95) <= 0.05
+
+
+def board_before_wall(
+    *, board_m: float = 2.0, wall_m: float = 4.0, box: tuple[int, int, int, int] = (100, 80, 180, 140)
+) -> NDArray[np.float32]:
+    depth_m = np.full(SIZE_HW, wall_m, np.float32)
+    depth_m[box[1] : box[3], box[0] : box[2]] = board_m
+    return depth_m
+
+
+BOX: Boxes = np.array([[100, 80, 180, 140]], np.float32)
+
+
+def test_a_board_has_the_centre_and_size_of_the_pinhole_camera() -> None:
+    (box,) = place(BOX, SIZE_HW, in_metres(board_before_wall()), CAMERA)
+    assert isinstance(box, Box3D)
+    # The box's middle is 20 columns and 10 rows left of and above the principal point, between two pixels.
+    assert box.centre_xyz_m == pytest.approx((-20 / 270 * 2, -10 / 270 * 2, 2.0), rel=1e-6)
+    assert box.size_xyz_m == pytest.approx((80 / 270 * 2, 60 / 270 * 2, 0.0), abs=1e-6)
+    assert box.distance_m == pytest.approx(math.hypot(20 / 135, 10 / 135, 2.0))
+
+
+def test_an_object_that_fills_the_image_has_a_distance() -> None:
+    box = np.array([[0, 0, 320, 240]], np.float32)
+    (found,) = place(box, SIZE_HW, in_metres(np.full(SIZE_HW, 1.5, np.float32)), CAMERA)
+    assert isinstance(found, Box3D)
+    assert found.centre_xyz_m == pytest.approx((0, 0, 1.5), abs=1e-6)
+
+
+def test_an_object_that_lies_on_a_wall_has_the_distance_of_the_wall() -> None:
+    (found,) = place(BOX, SIZE_HW, in_metres(board_before_wall(board_m=4.0)), CAMERA)
+    assert isinstance(found, Box3D)
+    assert found.centre_xyz_m[2] == pytest.approx(4.0)
+
+
+def test_boxes_of_equal_boards_side_by_side_have_their_distance() -> None:
+    depth_m = board_before_wall()
+    depth_m[80:140, 30:95] = depth_m[80:140, 185:250] = 2.0
+    (found,) = place(BOX, SIZE_HW, in_metres(depth_m), CAMERA)
+    assert isinstance(found, Box3D)
+    assert found.centre_xyz_m[2] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf, -1.0])
+def test_an_object_without_measurements_has_not_the_distance_of_what_is_behind_it(value: float) -> None:
+    depth_m = board_before_wall(board_m=value)
+    wider = BOX + np.array([-5, -5, 5, 5], np.float32)
+    assert place(wider, SIZE_HW, in_metres(depth_m), CAMERA) == (Unplaced.NO_VALID_DEPTH,)
+
+
+@pytest.mark.parametrize(
+    "box",
+    [
+        pytest.param((50, 50, 50, 50), id="no size"),
+        pytest.param((50, 50, 52, 51), id="two pixels"),
+        pytest.param((-100, -100, 400, 400), id="beyond every edge"),
+        pytest.param((300, 100, 330, 150), id="a third outside"),
+    ],
+)
+def test_an_unusual_box_has_the_distance_of_a_wall(box: tuple[float, ...]) -> None:
+    (found,) = place(np.array([box], np.float32), SIZE_HW, in_metres(np.full(SIZE_HW, 3, np.float32)), CAMERA)
+    assert isinstance(found, Box3D)
+    assert found.centre_xyz_m[2] == pytest.approx(3.0)
+
+
+def test_a_box_outside_the_image_has_no_valid_depth() -> None:
+    box = np.array([[1e30, 1e30, 2e30, 2e30]], np.float32)
+    assert place(box, SIZE_HW, in_metres(board_before_wall()), CAMERA) == (Unplaced.NO_VALID_DEPTH,)
+
+
+OTHER_SIZE = Intrinsics(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, (480, 640))
+
+
+@pytest.mark.parametrize(
+    ("image_size_hw", "has_depth", "camera", "reason"),
+    [
+        pytest.param(SIZE_HW, False, CAMERA, Unplaced.NO_DEPTH_IMAGE, id="no depth image"),
+        pytest.param(SIZE_HW, False, None, Unplaced.NO_DEPTH_IMAGE, id="neither"),
+        pytest.param(SIZE_HW, True, None, Unplaced.NO_CAMERA_INFO, id="no camera_info"),
+        pytest.param((480, 640), True, CAMERA, Unplaced.OTHER_SIZE, id="colour of another size"),
+        pytest.param(SIZE_HW, True, OTHER_SIZE, Unplaced.OTHER_SIZE, id="camera_info of another size"),
+    ],
+)
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_every_detection_is_told_what_is_missing(
+    image_size_hw: tuple[int, int], has_depth: bool, camera: Intrinsics | None, reason: Unplaced, count: int
+) -> None:
+    depth = in_metres(board_before_wall()) if has_depth else None
+    assert place(np.repeat(BOX, count, axis=0), image_size_hw, depth, camera) == (reason,) * count
+
+
+def test_without_boxes_nothing_is_placed() -> None:
+    assert place(np.zeros((0, 4), np.float32), SIZE_HW, in_metres(board_before_wall()), CAMERA) == ()
+
+
+boxes = st.tuples(*[st.floats(-50, 400, width=32)] * 4).map(
+    lambda ends: (min(ends[0], ends[2]), min(ends[1], ends[3]), max(ends[0], ends[2]), max(ends[1], ends[3]))
+)
+several_boxes = st.lists(boxes, min_size=1, max_size=5).map(lambda rows: np.array(rows, np.float32))
+
+
+def millimetres(seed: int) -> NDArray[np.uint16]:
+    """A scene (H, W) with a hole in a third of the pixels."""
+    rng = np.random.default_rng(seed)
+    scene = random_depth_scene(rng, SHAPES[seed % len(SHAPES)], Difficulty(hole_share=0.3))
+    return np.rint(scene.depth_m * 1000).astype(np.uint16)
+
+
+def near(found: tuple[Placement, ...], other: tuple[Placement, ...], *, scale: float = 1.0) -> bool:
+    """Whether both have the same reasons, and the same boxes apart from `scale` and rounding."""
+    return len(found) == len(other) and all(
+        one is two
+        if isinstance(one, Unplaced) or isinstance(two, Unplaced)
+        else np.allclose(
+            np.array((one.centre_xyz_m, one.size_xyz_m)) * scale,
+            (two.centre_xyz_m, two.size_xyz_m),
+            rtol=1e-4,
+        )
+        for one, two in zip(found, other, strict=True)
+    )
+
+
+@given(seed=st.integers(0, 5), boxes_xyxy=several_boxes)
+@settings(max_examples=25)
+def test_encoding_and_byte_order_change_nothing(seed: int, boxes_xyxy: Boxes) -> None:
+    values = millimetres(seed)
+    metres = values * np.float32(0.001)
+    sent = {
+        ("16UC1", False): values.astype("<u2"),
+        ("16UC1", True): values.astype(">u2"),
+        ("32FC1", False): metres.astype("<f4"),
+        ("32FC1", True): metres.astype(">f4"),
+    }
+    height, width = SIZE_HW
+    first, *others = (
+        place(
+            boxes_xyxy,
+            SIZE_HW,
+            decode_depth(
+                data.tobytes(),
+                encoding=encoding,
+                height=height,
+                width=width,
+                step=width * data.itemsize,
+                is_bigendian=is_bigendian,
+            ),
+            CAMERA,
+        )
+        for (encoding, is_bigendian), data in sent.items()
+    )
+    assert all(near(first, other) for other in others)
+
+
+@given(seed=st.integers(0, 5), boxes_xyxy=several_boxes)
+@settings(max_examples=25)
+def test_a_box_is_placed_alike_alone_and_among_others(seed: int, boxes_xyxy: Boxes) -> None:
+    depth = DepthImage(millimetres(seed), 0.001)
+    alone = [place(box[None], SIZE_HW, depth, CAMERA) for box in boxes_xyxy]
+    assert place(boxes_xyxy, SIZE_HW, depth, CAMERA) == tuple(found for (found,) in alone)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mirrored_left_to_right_only_x_changes_its_sign(seed: int) -> None:
+    scene = random_depth_scene(np.random.default_rng(seed), "board", Difficulty(hole_share=0.3))
+    left, top, right, bottom = np.round(scene.box_xyxy).tolist()
+    box = np.array([[left + 0.25, top, right + 0.25, bottom]], np.float32)
+    mirrored_box = np.array([[319.75 - right, top, 319.75 - left, bottom]], np.float32)
+    (found,) = place(box, SIZE_HW, in_metres(scene.depth_m), CAMERA)
+    (mirrored,) = place(mirrored_box, SIZE_HW, in_metres(scene.depth_m[:, ::-1]), CAMERA)
+    assert isinstance(found, Box3D)
+    assert isinstance(mirrored, Box3D)
+    x, y, z = found.centre_xyz_m
+    assert mirrored.centre_xyz_m == pytest.approx((-x, y, z), rel=1e-3, abs=1e-3)
+
+
+@given(data=st.binary(min_size=0, max_size=64), boxes_xyxy=several_boxes)
+@settings(max_examples=50)
+def test_any_values_and_boxes_give_finite_numbers_or_a_reason(data: bytes, boxes_xyxy: Boxes) -> None:
+    buffer = np.resize(np.frombuffer(data or b"\0", np.uint8), 320 * 240 * 4)
+    depth = decode_depth(buffer, encoding="32FC1", height=240, width=320, step=1280, is_bigendian=False)
+    for found in place(boxes_xyxy, SIZE_HW, depth, CAMERA):
+        if isinstance(found, Box3D):
+            assert np.isfinite((found.centre_xyz_m, found.size_xyz_m)).all()
+            assert min(found.size_xyz_m) >= 0
+
+
+def test_a_thousand_boxes_on_the_widest_image_are_placed() -> None:
+    row = np.full(MAX_SIDE_PX, 2000, np.uint16)
+    values = np.broadcast_to(row, (MAX_SIDE_PX, MAX_SIDE_PX))
+    camera = Intrinsics(9000.0, 9000.0, 8191.5, 8191.5, values.shape)
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(0, MAX_SIDE_PX / 2, (1000, 2))
+    everywhere = np.concatenate((starts, starts + rng.uniform(0, MAX_SIDE_PX / 2, (1000, 2))), axis=1)
+    found = place(everywhere.astype(np.float32), values.shape, DepthImage(values, 0.001), camera)
+    assert len(found) == 1000 > MAX_BOXES_AT_ONCE
+    assert {round(one.centre_xyz_m[2], 5) for one in found if isinstance(one, Box3D)} == {2.0}
+    assert not any(isinstance(one, Unplaced) for one in found)

@@ -1,0 +1,100 @@
+"""A colour image gets the depth image of its time, or a reason."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY, DepthPairing, Stamped, Unpaired
+
+MS = 1_000_000
+FRAME_MS = 33
+SLOP_S = 0.02
+
+
+def pairing(*stamps_ms: int, slop_s: float = SLOP_S) -> DepthPairing[str]:
+    """With one depth image for each stamp, called after it."""
+    depths = DepthPairing[str](slop_s)
+    for stamp_ms in stamps_ms:
+        depths.add(stamp_ms * MS, f"at {stamp_ms}")
+    return depths
+
+
+def item(found: Stamped[str] | Unpaired) -> str:
+    assert isinstance(found, Stamped), found
+    return found.item
+
+
+@pytest.mark.parametrize(
+    ("received_ms", "colour_ms", "expected"),
+    [
+        pytest.param([100], 100, "at 100", id="same stamp"),
+        pytest.param([80], 100, "at 80", id="older by the slop"),
+        pytest.param([120], 100, "at 120", id="newer by the slop"),
+        pytest.param([90, 100, 110], 100, "at 100", id="nearest of three"),
+        pytest.param([95, 105], 100, "at 105", id="newer of two equally near"),
+        pytest.param([100, 120, 140], 104, "at 100", id="detected late"),
+    ],
+)
+def test_the_nearest_depth_image_within_the_slop_is_chosen(
+    received_ms: list[int], colour_ms: int, expected: str
+) -> None:
+    assert item(pairing(*received_ms).pair(colour_ms * MS)) == expected
+
+
+@pytest.mark.parametrize(
+    ("received_ms", "reason"),
+    [
+        pytest.param([], Unpaired.MISSING, id="none received"),
+        pytest.param([40, 79], Unpaired.LATE, id="the newest is too old"),
+        pytest.param([40, 160], Unpaired.PASSED, id="the one between was lost"),
+        pytest.param([150, 160, 170], Unpaired.PASSED, id="all are newer"),
+    ],
+)
+def test_a_colour_image_without_a_depth_image_is_told_why(received_ms: list[int], reason: Unpaired) -> None:
+    assert pairing(*received_ms).pair(100 * MS) is reason
+
+
+def test_without_slop_only_the_same_stamp_pairs() -> None:
+    depths = pairing(100, slop_s=0.0)
+    assert item(depths.pair(100 * MS)) == "at 100"
+    assert depths.pair(100 * MS + 1) is Unpaired.LATE
+
+
+def test_only_the_newest_are_kept() -> None:
+    depths = pairing(*range(0, 10 * FRAME_MS, FRAME_MS))
+    paired = [not isinstance(depths.pair(index * FRAME_MS * MS), Unpaired) for index in range(10)]
+    assert paired == [index >= 10 - CAPACITY for index in range(10)]
+
+
+@pytest.mark.parametrize("stamp_ms", [0, 99], ids=["recording starts again", "same stamp again"])
+def test_time_that_jumps_back_drops_what_was_before(stamp_ms: int) -> None:
+    depths = pairing(33, 66, 99, stamp_ms)
+    assert item(depths.pair(stamp_ms * MS)) == f"at {stamp_ms}"
+    assert isinstance(depths.pair(66 * MS), Unpaired)
+
+
+def test_what_is_cleared_is_missing() -> None:
+    depths = pairing(100)
+    depths.clear()
+    assert depths.pair(100 * MS) is Unpaired.MISSING
+
+
+@pytest.mark.parametrize("slop_s", [-0.1, math.nan, math.inf])
+def test_a_slop_that_is_no_duration_is_refused(slop_s: float) -> None:
+    with pytest.raises(ValueError, match="finite number of seconds >= 0"):
+        DepthPairing[str](slop_s)
+
+
+@given(stamps=st.lists(st.integers(0, 2**40)), colour=st.integers(0, 2**40), slop_ms=st.integers(0, 10**6))
+def test_a_pair_is_never_further_apart_than_the_slop(stamps: list[int], colour: int, slop_ms: int) -> None:
+    depths = DepthPairing[int](slop_ms / 1000)
+    for stamp in stamps:
+        depths.add(stamp, stamp)
+    found = depths.pair(colour)
+    if isinstance(found, Stamped):
+        assert abs(found.stamp_ns - colour) <= slop_ms * MS
+        assert found.item == found.stamp_ns

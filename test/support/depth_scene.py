@@ -1,0 +1,241 @@
+"""Rendered depth images of one object before a sloped background, with ground truth in metres.
+
+The depth image has what sensors add: noise that grows with the square of the depth, pixels between two
+surfaces at the edges, and holes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.spatial.intrinsics import Intrinsics
+
+Shape = Literal["board", "disc", "sphere", "pole", "diagonal", "frame"]
+SHAPES: tuple[Shape, ...] = ("board", "disc", "sphere", "pole", "diagonal", "frame")
+THIN: tuple[Shape, ...] = ("pole", "diagonal", "frame")
+"""A few pixels wide, or filling only a tenth to a third of their box."""
+
+CAMERA = Intrinsics(fx=270.0, fy=270.0, cx=159.5, cy=119.5, size_hw=(240, 320))
+_NOISE_PER_M = 0.0015  # standard deviation in metres at one metre
+_REACH_M = 12.0
+_BOX_JITTER = 0.04  # of the side of a box, as detectors err
+
+
+@dataclass(frozen=True)
+class Difficulty:
+    """What makes a scene hard."""
+
+    hole_share: float = 0.0
+    """Of all pixels, half of them alone, half in patches."""
+    is_half_occluded: bool = False
+    """A nearer board covers half of the object and goes on beyond its box."""
+    has_neighbours: bool = False
+    """The same surface again on its left and on its right, at the same depth."""
+    stands_on_floor: bool = False
+    """The background is a floor that begins at the object's lower edge."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthScene:
+    """A depth image, the box of its object and where that object is."""
+
+    depth_m: NDArray[np.float32]
+    """(H, W) in metres; holes are 0."""
+    box_xyxy: NDArray[np.float32]
+    """(4,) corners in pixels, as a detector would give them."""
+    centre_xyz_m: NDArray[np.float64]
+    """(3,) centre of the bounding box of the object's surface, in the optical frame."""
+    size_xyz_m: NDArray[np.float64]
+    """(3,) size of that bounding box."""
+
+    @property
+    def range_m(self) -> float:
+        return float(np.linalg.norm(self.centre_xyz_m))
+
+
+def random_depth_scene(
+    rng: np.random.Generator, shape: Shape, difficulty: Difficulty = Difficulty()
+) -> DepthScene:
+    """A scene with an object of `shape`, at least a tenth nearer than the background at its place."""
+    background = _sloped_background(rng)
+    surface = np.full_like(background, np.inf)
+    while np.isfinite(surface).sum() < 40:
+        surface = _object_surface(rng, shape, background)
+    seen = np.isfinite(surface)
+    if difficulty.stands_on_floor:
+        background = _floor_below(surface)
+    depth_m = np.minimum(background, surface)
+    if difficulty.has_neighbours:
+        depth_m = np.minimum(depth_m, _beside(rng, surface))
+    if difficulty.is_half_occluded:
+        occluder = _occluder(rng, surface)
+        depth_m = np.minimum(depth_m, occluder)
+        if rng.random() < 0.5:  # the detector boxes only what is visible
+            seen &= np.isinf(occluder)
+    lower, upper = _bounds(np.where(seen, surface, np.inf))
+    return DepthScene(
+        depth_m=_measured(rng, depth_m, difficulty.hole_share),
+        box_xyxy=_jittered_box(rng, seen),
+        centre_xyz_m=(lower + upper) / 2,
+        size_xyz_m=upper - lower,
+    )
+
+
+def _rays() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """x / z and y / z of each pixel's centre, (1, W) and (H, 1)."""
+    height, width = CAMERA.size_hw
+    x = (np.arange(width, dtype=np.float64) - CAMERA.cx) / CAMERA.fx
+    y = (np.arange(height, dtype=np.float64) - CAMERA.cy) / CAMERA.fy
+    return x[None, :], y[:, None]
+
+
+def _plane(
+    depth_m: float, slope_x: float, slope_y: float, centre_xy: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Depth (H, W) of a plane through (x, y, 1) * depth_m, whose depth grows by slope metres per metre."""
+    x, y = _rays()
+    x0, y0 = centre_xy
+    scale = 1 - slope_x * x0 - slope_y * y0
+    return depth_m * scale / np.maximum(1 - slope_x * x - slope_y * y, 0.05)
+
+
+def _sloped_background(rng: np.random.Generator) -> NDArray[np.float64]:
+    slope_x, slope_y = rng.uniform(-0.8, 0.8), rng.uniform(-0.8, 0.8)
+    return _plane(rng.uniform(2.0, 9.0), slope_x, slope_y, (0.0, 0.0))
+
+
+def _object_surface(
+    rng: np.random.Generator, shape: Shape, background: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Depth (H, W) of an object, infinite beside it."""
+    height, width = CAMERA.size_hw
+    column, row = rng.integers((30, 30), (width - 30, height - 30)).tolist()
+    radius = math.exp(rng.uniform(math.log(8), math.log(80))) / CAMERA.fx
+    centre_xy = ((column - CAMERA.cx) / CAMERA.fx, (row - CAMERA.cy) / CAMERA.fy)
+    reach = math.ceil(1.5 * radius * CAMERA.fx)
+    left, top = max(column - reach, 0), max(row - reach, 0)
+    behind_m = float(background[top : row + reach + 1, left : column + reach + 1].min())
+    depth_m = min(max(rng.uniform(0.25, 0.85) * behind_m, 0.6), 0.9 * behind_m)
+    if shape == "sphere":
+        return _sphere(depth_m, radius, centre_xy)
+    slope_x, slope_y = rng.uniform(-0.4, 0.4, 2).tolist()
+    plane = _plane(depth_m, slope_x, slope_y, centre_xy)
+    return np.where(_silhouette(rng, shape, radius, centre_xy), plane, np.inf)
+
+
+def _silhouette(
+    rng: np.random.Generator, shape: Shape, radius: float, centre_xy: tuple[float, float]
+) -> NDArray[np.bool_]:
+    x, y = _rays()
+    dx, dy = (x - centre_xy[0]) / radius, (y - centre_xy[1]) / radius
+    aspect = rng.uniform(0.4, 1.0)
+    if shape == "disc":
+        return (dx / aspect) ** 2 + dy**2 < 1
+    if shape == "pole":
+        return (abs(dx) < max(rng.uniform(0.04, 0.12), 2 / (radius * CAMERA.fx))) & (abs(dy) < 1)
+    if shape == "diagonal":
+        width = max(rng.uniform(0.08, 0.2), 2 / (radius * CAMERA.fx))
+        return (abs(dx - dy) < width) & (abs(dx) < 1) & (abs(dy) < 1)
+    if shape == "frame":
+        inner = 1 - max(rng.uniform(0.1, 0.2), 2 / (radius * CAMERA.fx))
+        outside = np.maximum(abs(dx), abs(dy))
+        return (outside < 1) & (outside > inner)
+    return (abs(dx) < aspect) & (abs(dy) < 1)
+
+
+def _sphere(depth_m: float, radius: float, centre_xy: tuple[float, float]) -> NDArray[np.float64]:
+    """Ray-cast sphere whose nearest point is about `depth_m` away."""
+    x, y = _rays()
+    metres = min(depth_m * radius, 0.4)
+    centre = np.array([*centre_xy, 1.0]) * (depth_m + metres)
+    along = (x * centre[0] + y * centre[1] + centre[2]) / (squared := x**2 + y**2 + 1)
+    inside = along**2 - (centre @ centre - metres**2) / squared
+    return np.where(inside > 0, along - np.sqrt(np.maximum(inside, 0)), np.inf)
+
+
+def _occluder(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Depth (H, W) of a nearer board over half of the object, infinite beside it."""
+    left, top, right, bottom = _tight_box(np.isfinite(surface))
+    depth_m = rng.uniform(0.5, 0.85) * float(surface.min())
+    covered = np.full_like(surface, np.inf)
+    reach_x, reach_y = max(right - left, bottom - top) * rng.uniform(0.3, 1.0, 2)
+    edges = np.array([left - reach_x, top - reach_y, right + reach_x, bottom + reach_y])
+    half = rng.integers(0, 4)  # which side of it stays visible
+    edges[half] = ((left + right) / 2, (top + bottom) / 2)[half % 2]
+    x1, y1, x2, y2 = np.maximum(np.rint(edges), 0).astype(int).tolist()
+    covered[y1:y2, x1:x2] = depth_m
+    return covered
+
+
+def _floor_below(surface: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Depth (H, W) of a floor on which the object stands, and of a wall behind it."""
+    bottom = _tight_box(np.isfinite(surface))[3]
+    depth_m = float(np.min(surface[bottom - 1]))
+    _, y = _rays()
+    height_m = max(y[bottom - 1, 0], 0.1) * depth_m
+    floor = np.minimum(height_m / np.maximum(y, 1e-3), 3 * depth_m)
+    return np.asarray(np.broadcast_to(floor, surface.shape), np.float64)
+
+
+def _beside(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Depth (H, W) of the same surface moved to either side, infinite elsewhere."""
+    left, _, right, _ = _tight_box(np.isfinite(surface))
+    beside = np.full_like(surface, np.inf)
+    shift = round((right - left) * rng.uniform(1.05, 1.3)) + 1
+    if shift < surface.shape[1]:
+        beside[:, shift:] = surface[:, :-shift]
+        beside[:, :-shift] = np.minimum(beside[:, :-shift], surface[:, shift:])
+    return beside
+
+
+def _bounds(surface: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lower and upper corner (3,) of the surface's bounding box in metres."""
+    x, y = _rays()
+    seen = np.isfinite(surface)
+    points = np.stack([(plane * np.where(seen, surface, 0))[seen] for plane in (x, y, 1.0)], axis=1)
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _tight_box(seen: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    columns, rows = np.flatnonzero(seen.any(axis=0)), np.flatnonzero(seen.any(axis=1))
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+def _jittered_box(rng: np.random.Generator, seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    left, top, right, bottom = _tight_box(seen)
+    sides = np.array([right - left, bottom - top] * 2)
+    box = np.array([left, top, right, bottom]) + rng.uniform(-_BOX_JITTER, _BOX_JITTER, 4) * sides
+    height, width = CAMERA.size_hw
+    return np.asarray(np.clip(box, 0, [width, height, width, height]), np.float32)
+
+
+def _measured(
+    rng: np.random.Generator, depth_m: NDArray[np.float64], hole_share: float
+) -> NDArray[np.float32]:
+    """What a sensor makes of the true depth (H, W)."""
+    mixed = depth_m.copy()
+    for axis in (0, 1):
+        jump = abs(np.diff(depth_m, axis=axis)) > 0.05 * depth_m.min()
+        rows, columns = np.nonzero(jump & (rng.random(jump.shape) < 0.5))
+        beside = (rows + 1, columns) if axis == 0 else (rows, columns + 1)
+        weight = rng.random(rows.size)
+        mixed[rows, columns] = weight * depth_m[rows, columns] + (1 - weight) * depth_m[beside]
+    measured: NDArray[np.float64] = mixed + rng.normal(0, _NOISE_PER_M, mixed.shape) * mixed**2
+    measured[_holes(rng, hole_share) | (measured > _REACH_M)] = 0
+    return measured.astype(np.float32)
+
+
+def _holes(rng: np.random.Generator, share: float) -> NDArray[np.bool_]:
+    """Pixels (H, W) without a measurement."""
+    height, width = CAMERA.size_hw
+    holes = np.zeros((height, width), np.bool_)
+    while holes.mean() < share / 2:
+        size_y, size_x = rng.integers(3, 16, 2)
+        y, x = rng.integers(0, height), rng.integers(0, width)
+        holes[y : y + size_y, x : x + size_x] = True
+    return holes | (rng.random(holes.shape) < (share / 2) / (1 - share / 2))

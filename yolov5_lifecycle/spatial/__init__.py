@@ -1,0 +1,1 @@
+"""Where detections are in space: depth images, camera intrinsics, distances, pairing by stamp."""

@@ -1,0 +1,116 @@
+"""Depth images: views of message buffers, and the metres in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.images.image import ImageError, bytes_of, check_size
+
+MIN_DEPTH_M = 0.01
+MAX_DEPTH_M = 1000.0
+"""Beyond these a value is no measurement, but damage: no depth camera reaches either."""
+
+
+class _Layout(NamedTuple):
+    kind: str
+    bytes: int
+    metres_per_unit: float
+
+
+DEPTH_ENCODINGS: Mapping[str, _Layout] = MappingProxyType(
+    {"16UC1": _Layout("u", 2, 0.001), "32FC1": _Layout("f", 4, 1.0)}
+)
+"""Encodings of depth images by name, as REP 118 defines them."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """Depth along the optical axis for each pixel, as the camera sent it.
+
+    Raises ImageError on construction unless `values` is (H, W) of unsigned 16-bit integers or 32-bit floats
+    with sides in [1, 16384].
+    """
+
+    values: NDArray[Any]
+    """(H, W), possibly a view with padded rows in either byte order; what is no measurement is included."""
+    metres_per_unit: float
+
+    def __post_init__(self) -> None:
+        shape, dtype = self.values.shape, self.values.dtype
+        if len(shape) != 2 or (dtype.kind, dtype.itemsize) not in (("u", 2), ("f", 4)):
+            raise ImageError(
+                f"Depth must be of shape (H, W), uint16 or float32, found {dtype} of shape {shape}."
+            )
+        check_size(shape[0], shape[1])
+
+    @property
+    def size_hw(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        height, width = self.values.shape
+        return height, width
+
+    def metres_at(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Depth in metres at pixels, whose indices are broadcast against each other.
+
+        NaN where there is no measurement: outside the image, 0, negative, NaN, infinite, or beyond
+        MIN_DEPTH_M and MAX_DEPTH_M.
+        """
+        height, width = self.values.shape
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        sent = self.values[rows.clip(0, height - 1), columns.clip(0, width - 1)]
+        # Damaged floats may be signalling NaNs, of which numpy would warn.
+        with np.errstate(invalid="ignore", over="ignore"):
+            metres = sent.astype(np.float32) * np.float32(self.metres_per_unit)
+            is_measured = inside & (metres >= MIN_DEPTH_M) & (metres <= MAX_DEPTH_M)
+        return np.where(is_measured, metres, np.float32(np.nan))
+
+
+def decode_depth(
+    data: Any, *, encoding: str, height: int, width: int, step: int, is_bigendian: bool
+) -> DepthImage:
+    """The depth image in a buffer with the layout of sensor_msgs/Image: 16UC1 in mm or 32FC1 in m.
+
+    `data` is any contiguous buffer (bytes, array.array, memoryview, ndarray); `step` is the row stride in
+    bytes. The result is a read-only view of `data`.
+
+    Raises ImageError when the encoding is another or the buffer is too small for the given layout.
+    """
+    if encoding not in DEPTH_ENCODINGS:
+        raise ImageError(
+            f"Expected a depth image in {' or '.join(DEPTH_ENCODINGS)}, found encoding {encoding[:40]!r}. "
+            "Subscribe to the raw depth topic that is aligned to the colour image."
+        )
+    layout = DEPTH_ENCODINGS[encoding]
+    check_size(height, width)
+    buffer = bytes_of(data)
+    row_size = width * layout.bytes
+    needed = step * (height - 1) + row_size  # the last row may lack its padding
+    if step < row_size:
+        raise ImageError(f"Rows of {width} {encoding} pixels need a step >= {row_size}, found {step}.")
+    if buffer.size < needed:
+        raise ImageError(
+            f"{height} rows of {width} {encoding} pixels with step {step} need {needed} bytes, "
+            f"found {buffer.size}."
+        )
+    dtype = np.dtype(f"{'>' if is_bigendian else '<'}{layout.kind}{layout.bytes}")
+    values: NDArray[Any] = np.ndarray((height, width), dtype, buffer, 0, (step, layout.bytes))
+    values.flags.writeable = False
+    return DepthImage(values, layout.metres_per_unit)
+
+
+def depth_image_of_message(image: Any) -> DepthImage:
+    """The depth image in a sensor_msgs/Image, deserialised by any library; raises ImageError."""
+    return decode_depth(
+        image.data,
+        encoding=image.encoding,
+        height=image.height,
+        width=image.width,
+        step=image.step,
+        is_bigendian=bool(image.is_bigendian),
+    )

@@ -1,0 +1,64 @@
+"""Camera intrinsics: how pixels correspond to directions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from yolov5_lifecycle.images.image import MAX_SIDE_PX
+
+
+class IntrinsicsError(ValueError):
+    """Values that describe no calibrated camera; the message states what was expected and found."""
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera: focal lengths and principal point in pixels of an image of `size_hw`.
+
+    The principal point counts from the centre of the first pixel, as in sensor_msgs/CameraInfo. Raises
+    IntrinsicsError on construction unless focal lengths are positive and all values finite, and the sides
+    are in [1, 16384].
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    size_hw: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        values = (self.fx, self.fy, self.cx, self.cy)
+        if not all(map(math.isfinite, values)) or min(self.fx, self.fy) <= 0:
+            raise IntrinsicsError(
+                "Expected finite intrinsics with fx > 0 and fy > 0, found "
+                f"fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}. Calibrate the camera, or "
+                "have its driver publish the intrinsics of the depth image."
+            )
+        if not all(1 <= side <= MAX_SIDE_PX for side in self.size_hw):
+            height, width = self.size_hw
+            raise IntrinsicsError(
+                f"Expected a camera_info with height and width of 1 to {MAX_SIDE_PX} pixels, found "
+                f"{height} x {width}. Have the driver fill in the size of the depth image."
+            )
+
+
+def intrinsics_of(k: Sequence[float], p: Sequence[float], size_hw: tuple[int, int]) -> Intrinsics:
+    """The intrinsics in the matrices of sensor_msgs/CameraInfo, row by row: `k` (3, 3) and `p` (3, 4).
+
+    `p` counts where it is filled in: depth images are rectified, and `p` is the camera of the rectified
+    image. Otherwise `k`. Raises IntrinsicsError for matrices of another size, and as `Intrinsics`.
+    """
+    if len(k) != 9 or len(p) != 12:
+        raise IntrinsicsError(
+            f"Expected a camera_info with K of 9 and P of 12 values, found {len(k)} and {len(p)}."
+        )
+    fx, cx, fy, cy = (p[0], p[2], p[5], p[6]) if p[0] else (k[0], k[2], k[4], k[5])
+    return Intrinsics(float(fx), float(fy), float(cx), float(cy), size_hw)
+
+
+def intrinsics_of_message(camera_info: Any) -> Intrinsics:
+    """The intrinsics in a sensor_msgs/CameraInfo, deserialised by any library; raises IntrinsicsError."""
+    return intrinsics_of(camera_info.k, camera_info.p, (camera_info.height, camera_info.width))

@@ -1,0 +1,71 @@
+"""Depth images paired with colour images by stamp."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, TypeVar
+
+Item = TypeVar("Item")
+
+CAPACITY = 4
+"""Depth images kept: at 30 Hz those of the last 0.13 s, which is longer than a detection takes."""
+
+
+class Unpaired(Enum):
+    """Why a colour image has no depth image."""
+
+    MISSING = "no depth image has been received"
+    LATE = "the newest depth image is older than the colour image by more than depth_slop_s"
+    PASSED = "the depth images around the colour image's stamp were lost or are no longer kept"
+
+
+@dataclass(frozen=True, eq=False)
+class Stamped(Generic[Item]):
+    """A depth image, or what one can be made of, with its stamp in nanoseconds."""
+
+    stamp_ns: int
+    item: Item
+
+
+class DepthPairing(Generic[Item]):
+    """The newest depth images, of which one is chosen for each colour image; nothing waits.
+
+    One thread adds, any thread pairs: what is kept is one tuple, replaced as a whole.
+    """
+
+    def __init__(self, slop_s: float) -> None:
+        """`slop_s` is the largest difference of two stamps of a pair; ValueError unless finite and >= 0."""
+        if not (math.isfinite(slop_s) and slop_s >= 0):
+            raise ValueError(f"slop_s must be a finite number of seconds >= 0, found {slop_s}.")
+        self._slop_ns = round(slop_s * 1e9)
+        self._kept: tuple[Stamped[Item], ...] = ()
+
+    def add(self, stamp_ns: int, item: Item) -> None:
+        """Keep a depth image, and the CAPACITY - 1 before it.
+
+        A stamp that is not newer than the last one means that time has started afresh, as when a recording
+        is played again: those before are dropped.
+        """
+        kept = self._kept
+        if kept and stamp_ns <= kept[-1].stamp_ns:
+            kept = ()
+        self._kept = (*kept[-(CAPACITY - 1) :], Stamped(stamp_ns, item))
+
+    def pair(self, stamp_ns: int) -> Stamped[Item] | Unpaired:
+        """The depth image nearest in time to a colour image, the newer of two that are equally near.
+
+        Otherwise the reason why none is within the slop.
+        """
+        kept = self._kept
+        if not kept:
+            return Unpaired.MISSING
+        nearest = min(kept, key=lambda depth: (abs(depth.stamp_ns - stamp_ns), -depth.stamp_ns))
+        if abs(nearest.stamp_ns - stamp_ns) <= self._slop_ns:
+            return nearest
+        return Unpaired.LATE if kept[-1].stamp_ns < stamp_ns else Unpaired.PASSED
+
+    def clear(self) -> None:
+        """Drop what is kept, as when the subscription is recreated."""
+        self._kept = ()
