@@ -43,6 +43,7 @@ setup(
         "bag": ["rosbags>=0.11"],
         "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
+        "tracking": ["scipy>=1.11"],
     },
     zip_safe=True,
     entry_points={

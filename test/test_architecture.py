@@ -32,6 +32,7 @@ RANKS = (
     ("images", "models"),
     ("settings", "checkpoints", "runtimes", "streaming", "sources"),
     ("detection",),
+    ("tracking",),
     ("commands",),
     ("offline",),
     ("ros",),
@@ -39,7 +40,7 @@ RANKS = (
 RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders}
 # What a user starts, and what makes a detector or a selection from settings.
 EDGE = ("settings.", "commands.", "offline.", "ros.", "detection.prepared_model", "detection.selection")
-WITHOUT_TORCH = ("images", "settings", "streaming", "sources", "process")
+WITHOUT_TORCH = ("images", "settings", "streaming", "sources", "process", "tracking")
 
 
 def module_name(path: Path) -> str:
