@@ -11,6 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from support.colcon_workspace import REPOSITORY
+from support.pages import blocks, table
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.tracking.association import MAX_DETECTIONS
@@ -290,3 +292,13 @@ def test_an_id_belongs_to_one_class_and_is_never_used_again(
                 assert restarts_before.setdefault(name, restarts) == restarts
                 known.add(name)
     assert sorted(map(int, known)) == list(range(1, len(known) + 1))
+
+
+def test_the_example_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(blocks(REPOSITORY / "docs" / "tracking.md", "python")[0], {})
+    assert capsys.readouterr().out == "('',)\n('1',)\n('1',)\n"
+
+
+def test_the_page_names_every_setting_with_its_default() -> None:
+    rows = {row[0].strip("`"): row[1] for row in table(REPOSITORY / "docs" / "tracking.md", "Settings")}
+    assert rows == {name: str(value).lower() for name, value in vars(SETTINGS).items()}
