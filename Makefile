@@ -10,6 +10,7 @@ PIP_FLAGS ?=
 TORCH ?=
 PYTEST_FLAGS ?=
 BENCH_FLAGS ?=
+TRACKING_FLAGS ?=
 SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
 
@@ -20,7 +21,7 @@ else ifeq ($(SET),apt)
 VENV := .venv-apt
 CONSTRAINTS := requirements/constraints-apt.txt
 else
-$(error SET=$(SET): expected 'tested' (the newest numpy and OpenCV) or 'apt' (those of Ubuntu 24.04))
+$(error SET=$(SET): expected 'tested' (the newest numpy, scipy and OpenCV) or 'apt' (those of Ubuntu 24.04))
 endif
 
 ifneq ($(filter-out cpu,$(TORCH)),)
@@ -57,10 +58,11 @@ TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requi
 .PHONY: help install demo test test-all coverage soak fuzz bench lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
-	@echo 'make test     the tests, without the long ones  (SET=apt: with numpy and OpenCV of Ubuntu 24.04, in .venv-apt)'
+	@echo 'make test     the tests, without the long ones  (SET=apt: numpy, scipy, OpenCV of Ubuntu 24.04, in .venv-apt)'
 	@echo 'make test-all all tests'
 	@echo 'make coverage all tests, with the line coverage of the package, child processes included'
-	@echo 'make bench    how fast each runtime is, quiet and beside a busy process  (BENCH_FLAGS="--quick")'
+	@echo 'make bench    how fast each runtime is, quiet and beside a busy process, and how well objects are tracked'
+	@echo '              (BENCH_FLAGS="--quick"  TRACKING_FLAGS="--seeds 1")'
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
 	@echo 'make fuzz     coverage-guided fuzzing of the parsers of images, weights and settings'
 	@echo 'make lint     ruff and mypy --strict'
@@ -89,6 +91,7 @@ coverage: $(PACKAGE)
 
 bench: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.bench $(BENCH_FLAGS)
+	$(VENV)/bin/python -m benchmark.tracking $(TRACKING_FLAGS)
 
 # It drives the detector with what the tests drive it with.
 soak: $(PACKAGE)

@@ -46,6 +46,7 @@ setup(
         "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
         "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
+        "tracking": ["scipy>=1.11"],
     },
     zip_safe=True,
     entry_points={

@@ -35,6 +35,7 @@ RANKS = (
     ("images", "models"),
     ("settings", "checkpoints", "runtimes", "streaming", "sources", "spatial"),
     ("detection",),
+    ("tracking",),
     ("commands",),
     ("offline",),
     ("ros",),
@@ -42,7 +43,7 @@ RANKS = (
 RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders}
 # What a user starts, and what makes a detector or a selection from settings.
 EDGE = ("settings.", "commands.", "offline.", "ros.", "detection.prepared_model", "detection.selection")
-WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process")
+WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process", "tracking")
 
 PRIVATE_BY_NAME_ONLY = {
     "os._exit",  # documented

@@ -37,7 +37,7 @@ from support.recorded_scene import images, jpeg, raw, record, video
 
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
-from benchmark import bench, depth
+from benchmark import bench, depth, tracking
 from yolov5_lifecycle.commands import convert
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
@@ -68,7 +68,12 @@ NOT_RUN = {
 """How a command begins, and why it is not tried."""
 
 TOPICS = {row[0].partition(" ")[2].strip("`").replace("~", NODE) for row in table(README, "Topics")}
-PARSERS = {"BENCH_FLAGS": bench.parser, "FUZZ_FLAGS": fuzz.parser, "SOAK_FLAGS": soak.parser}
+PARSERS = {
+    "BENCH_FLAGS": bench.parser,
+    "FUZZ_FLAGS": fuzz.parser,
+    "SOAK_FLAGS": soak.parser,
+    "TRACKING_FLAGS": tracking.parser,
+}
 """What takes the words that `make` hands on."""
 MODULE_PARSERS = {"benchmark.depth": depth.parser}
 """What takes the words behind a module that Python runs."""
@@ -152,8 +157,13 @@ def check_service(verb: str, service: str, service_type: str, request: str) -> N
     validated({parameter.name: parameter.value for parameter in parameters})
 
 
+def check_tracking(*words: str) -> None:
+    tracking.parser().parse_args(words)
+
+
 CHECKS: dict[str, Callable[..., None]] = {
     "make": check_make,
+    ".venv/bin/python -m benchmark.tracking": check_tracking,
     "ros2 param": check_param,
     "ros2 lifecycle": check_lifecycle,
     "ros2 service": check_service,

@@ -175,12 +175,13 @@ def from_package_index(installed: Distribution) -> bool:
     )
 
 
-def test_torch_is_the_same_in_both_sets_while_numpy_and_opencv_differ() -> None:
+def test_torch_is_the_same_in_both_sets_while_numpy_scipy_and_opencv_differ() -> None:
     newest, apt = map(pins, SETS)
     assert newest["torch"] == apt["torch"] == "2.13.0"
     assert {name for name in newest.keys() | apt.keys() if newest.get(name) != apt.get(name)} == {
         "numpy",
         "opencv-python-headless",
+        "scipy",
     }
     assert apt["numpy"].startswith("1.26.")
 

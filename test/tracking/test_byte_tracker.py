@@ -1,0 +1,304 @@
+"""What gets an id, which one, and for how long."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from support.colcon_workspace import REPOSITORY
+from support.pages import blocks, table
+
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.tracking.association import MAX_DETECTIONS
+from yolov5_lifecycle.tracking.byte_tracker import MAX_TRACKS, ByteTracker
+from yolov5_lifecycle.tracking.tracker_settings import TrackerSettings
+
+SETTINGS = TrackerSettings()
+START_S = 1.7e9
+HIGH, LOW = 0.8, 0.15
+CLASS = 3
+Row = tuple[float, float, float, int]
+"""x, y, score, class id of an object of 50 x 80 pixels."""
+
+
+def found(*rows: Row, size: tuple[float, float] = (50, 80)) -> Detections:
+    """Detections in the order of `rows`, which must be the one of their scores."""
+    x, y, scores, class_ids = np.array(rows, np.float64).reshape(-1, 4).T
+    boxes = np.stack((x, y, x + size[0], y + size[1]), axis=1).astype(np.float32)
+    return Detections(boxes, scores.astype(np.float32), class_ids.astype(np.int64))
+
+
+def one(x: float, score: float = HIGH, class_id: int = CLASS) -> Detections:
+    return found((x, 100.0, score, class_id))
+
+
+class Camera:
+    """A tracker and its clock."""
+
+    def __init__(self, ids: Iterable[int] | None = None, settings: TrackerSettings = SETTINGS) -> None:
+        self.tracker = ByteTracker(iter(ids) if ids is not None else itertools.count(1))
+        self.settings = settings
+        self.stamp_s = START_S
+
+    def sees(self, detections: Detections, after_s: float = 0.1) -> tuple[str, ...]:
+        self.stamp_s += after_s
+        return self.tracker.update(detections, stamp_s=self.stamp_s, settings=self.settings)
+
+
+@pytest.fixture
+def camera() -> Camera:
+    return Camera()
+
+
+@pytest.fixture
+def following() -> Camera:
+    """It follows an object that stands at x = 100 and has the id 1."""
+    camera = Camera()
+    assert [camera.sees(one(100)) for _ in range(5)] == [("",), *[("1",)] * 4]
+    return camera
+
+
+def test_an_image_without_objects_has_no_ids(camera: Camera) -> None:
+    assert camera.sees(found()) == ()
+    assert len(camera.tracker) == 0
+
+
+def test_an_object_has_an_id_from_its_second_image_on(camera: Camera) -> None:
+    assert [camera.sees(one(100)) for _ in range(3)] == [("",), ("1",), ("1",)]
+
+
+def test_a_detection_that_is_not_confirmed_uses_up_no_id(camera: Camera) -> None:
+    for x in (0, 200, 400):
+        assert camera.sees(one(x)) == ("",)
+    assert camera.sees(one(400)) == ("1",)
+
+
+def test_ids_are_in_the_order_of_the_detections(camera: Camera) -> None:
+    rows = [(0.0, 0.0, 0.9, 0), (200.0, 0.0, 0.8, 0), (400.0, 0.0, 0.7, 1)]
+    camera.sees(found(*rows))
+    first = camera.sees(found(*rows))
+    assert sorted(first) == ["1", "2", "3"]
+    exchanged = [(400.0, 0.0, 0.9, 1), (0.0, 0.0, 0.8, 0), (200.0, 0.0, 0.7, 0)]
+    assert camera.sees(found(*exchanged)) == (first[2], first[0], first[1])
+
+
+def test_trackers_that_share_a_counter_share_no_id() -> None:
+    ids = itertools.count(1)
+    cameras = Camera(ids), Camera(ids)
+    given = [camera.sees(one(100)) for _ in range(3) for camera in cameras][2:]
+    assert given == [("1",), ("2",)] * 2
+
+
+def test_a_low_score_continues_a_track(following: Camera) -> None:
+    assert following.sees(one(100, LOW)) == ("1",)
+    assert following.sees(one(100)) == ("1",)
+
+
+@pytest.mark.parametrize("score", [LOW, 0.05], ids=["low", "below low"])
+def test_a_low_score_begins_no_track(camera: Camera, score: float) -> None:
+    assert [camera.sees(one(100, score)) for _ in range(3)] == [("",)] * 3
+    assert len(camera.tracker) == 0
+
+
+def test_a_score_below_the_low_threshold_continues_no_track(following: Camera) -> None:
+    assert following.sees(one(100, 0.05)) == ("",)
+
+
+def test_a_high_score_is_matched_before_a_low_one_that_fits_better(following: Camera) -> None:
+    assert following.sees(found((110.0, 100.0, HIGH, CLASS), (100.0, 100.0, LOW, CLASS))) == ("1", "")
+
+
+def test_a_confirmed_track_is_matched_before_an_unconfirmed_one_that_fits_better(following: Camera) -> None:
+    following.sees(found((140.0, 100.0, HIGH, CLASS), (101.0, 100.0, HIGH - 0.1, CLASS)))
+    assert following.sees(found((125.0, 100.0, HIGH, CLASS))) == ("1",)
+
+
+def test_objects_of_two_classes_in_one_place_keep_their_ids(camera: Camera) -> None:
+    def both(first: int, second: int) -> Detections:
+        return found((100.0, 100.0, 0.9, first), (101.0, 100.0, 0.8, second))
+
+    camera.sees(both(0, 1))
+    assert camera.sees(both(0, 1)) == ("1", "2")
+    assert camera.sees(both(1, 0)) == ("2", "1")
+
+
+@pytest.mark.parametrize(
+    ("across", "expected"),
+    [pytest.param(False, "", id="within a class"), pytest.param(True, "1", id="across classes")],
+)
+def test_a_class_that_changes_continues_the_track_only_across_classes(
+    following: Camera, across: bool, expected: str
+) -> None:
+    following.settings = replace(SETTINGS, track_across_classes=across)
+    assert following.sees(one(100, class_id=CLASS + 1)) == (expected,)
+
+
+def test_an_object_that_leaves_for_less_than_the_timeout_keeps_its_id(following: Camera) -> None:
+    for _ in range(9):
+        following.sees(found())
+    assert following.sees(one(100)) == ("1",)
+
+
+@pytest.mark.parametrize("step_s", [0.03, 0.1, 0.2], ids=["33 Hz", "10 Hz", "5 Hz"])
+def test_a_lost_track_is_kept_by_time_and_not_by_images(following: Camera, step_s: float) -> None:
+    following.settings = replace(SETTINGS, track_timeout=1.01)  # no multiple of a step
+    for _ in range(int(1.01 / step_s)):
+        following.sees(found(), step_s)
+        assert len(following.tracker) == 1
+    following.sees(found(), step_s)
+    assert len(following.tracker) == 0
+    assert [following.sees(one(100), step_s) for _ in range(2)] == [("",), ("2",)]
+
+
+@pytest.mark.parametrize(
+    "jump_s", [-0.001, -1e6, 1.501, 1e6, 1e200], ids=["back", "far back", "gap", "long", "absurd"]
+)
+def test_a_jump_in_time_starts_afresh_and_uses_no_id_again(following: Camera, jump_s: float) -> None:
+    assert following.sees(one(100), jump_s) == ("",)
+    assert [following.sees(one(100)) for _ in range(2)] == [("2",)] * 2
+
+
+def test_a_pause_of_the_timeout_is_no_gap(following: Camera) -> None:
+    following.tracker.reset()
+    following.stamp_s = 2.0**20  # where stamps are exact
+    following.sees(one(100))
+    assert following.sees(one(100), SETTINGS.track_timeout) == ("2",)
+
+
+def test_a_reset_forgets_tracks_and_uses_no_id_again(following: Camera) -> None:
+    following.tracker.reset()
+    following.tracker.reset()
+    assert [following.sees(one(100)) for _ in range(2)] == [("",), ("2",)]
+
+
+def test_an_image_that_comes_twice_keeps_its_ids(following: Camera) -> None:
+    assert following.sees(one(100), 0) == ("1",)
+    assert following.sees(one(100)) == ("1",)
+
+
+def test_a_camera_without_stamps_is_tracked_and_forgets(camera: Camera) -> None:
+    ids = [camera.sees(one(100 + 3 * number), 0) for number in range(60)]
+    assert set(ids[1:]) == {("1",)}
+    for _ in range(46):
+        camera.sees(found(), 0)
+    assert len(camera.tracker) == 0
+
+
+@pytest.mark.parametrize("stamp_s", [float("nan"), float("inf"), float("-inf")])
+def test_a_stamp_that_is_no_time_is_refused_and_changes_nothing(following: Camera, stamp_s: float) -> None:
+    with pytest.raises(ValueError, match="stamp_s must be finite"):
+        following.tracker.update(one(100), stamp_s=stamp_s, settings=SETTINGS)
+    assert following.sees(one(100)) == ("1",)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        TrackerSettings(track_high_threshold=0.5, track_low_threshold=0.3),
+        TrackerSettings(track_match_threshold=0.9),
+        TrackerSettings(track_timeout=0.15),
+        TrackerSettings(track_across_classes=True),
+    ],
+    ids=["thresholds", "match", "timeout", "classes"],
+)
+def test_a_change_of_the_settings_keeps_the_tracks(following: Camera, changed: TrackerSettings) -> None:
+    following.settings = changed
+    assert following.sees(one(100)) == ("1",)
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 10.0, 30.0])
+def test_two_that_cross_at_any_rate_keep_their_ids(camera: Camera, rate_hz: float) -> None:
+    def at(time_s: float) -> Detections:
+        return found(
+            (100 + 70 * time_s, 100.0, 0.9, CLASS), (380 - 70 * time_s, 125.0, 0.8, CLASS), size=(60, 60)
+        )
+
+    ids = [camera.sees(at(number / rate_hz), 1 / rate_hz) for number in range(round(4 * rate_hz))]
+    assert len(set(ids[1:])) == 1
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 10.0, 30.0])
+def test_one_that_is_hidden_while_it_moves_keeps_its_id(camera: Camera, rate_hz: float) -> None:
+    times_s = np.arange(round(4 * rate_hz)) / rate_hz
+    ids = [
+        camera.sees(found() if 2.0 <= time_s < 2.9 else one(100 + 60 * time_s), 1 / rate_hz)
+        for time_s in times_s
+    ]
+    assert ids[-1] == ids[1] == ("1",)
+
+
+@pytest.mark.parametrize("size", [(0, 0), (0, 50), (50, 0)], ids=["point", "upright", "flat"])
+def test_empty_boxes_are_tracked_like_others(camera: Camera, size: tuple[float, float]) -> None:
+    rows = (5.0, 5.0, HIGH, 0), (300.0, 5.0, HIGH, 0)
+    assert [camera.sees(found(*rows, size=size)) for _ in range(3)] == [("", ""), *[("1", "2")] * 2]
+
+
+@pytest.mark.parametrize("side", [1e-30, 3e38], ids=["tiny", "huge"])
+def test_boxes_of_any_size_are_tracked(camera: Camera, side: float) -> None:
+    box = np.array([[-side, -side, side, side]], np.float32)
+    detections = Detections(box, np.array([HIGH], np.float32), np.zeros(1, np.int64))
+    assert [camera.sees(detections) for _ in range(3)][1:] == [("1",)] * 2
+
+
+def random_crowd(rng: np.random.Generator, count: int) -> Detections:
+    x, y = rng.uniform(0, 600, (2, count))
+    scores = np.sort(rng.uniform(0.1, 1.0, count))[::-1]
+    return found(*zip(x, y, scores, np.zeros(count, int), strict=True))
+
+
+def test_tracks_stay_bounded_however_much_is_found(camera: Camera) -> None:
+    rng = np.random.default_rng(0)
+    camera.settings = replace(SETTINGS, track_timeout=60.0)
+    for _ in range(4):
+        ids = camera.sees(random_crowd(rng, MAX_DETECTIONS + 50))
+        given = [name for name in ids if name]
+        assert len(set(given)) == len(given)
+        assert ids[MAX_DETECTIONS:] == ("",) * 50
+        assert len(camera.tracker) <= MAX_TRACKS
+
+
+stamps = st.sampled_from((0.0, 0.02, 0.1, 0.3, 0.9, 1.6, -0.5))
+places = st.tuples(st.integers(0, 12), st.sampled_from((0.05, 0.1, 0.15, 0.25, 0.6, 0.9)), st.integers(0, 1))
+images = st.lists(st.tuples(stamps, st.lists(places, max_size=5)), max_size=25)
+
+
+@hypothesis_settings(deadline=None, max_examples=60)
+@given(images=images)
+def test_an_id_belongs_to_one_class_and_is_never_used_again(
+    images: list[tuple[float, list[tuple[int, float, int]]]],
+) -> None:
+    camera = Camera()
+    known: set[str] = set()
+    classes: dict[str, int] = {}
+    restarts = 0
+    restarts_before: dict[str, int] = {}
+    for step_s, objects in images:
+        rows = [(30.0 * x, 100.0, score, c) for x, score, c in sorted(objects, key=lambda row: -row[1])]
+        ids = camera.sees(found(*rows), step_s)
+        restarts += step_s < 0 or step_s > SETTINGS.track_timeout
+        given = [name for name in ids if name]
+        assert len(ids) == len(rows)
+        assert len(set(given)) == len(given)
+        for name, (_, _, score, class_id) in zip(ids, rows, strict=True):
+            if name:
+                assert score >= np.float32(SETTINGS.track_low_threshold)
+                assert classes.setdefault(name, class_id) == class_id
+                assert restarts_before.setdefault(name, restarts) == restarts
+                known.add(name)
+    assert sorted(map(int, known)) == list(range(1, len(known) + 1))
+
+
+def test_the_example_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(blocks(REPOSITORY / "docs" / "tracking.md", "python")[0], {})
+    assert capsys.readouterr().out == "('',)\n('1',)\n('1',)\n"
+
+
+def test_the_page_names_every_setting_with_its_default() -> None:
+    rows = {row[0].strip("`"): row[1] for row in table(REPOSITORY / "docs" / "tracking.md", "Settings")}
+    assert rows == {name: str(value).lower() for name, value in vars(SETTINGS).items()}

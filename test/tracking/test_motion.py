@@ -1,0 +1,166 @@
+"""The motion of boxes: the textbook's Kalman filter, in seconds."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.tracking.motion import (
+    ACCELERATION_DENSITY,
+    SAME_ERROR_S,
+    START_SPEED_STD,
+    Motion,
+    measurement_std,
+    xyxy_to_cxcywh,
+)
+
+Array = NDArray[np.float64]
+COORDINATES = range(4)
+SURE = np.array([0.9])
+seconds = st.floats(0.001, 2.0)
+scores = st.floats(0, 1).map(lambda score: np.array([score]))
+boxes = st.tuples(st.floats(-500, 1000), st.floats(-500, 1000), st.floats(1, 600), st.floats(1, 600)).map(
+    lambda box: np.array([[box[0], box[1], box[0] + box[2], box[1] + box[3]]])
+)
+
+
+@dataclasses.dataclass
+class TextbookFilter:
+    """One coordinate of one box, with matrices."""
+
+    state: Array
+    covariance: Array
+
+    @classmethod
+    def started(cls, value: float, std: float, speed_std: float) -> TextbookFilter:
+        variances = (std**2, speed_std**2)
+        return cls(np.array((value, 0.0)), np.diag(variances))
+
+    def predict(self, step_s: float, size: float, coordinate: int) -> None:
+        transition = np.array(((1, step_s), (0, 1)))
+        noise = np.array(((step_s**3 / 3, step_s**2 / 2), (step_s**2 / 2, step_s)))
+        self.state = transition @ self.state
+        self.covariance = transition @ self.covariance @ transition.T
+        self.covariance += noise * ACCELERATION_DENSITY[coordinate] * size**2
+
+    def correct(self, value: float, std: float) -> None:
+        observation = np.array(((1.0, 0.0),))
+        uncertainty = observation @ self.covariance @ observation.T + std**2
+        gain = self.covariance @ observation.T @ np.linalg.inv(uncertainty)
+        self.state = self.state + gain @ (value - observation @ self.state)
+        self.covariance = (np.eye(2) - gain @ observation) @ self.covariance
+
+
+def size_of(position: Array) -> float:
+    return float(max(position[0, 2:].mean(), 1.0))
+
+
+@settings(deadline=None, max_examples=60)
+@given(box=boxes, score=scores, steps=st.lists(st.tuples(seconds, boxes, scores), max_size=6))
+def test_the_elementwise_filter_is_the_one_with_matrices(
+    box: Array, score: Array, steps: list[tuple[float, Array, Array]]
+) -> None:
+    motion = Motion.started(box, score)
+    start = xyxy_to_cxcywh(box)
+    std = float(measurement_std(start, score, SAME_ERROR_S)[0, 0])
+    filters = [
+        TextbookFilter.started(start[0, c], std, START_SPEED_STD[c] * size_of(start)) for c in COORDINATES
+    ]
+    for step_s, seen, seen_score in steps:
+        for c in COORDINATES:
+            filters[c].predict(step_s, size_of(motion.position), c)
+        motion = motion.predicted(step_s)
+        for c in (2, 3):
+            filters[c].state[0] = max(filters[c].state[0], 0.0)
+        measured = xyxy_to_cxcywh(seen)
+        motion = motion.corrected(seen, seen_score, step_s)
+        for c in COORDINATES:
+            filters[c].correct(measured[0, c], float(measurement_std(measured, seen_score, step_s)[0, 0]))
+    for c in COORDINATES:
+        scale = 1e-9 * max(1.0, float(np.abs(filters[c].covariance).max()))
+        assert motion.position[0, c] == pytest.approx(filters[c].state[0], rel=1e-7, abs=1e-6)
+        assert motion.velocity[0, c] == pytest.approx(filters[c].state[1], rel=1e-7, abs=1e-6)
+        assert motion.variance[0, c] == pytest.approx(filters[c].covariance[0, 0], rel=1e-6, abs=scale)
+        assert motion.covariance[0, c] == pytest.approx(filters[c].covariance[0, 1], rel=1e-6, abs=scale)
+        assert motion.velocity_variance[0, c] == pytest.approx(
+            filters[c].covariance[1, 1], rel=1e-6, abs=scale
+        )
+
+
+@given(box=boxes, first_s=seconds, second_s=seconds)
+def test_two_steps_predict_what_one_of_their_length_does(box: Array, first_s: float, second_s: float) -> None:
+    motion = Motion.started(box, SURE)
+    for halves, whole in zip(
+        motion.predicted(first_s).predicted(second_s).arrays,
+        motion.predicted(first_s + second_s).arrays,
+        strict=True,
+    ):
+        np.testing.assert_allclose(halves, whole, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 10.0, 30.0])
+def test_the_velocity_is_learned_at_any_rate_with_jitter(rate_hz: float) -> None:
+    rng = np.random.default_rng(0)
+    start, velocity = np.array([[50.0, 60.0, 90.0, 140.0]]), np.array([[40.0, -25.0, 40.0, -25.0]])
+    motion, before_s = Motion.started(start, SURE), 0.0
+    for time_s in np.arange(1, 3 * rate_hz) / rate_hz:
+        now_s = time_s + rng.uniform(-0.3, 0.3) / rate_hz
+        motion = motion.predicted(now_s - before_s).corrected(
+            start + velocity * now_s, SURE, now_s - before_s
+        )
+        before_s = now_s
+    np.testing.assert_allclose(motion.velocity[0], (40, -25, 0, 0), atol=1.0)
+    np.testing.assert_allclose(
+        motion.predicted(0.5).boxes_xyxy, start + velocity * (before_s + 0.5), atol=1.5
+    )
+
+
+def test_a_box_that_shrinks_becomes_empty_and_not_inverted() -> None:
+    motion = Motion.started(np.array([[0.0, 0.0, 100.0, 100.0]]), SURE)
+    for side in (80.0, 60.0, 40.0):
+        motion = motion.predicted(0.1).corrected(np.array([[0.0, 0.0, side, side]]), SURE, 0.1)
+    x1, y1, x2, y2 = motion.predicted(5.0).boxes_xyxy[0]
+    assert (x1, y1) == (x2, y2)
+
+
+@pytest.mark.parametrize("side", [0.0, 1e-30, 1e38], ids=["empty", "tiny", "huge"])
+@pytest.mark.parametrize("step_s", [1e-9, 60.0], ids=["short", "long"])
+@pytest.mark.parametrize("score", [np.zeros(1), np.ones(1)], ids=["doubted", "sure"])
+def test_estimates_stay_finite(side: float, step_s: float, score: Array) -> None:
+    box = np.array([[-side, -side, side, side]], np.float32)
+    motion = Motion.started(box, score)
+    for _ in range(50):
+        motion = motion.predicted(step_s).corrected(box, score, step_s)
+    assert all(np.isfinite(values).all() for values in motion.arrays)
+    assert (motion.variance > 0).all()
+    assert (motion.velocity_variance >= 0).all()
+
+
+def test_without_tracks_there_is_nothing_to_predict() -> None:
+    motion = Motion.started(np.zeros((0, 4)), np.zeros(0))
+    assert len(motion.predicted(0.1).corrected(np.zeros((0, 4)), np.zeros(0), 0.1)) == 0
+
+
+def test_a_low_score_moves_the_estimate_less_than_a_high_one() -> None:
+    box = np.array([[0.0, 0.0, 100.0, 100.0]])
+    motion = Motion.started(box, SURE).predicted(0.1)
+    moved = [
+        motion.corrected(box + 20, np.array([score]), 0.1).position[0, 0] - 50 for score in (0.9, 0.5, 0.2)
+    ]
+    assert 20 > moved[0] > moved[1] > moved[2] > 0
+
+
+def test_images_close_together_say_together_what_one_would() -> None:
+    box = np.array([[0.0, 0.0, 100.0, 100.0]])
+    variances = []
+    for count in (1, 4, 20):
+        motion = Motion.started(box, SURE).predicted(0.1)
+        for _ in range(count):
+            motion = motion.corrected(box, SURE, SAME_ERROR_S / count)
+        variances.append(motion.variance[0, 0])
+    assert variances == pytest.approx([variances[0]] * 3)

@@ -1,0 +1,117 @@
+"""How well identities are kept where they are known; `python -m benchmark.tracking` measures more of it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmark.track_figures import TrackCounts
+from benchmark.track_recording import START_S, recorded, simulated
+from benchmark.track_rendering import rendered, shapes_detector
+from benchmark.track_scenes import DURATION_S, MIN_VISIBLE, SCENES, crossings, occlusions, returns
+from benchmark.tracking import (
+    Case,
+    counts_of,
+    identity_table,
+    oracle_ids,
+    own_ids,
+    simulated_cases,
+    update_times_ms,
+)
+
+
+@pytest.fixture(scope="module")
+def cases() -> list[Case]:
+    return simulated_cases([0])
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "min_idf1", "min_hota", "max_switches"),
+    [(5.0, 0.78, 0.6, 10), (10.0, 0.8, 0.62, 8), (30.0, 0.83, 0.64, 8)],
+    ids=["5 Hz", "10 Hz", "30 Hz"],
+)
+def test_identities_are_kept_at_any_rate(
+    cases: list[Case], rate_hz: float, min_idf1: float, min_hota: float, max_switches: int
+) -> None:
+    at_rate = [case for case in cases if case.rate_hz == rate_hz]
+    assert [case.name for case in at_rate] == list(SCENES)
+    counts = sum((counts_of(case.frames, own_ids(case.frames)) for case in at_rate), TrackCounts())
+    assert counts.idf1 >= min_idf1
+    assert counts.hota >= min_hota
+    assert counts.switches <= max_switches
+
+
+def test_identities_of_drawn_shapes_are_kept() -> None:
+    rng = np.random.default_rng(0)
+    with closing(shapes_detector()) as detector:
+        frames = recorded(crossings(rng), 5.0, rng, rendered(detector, rng))
+    counts = counts_of(frames, own_ids(frames))
+    assert counts.idf1 >= 0.7
+    assert counts.switches <= 2
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 10.0, 30.0])
+def test_a_recording_has_jitter_gaps_misses_and_false_detections(rate_hz: float) -> None:
+    rng = np.random.default_rng(0)
+    frames = recorded(SCENES["crowd"](rng), rate_hz, rng, simulated(rng))
+    stamps_s = np.array([frame.stamp_s for frame in frames])
+    steps_s = np.diff(stamps_s)
+    assert steps_s.min() > 0
+    assert steps_s.min() < 0.8 / rate_hz
+    assert steps_s.max() > 1.5 / rate_hz
+    assert stamps_s[0] >= START_S - 1
+    assert stamps_s[-1] < START_S + DURATION_S + 1
+    truths = sum(len(frame.truth_ids) for frame in frames)
+    assert 0.7 * truths < sum(len(frame.detections) for frame in frames) < truths
+
+
+def test_a_wall_hides_an_object_for_at_most_a_second() -> None:
+    step_s = 0.02
+    scene = occlusions(np.random.default_rng(0))
+    visible = np.array(
+        [scene.view(time_s).visible for time_s in np.arange(0, DURATION_S, step_s)]
+    )  # (times, actors)
+    for row in visible.T:
+        inside = np.trim_zeros(row >= MIN_VISIBLE)
+        hidden_s = [len(list(run)) * step_s for seen, run in itertools.groupby(inside.tolist()) if not seen]
+        assert hidden_s
+        assert max(hidden_s) <= 1.3  # a little more, until a quarter is seen again
+
+
+def test_an_object_that_comes_back_into_the_image_is_another_one() -> None:
+    rng = np.random.default_rng(0)
+    scene = returns(rng)
+    frames = recorded(scene, 10.0, rng, simulated(rng))
+    assert len({name for frame in frames for name in frame.truth_ids}) > len(scene.actors)
+    assert all(len(set(frame.truth_ids)) == len(frame.truth_ids) for frame in frames)
+
+
+def test_the_oracle_gets_the_same_detections_and_its_ids_come_back(tmp_path: Path, cases: list[Case]) -> None:
+    case = Case(cases[0].name, cases[0].rate_hz, cases[0].frames[:2])
+    ids = [tuple(f"0-{row}" for row in range(len(frame.detections))) for frame in case.frames]
+    (tmp_path / "answer").write_text(json.dumps([ids]))
+    interpreter = tmp_path / "python"
+    interpreter.write_text(f"#!/bin/sh\ncat > {tmp_path}/request\ncat {tmp_path}/answer\n")
+    interpreter.chmod(0o755)
+    assert oracle_ids(interpreter, [case]) == [ids]
+    (request,) = json.loads((tmp_path / "request").read_text())
+    assert [frame["stamp_s"] for frame in request["frames"]] == [frame.stamp_s for frame in case.frames]
+    assert [len(frame["scores"]) for frame in request["frames"]] == [len(names) for names in ids]
+
+
+def test_the_table_has_a_line_for_each_scene_and_rate_and_one_for_all(cases: list[Case]) -> None:
+    counts = [TrackCounts(truths=1, tracked=1, identified=1) for _ in cases]
+    lines = identity_table(cases, [counts], ["own"]).splitlines()[2:]
+    assert len(lines) == len(cases) + 1
+    assert lines[-1].split()[:3] == ["all", str(len(cases)), "1.000"]
+
+
+def test_the_time_of_each_update_is_measured() -> None:
+    times_ms = update_times_ms(5, 8, np.random.default_rng(0))
+    assert len(times_ms) == 8
+    assert min(times_ms) > 0

@@ -1,0 +1,1 @@
+"""Detections over time: objects that keep their identity."""

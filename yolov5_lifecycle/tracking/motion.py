@@ -1,0 +1,143 @@
+"""Motion of boxes: a Kalman filter of constant velocity for each coordinate of each track.
+
+A box is its centre and size (cx, cy, w, h), as in BoT-SORT (Aharon et al. 2022). The four are independent of
+each other, so instead of one filter with a state of eight there are four with a state of two, position and
+velocity. Everything is elementwise, without a matrix to invert.
+
+Noise is proportional to the size of the box, as in DeepSORT (Wojke et al. 2017), and that of the motion grows
+with time instead of frames: it is the continuous white noise acceleration of Bar-Shalom, Li and Kirubarajan,
+"Estimation with Applications to Tracking and Navigation" (2001), section 6.2.2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MEASUREMENT_STD = 0.03
+"""Standard deviation of a detected coordinate in box sizes, for a score of 1; see `measurement_std`."""
+SAME_ERROR_S = 0.2
+"""Time for which a detector makes the same error; more images in it do not tell more."""
+MIN_SCORE = 0.05
+"""Scores below count as this one."""
+START_SPEED_STD = np.array((2.0, 2.0, 0.25, 0.25))
+"""Standard deviation of the velocity of a new track, in box sizes per second; DeepSORT's at 30 Hz is 1.9."""
+ACCELERATION_DENSITY = np.array((0.5, 0.5, 0.05, 0.05)) ** 2
+"""Variance that the velocity gains per second, in (box sizes / s)^2 / s. DeepSORT's at 30 Hz is 1.05: with it
+the velocity follows the box of an object that shrinks because it passes behind another one."""
+MAX_MARGIN = 0.5
+"""Of a predicted box, in box sizes."""
+MIN_SIZE_PX = 1.0
+"""Smallest size that scales the noise, so that an empty box has some, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Estimates for n tracks; each array is (n, 4), columns cx, cy, w, h in pixels, and seconds."""
+
+    position: Array
+    velocity: Array
+    variance: Array
+    """Of the position."""
+    covariance: Array
+    """Of position and velocity."""
+    velocity_variance: Array
+
+    @classmethod
+    def started(cls, boxes_xyxy: NDArray[np.floating], scores: NDArray[np.floating]) -> Motion:
+        """Tracks that were seen once, in `boxes_xyxy` (n, 4) with `scores` (n,)."""
+        position = xyxy_to_cxcywh(boxes_xyxy)
+        size = _size(position)
+        still = np.zeros_like(position)
+        std = measurement_std(position, scores, SAME_ERROR_S)
+        variance = np.broadcast_to(std**2, position.shape).copy()
+        return cls(position, still, variance, still.copy(), (START_SPEED_STD * size) ** 2)
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def boxes_xyxy(self) -> Array:
+        """(n, 4) corners in pixels."""
+        centre, half_size = self.position[:, :2], self.position[:, 2:] / 2
+        return np.concatenate((centre - half_size, centre + half_size), axis=1)
+
+    @property
+    def margin_xy(self) -> Array:
+        """(n, 2) standard deviation of the centre in pixels, at most MAX_MARGIN."""
+        return np.minimum(np.sqrt(self.variance[:, :2]), MAX_MARGIN * _size(self.position))
+
+    def predicted(self, step_s: float) -> Motion:
+        """The estimates `step_s` seconds later; a box does not shrink below an empty one."""
+        density = ACCELERATION_DENSITY * _size(self.position) ** 2
+        position = self.position + self.velocity * step_s
+        np.maximum(position[:, 2:], 0, out=position[:, 2:])
+        drift = self.covariance + self.velocity_variance * step_s
+        return Motion(
+            position=position,
+            velocity=self.velocity,
+            variance=self.variance + (self.covariance + drift) * step_s + density * (step_s**3 / 3),
+            covariance=drift + density * (step_s**2 / 2),
+            velocity_variance=self.velocity_variance + density * step_s,
+        )
+
+    def corrected(
+        self, boxes_xyxy: NDArray[np.floating], scores: NDArray[np.floating], step_s: float
+    ) -> Motion:
+        """The estimates after each track was seen in its row of `boxes_xyxy` (n, 4) and `scores` (n,).
+
+        `step_s`: seconds since the previous image.
+        """
+        measured = xyxy_to_cxcywh(boxes_xyxy)
+        uncertainty = self.variance + measurement_std(measured, scores, step_s) ** 2
+        gain, velocity_gain = self.variance / uncertainty, self.covariance / uncertainty
+        surprise = measured - self.position
+        return Motion(
+            position=self.position + gain * surprise,
+            velocity=self.velocity + velocity_gain * surprise,
+            variance=self.variance * (1 - gain),
+            covariance=self.covariance * (1 - gain),
+            velocity_variance=self.velocity_variance - velocity_gain * self.covariance,
+        )
+
+    def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Motion:
+        """The tracks in `rows`, indices or a mask."""
+        return Motion(*(values[rows] for values in self.arrays))
+
+    def followed_by(self, other: Motion) -> Motion:
+        """These tracks, then those of `other`."""
+        return Motion(*map(np.concatenate, zip(self.arrays, other.arrays, strict=True)))
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """The five, in the order of the fields."""
+        return self.position, self.velocity, self.variance, self.covariance, self.velocity_variance
+
+
+def xyxy_to_cxcywh(boxes_xyxy: NDArray[np.floating]) -> Array:
+    """Corners (n, 4) -> centre and size (n, 4)."""
+    corners = boxes_xyxy.astype(np.float64)
+    low, high = corners[:, :2], corners[:, 2:]
+    return np.concatenate(((low + high) / 2, high - low), axis=1)
+
+
+def measurement_std(boxes_cxcywh: Array, scores: NDArray[np.floating], step_s: float) -> Array:
+    """(n, 1) standard deviation in pixels of boxes (n, 4) with `scores` (n,), `step_s` after the last image.
+
+    It grows with a falling score, as in the NSA Kalman filter (Du et al. 2021): an object seen in part has a
+    lower score and a box of that part alone, which says less of where it is and how it moves. It also grows
+    with the number of images in SAME_ERROR_S, which together say what one would: all rates behave alike.
+    """
+    trust = np.maximum(scores.astype(np.float64)[:, None], MIN_SCORE) ** 2
+    images = max(SAME_ERROR_S / step_s, 1.0)
+    return np.asarray(MEASUREMENT_STD * math.sqrt(images) * _size(boxes_cxcywh) / trust)
+
+
+def _size(position: Array) -> Array:
+    """(n, 1) mean of width and height in pixels."""
+    return np.asarray(np.maximum(position[:, 2:].mean(axis=1, keepdims=True), MIN_SIZE_PX))
