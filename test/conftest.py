@@ -21,6 +21,8 @@ from support.worker import made_once, run_folder, suitable_count, worker_domain
 
 from yolov5_lifecycle.ros.demo.domain import isolated
 
+pytest_plugins = ["support.shared_fixtures"]
+
 # A busy machine is no failure of an example, and the same commit gives the same result.
 settings.register_profile(
     "suite", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
@@ -51,6 +53,7 @@ def _isolated() -> Iterator[None]:
     with worker_domain() as domain, pytest.MonkeyPatch.context() as environment:
         for name, value in isolated({}, domain).items():
             environment.setenv(name, value)
+        environment.setenv("no_proxy", "*")  # the servers of the tests are here
         yield
 
 

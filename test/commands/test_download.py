@@ -28,6 +28,12 @@ from yolov5_lifecycle.commands.fetch_weights import fetch, main
 from yolov5_lifecycle.models.model import WeightsError
 
 
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder that is not there yet."""
+    return tmp_path / "ros" / "yolov5"
+
+
 @pytest.mark.parametrize("redirects", [1, 2])
 def test_a_redirect_is_followed(folder: Path, checkpoint: bytes, redirects: int) -> None:
     with FileServer(sending_ranges(checkpoint)) as last, FileServer(redirecting(last.address)) as second:

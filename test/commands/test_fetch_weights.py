@@ -23,6 +23,12 @@ from yolov5_lifecycle.commands.fetch_weights import main
 from yolov5_lifecycle.models.model import WeightsError
 
 
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder that is not there yet."""
+    return tmp_path / "ros" / "yolov5"
+
+
 def test_the_file_of_the_size_comes_to_where_the_detector_looks(
     folder: Path, checkpoint: bytes, digest: str
 ) -> None:

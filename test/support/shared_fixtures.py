@@ -1,11 +1,17 @@
-"""The node in this process with models of the test's, and the installed detector as a process."""
+"""Fixtures of several files of tests, which `conftest.py` names as a plugin."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from rosbags.rosbag2 import StoragePlugin
+
+from support.checkpoint_builder import official_model, saved, stripped
 from support.detector_process import PARAMETERS, DetectorProcess, as_arguments, detector_process
+from support.recorded_scene import COUNT, raw, record
 from support.served_node import Preparations, ServedNode
 
 
@@ -16,6 +22,7 @@ def prepare(ros_domain: int) -> Preparations:
 
 @pytest.fixture
 def served(prepare: Preparations) -> Iterator[ServedNode]:
+    """The node in this process, with models of the test's."""
     with ServedNode(prepare) as served:
         yield served
     assert served.escaped == []
@@ -23,6 +30,7 @@ def served(prepare: Preparations) -> Iterator[ServedNode]:
 
 @pytest.fixture(scope="session")
 def shared_detector(_isolated: None) -> Iterator[DetectorProcess]:
+    """The installed detector; `detector` has it as at the start."""
     with detector_process(*as_arguments(PARAMETERS)) as detector:
         yield detector
 
@@ -38,3 +46,20 @@ def detector(shared_detector: DetectorProcess) -> DetectorProcess:
 def active(detector: DetectorProcess) -> DetectorProcess:
     detector.bring_to("active")
     return detector
+
+
+@pytest.fixture(scope="session")
+def checkpoint() -> bytes:
+    """A checkpoint like the official ones, with a small model."""
+    return saved(stripped(official_model()))
+
+
+@pytest.fixture(scope="session")
+def digest(checkpoint: bytes) -> str:
+    return hashlib.sha256(checkpoint).hexdigest()
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """A recording of the scene."""
+    return record(tmp_path / "drive", [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
