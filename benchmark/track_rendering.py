@@ -10,8 +10,9 @@ from benchmark.track_recording import MIN_SCORE, Detect, partly_missed
 from benchmark.track_scenes import SIZE_HW, TrackScene, View
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.detector import Detector, load_detector
+from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 
 _WEIGHTS = Path(__file__).parents[1] / "weights" / "shapes.safetensors"
@@ -30,6 +31,8 @@ def rendered(detector: Detector, rng: np.random.Generator) -> Detect:
     background = np.clip(rng.normal(114, 8, (*SIZE_HW, 3)), 0, 255).astype(np.uint8)
 
     def detect(scene: TrackScene, view: View) -> Detections:
-        return partly_missed(detector.detect(ColourImage(scene.image(view, background), "rgb"), _SELECTION), rng)
+        return partly_missed(
+            detector.detect(ColourImage(scene.image(view, background), "rgb"), _SELECTION), rng
+        )
 
     return detect
