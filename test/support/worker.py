@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import shutil
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from yolov5_lifecycle.ros.demo.domain import DOMAINS, own_domain
@@ -32,13 +33,16 @@ def _cores() -> int:
     return cores if quota == "max" else max(1, min(cores, int(quota) // int(period)))
 
 
-def worker_domain() -> AbstractContextManager[int]:
-    """Exclusive ROS domain that no other worker uses before or after.
+@contextmanager
+def worker_domain() -> Iterator[int]:
+    """Exclusive ROS domain that no other worker uses before or after, without nodes of finished tests.
 
-    Nodes of a finished test stay in their domain until they are garbage. The last domains come first, as
-    `demo` takes the first free one.
+    The last domains come first, as `demo` takes the first free one.
     """
-    return own_domain(DOMAINS[-1 - _NUMBER :: -_COUNT])
+    # Nodes hold themselves in cycles, and with them their place in the ROS graph of their domain.
+    gc.collect()
+    with own_domain(DOMAINS[-1 - _NUMBER :: -_COUNT]) as domain:
+        yield domain
 
 
 def made_once(folder: Path, make: Callable[[Path], None]) -> Path:
