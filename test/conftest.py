@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -79,5 +78,3 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         for name, value in isolated({}, domain).items():
             monkeypatch.setenv(name, value)
         yield domain
-        # Nodes hold themselves in cycles, and with them their place in the ROS graph of this domain.
-        gc.collect()

@@ -149,7 +149,14 @@ def test_a_link_to_the_input_is_replaced_and_the_input_kept(source: Path, tmp_pa
     assert (source.read_bytes(), target.is_symlink()) == (before, False)
 
 
-@pytest.mark.parametrize("redirection", [">/dev/full", ">&-", "| true"])
+@pytest.mark.parametrize(
+    "redirection",
+    [
+        ">/dev/full",
+        pytest.param(">&-", marks=pytest.mark.long),
+        pytest.param("| true", marks=pytest.mark.long),
+    ],
+)
 def test_an_output_that_cannot_be_written_is_reported_and_the_file_is_there(
     source: Path, tmp_path: Path, redirection: str
 ) -> None:

@@ -65,7 +65,12 @@ def test_too_few_threads_are_said_in_one_line(command: str) -> None:
 
 @pytest.mark.parametrize(
     ("command", "package"),
-    [("detector", "torch"), ("detector", "pydantic"), ("detector", "rclpy"), ("camera", "cv2")],
+    [
+        pytest.param("detector", "torch", marks=pytest.mark.long),
+        ("detector", "pydantic"),
+        pytest.param("detector", "rclpy", marks=pytest.mark.long),
+        ("camera", "cv2"),
+    ],
 )
 def test_a_python_that_lacks_a_package_is_named_in_one_line(command: str, package: str) -> None:
     without = f"import sys; sys.modules['{package}'] = None"

@@ -267,8 +267,11 @@ MERE_FOLDER = (
 
 @pytest.mark.parametrize(
     ("runtime", "preparation"),
-    [("onnxruntime", ABSENT), ("openvino", ABSENT), ("openvino", MERE_FOLDER)],
-    ids=["onnxruntime", "openvino", "a folder called openvino"],
+    [
+        pytest.param("onnxruntime", ABSENT, id="onnxruntime"),
+        pytest.param("openvino", ABSENT, id="openvino", marks=pytest.mark.long),
+        pytest.param("openvino", MERE_FOLDER, id="a folder called openvino", marks=pytest.mark.long),
+    ],
 )
 def test_a_runtime_that_is_not_installed_says_how_to_install_it(runtime: str, preparation: str) -> None:
     """In a process of its own, where its packages cannot be found."""

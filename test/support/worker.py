@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import fcntl
+import gc
+import itertools
 import os
 import shutil
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from yolov5_lifecycle.ros.demo.domain import DOMAINS, own_domain
@@ -14,14 +16,21 @@ from yolov5_lifecycle.ros.demo.domain import DOMAINS, own_domain
 _NUMBER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 _COUNT = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 _MAX_COUNT = 12
+_TURNS = itertools.count()
 _WORKER_BYTES = 2 << 30
 """What a worker and the processes that it starts need."""
 
 
 def suitable_count() -> int:
     """How many workers this machine has room for: more than cores, because they often wait for each other."""
-    free_bytes = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return max(1, min(_cores() * 3 // 2, free_bytes // _WORKER_BYTES, _MAX_COUNT))
+    return max(1, min(_cores() * 3 // 2, _available_bytes() // _WORKER_BYTES, _MAX_COUNT))
+
+
+def _available_bytes() -> int:
+    """Memory that can be had without swapping, caches of files included."""
+    lines = Path("/proc/meminfo").read_text().splitlines()
+    (kilobytes,) = (line.split()[1] for line in lines if line.startswith("MemAvailable:"))
+    return int(kilobytes) * 1024
 
 
 def _cores() -> int:
@@ -32,13 +41,19 @@ def _cores() -> int:
     return cores if quota == "max" else max(1, min(cores, int(quota) // int(period)))
 
 
-def worker_domain() -> AbstractContextManager[int]:
-    """Exclusive ROS domain that no other worker uses before or after.
+@contextmanager
+def worker_domain() -> Iterator[int]:
+    """Exclusive ROS domain that no other worker uses before or after, and this one only after all its others.
 
-    Nodes of a finished test stay in their domain until they are garbage. The last domains come first, as
-    `demo` takes the first free one.
+    A client may send its request to a node of a finished test that is still in the domain, and wait for ever.
+    Such nodes are removed by garbage collection, as they are in reference cycles, or found by nobody, as the
+    next test has another domain. The last domains come first, as `demo` takes the first free one.
     """
-    return own_domain(DOMAINS[-1 - _NUMBER :: -_COUNT])
+    gc.collect()
+    domains = DOMAINS[-1 - _NUMBER :: -_COUNT]
+    turn = next(_TURNS) % len(domains)
+    with own_domain([*domains[turn:], *domains[:turn]]) as domain:
+        yield domain
 
 
 def made_once(folder: Path, make: Callable[[Path], None]) -> Path:

@@ -21,9 +21,9 @@ from yolov5_lifecycle.sources.scene import CLASS_NAMES
 @pytest.mark.parametrize(
     ("classes", "meant", "found"),
     [
-        ("[]", [], CLASS_NAMES),
+        pytest.param("[]", [], CLASS_NAMES, marks=pytest.mark.long),
         ("[0, 2]", ["0", "2"], ("circle", "triangle")),
-        ("[circle]", ["circle"], ("circle",)),
+        pytest.param("[circle]", ["circle"], ("circle",), marks=pytest.mark.long),
     ],
 )
 def test_a_parameter_file_is_taken_as_it_is_meant(
