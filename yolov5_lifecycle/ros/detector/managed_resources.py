@@ -139,7 +139,7 @@ class ManagedResources:
             overtaken=detection.losses.overtaken if detection else None,
             latency=detection.latencies.summary(time.monotonic()) if detection else None,
             empty=detection.empty_frames.run if detection else None,
-            tracks=detection.tracks if detection else None,
+            tracking=detection.tracker_values if detection else {},
             busy_s=self._worker.busy_s(),
             recently_rejected=self._failures.recent_rejection(),
             abandoned_threads=self._worker.abandoned_threads(),

@@ -72,9 +72,11 @@ class Detection:
         return self.preparation.result()
 
     @property
-    def tracks(self) -> int | None:
-        """Number of confirmed tracks after the last image; None without a tracker."""
-        return None if self._tracker is None else self._tracker.confirmed
+    def tracker_values(self) -> dict[str, str]:
+        """For diagnostics: the tracker and its tracks after the last image; empty without one."""
+        if self._tracker is None:
+            return {}
+        return {"tracker": self._settings().tracker, "confirmed tracks": str(self._tracker.confirmed)}
 
     def start(self) -> None:
         """Begin to detect; raises what loading raised, SettingsError if the settings do not fit the model."""

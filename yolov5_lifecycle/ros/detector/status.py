@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rclpy.qos import ReliabilityPolicy
@@ -41,7 +42,7 @@ class Status:
     `settings`: from configure on; `model`, `input`, `lost`, `overtaken`, `latency`, `empty`: while active.
     `topic`: the expected image topic, in every state; `input`: the subscription to it, None without one.
     `lost`, `overtaken`: images sent but not taken since activation, as counted by `ImageLosses`.
-    `tracks`: confirmed tracks, None unless a tracker is on.
+    `tracking`: values of the tracker, empty without one.
     `busy_s`: time that inference has spent on the current image, in seconds.
     `abandoned_threads`: threads that hung during deactivate and are still running.
     `resident_mb`: RAM of the process, None if unknown.
@@ -58,7 +59,7 @@ class Status:
     overtaken: int | None
     latency: LatencySummary | None
     empty: EmptyRun | None
-    tracks: int | None
+    tracking: Mapping[str, str]
     busy_s: float
     recently_rejected: str
     abandoned_threads: int
@@ -146,9 +147,7 @@ class Status:
         if self.empty is not None:
             values["empty frames in a row"] = str(self.empty.frames)
             values["best score in them"] = f"{self.empty.best_missed:.2g}"
-        if self.tracks is not None and self.settings is not None:
-            values |= {"tracker": self.settings.tracker, "confirmed tracks": str(self.tracks)}
-        return values
+        return values | dict(self.tracking)
 
 
 def _missing(topic: TopicStatus) -> str:
