@@ -11,8 +11,8 @@ from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
-MESSAGES = 60
-CAMERA = {"width": 320, "height": 240, "seed": SEED}
+MESSAGES = 45
+CAMERA = {"width": 320, "height": 240, "seed": SEED, "rate": 15.0}
 
 
 def ids_of(message: Detection2DArray) -> list[str]:
