@@ -35,7 +35,7 @@ FROM ${BASE}
 # hadolint ignore=DL3008
 RUN apt-get update \
  && apt-get install -y --no-install-recommends \
-      python3-numpy python3-opencv python3-yaml \
+      python3-numpy python3-opencv python3-scipy python3-yaml \
       ros-jazzy-bond ros-jazzy-rmw-fastrtps-cpp ros-jazzy-vision-msgs \
  && rm -rf /var/lib/apt/lists/*
 COPY --from=build /opt/venv /opt/venv

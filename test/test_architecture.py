@@ -41,8 +41,11 @@ RANKS = (
     ("ros",),
 )
 RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders}
-# What a user starts, and what makes a detector or a selection from settings.
-EDGE = ("settings.", "commands.", "offline.", "ros.", "detection.prepared_model", "detection.selection")
+# What a user starts, and what makes a detector, a selection or a tracker from settings.
+EDGE = (
+    *("settings.", "commands.", "offline.", "ros."),
+    *("detection.prepared_model", "detection.selection", "tracking.tracked_detection"),
+)
 WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process", "tracking")
 
 PRIVATE_BY_NAME_ONLY = {

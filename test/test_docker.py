@@ -74,7 +74,7 @@ def test_what_setup_asks_for_is_installed() -> None:
     installed = {word for words in pip_installs() for word in words}
     brought_by_pydantic = {"annotated-types", "pydantic-core"}
     assert needed - brought_by_pydantic - FROM_APT.keys() <= installed
-    assert {*FROM_APT.values(), "python3-opencv"} <= set(arguments_of("RUN")[-2].split())
+    assert {*FROM_APT.values(), "python3-opencv", "python3-scipy"} <= set(arguments_of("RUN")[-2].split())
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,15 @@ def test_columns_of_one_length_make_detections() -> None:
     assert len(Detections(**GOOD)) == 2
 
 
+@pytest.mark.parametrize(
+    ("track_ids", "told"),
+    [pytest.param((), ("", ""), id="no tracker"), pytest.param(("", "7"), ("", "7"), id="tracker")],
+)
+def test_objects_have_the_ids_of_their_tracks(track_ids: tuple[str, ...], told: tuple[str, ...]) -> None:
+    found = Detections(**GOOD, track_ids=track_ids).objects([*"abcdefgh"])
+    assert tuple(one.track_id for one in found) == told
+
+
 def test_there_may_be_none() -> None:
     none = Detections(np.empty((0, 4), np.float32), np.empty(0, np.float32), np.empty(0, np.int64))
     assert len(none) == 0
@@ -45,6 +54,7 @@ def test_there_may_be_none() -> None:
         pytest.param("class_ids", np.array([0, 1], np.int32), "int64", id="class ids of another dtype"),
         pytest.param("class_ids", np.array([0, -1]), "negative", id="negative class id"),
         pytest.param("class_ids", np.array([0, 1, 2]), r"\(2,\)", id="a class id too many"),
+        pytest.param("track_ids", ("1",), "none or 2, found 1", id="a track id too few"),
     ],
 )
 def test_a_bad_column_is_refused_by_name(column: str, values: object, reason: str) -> None:

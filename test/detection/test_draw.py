@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,6 +118,16 @@ def test_labels_grow_with_the_image() -> None:
         heights.append(label_height(annotate(black(height, width), one(*box_xyxy), NAMES), colour))
     assert heights[0] >= 9
     assert all(lower < higher for lower, higher in itertools.pairwise(heights))
+
+
+def test_the_id_of_a_track_stands_in_the_label() -> None:
+    plain, unconfirmed, tracked = (
+        ink_of_class_1(
+            annotate(black(300, 400), replace(one(150, 150, 200, 200, class_id=1), track_ids=ids), NAMES)
+        )
+        for ids in ((), ("",), ("27",))
+    )
+    assert plain == unconfirmed < tracked
 
 
 def test_a_name_that_is_too_long_is_cut_before_its_score() -> None:

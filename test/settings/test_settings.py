@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+import subprocess
+import sys
 
 import pytest
 
@@ -131,11 +133,28 @@ def test_an_option_that_is_no_parameter_is_answered_with_its_replacement(name: s
     [
         pytest.param({"device": "cpu", "precision": "fp16"}, "fp16.*device is 'cpu'", id="half-on-cpu"),
         pytest.param({"model_size": "n6", "image_size": 672}, "multiple of 64.*640 or 704", id="p6-stride"),
+        pytest.param(
+            {"track_low_threshold": 0.3}, "track_low_threshold: 0.3 is above track_high.*0.25", id="low-track"
+        ),
     ],
 )
 def test_settings_that_contradict_each_other_are_refused(values: dict[str, object], problem: str) -> None:
     with pytest.raises(SettingsError, match=problem):
         validated(values)
+
+
+def test_a_tracker_without_scipy_is_refused_with_the_remedy() -> None:
+    program = (
+        "import sys; sys.modules['scipy'] = None\n"
+        "from yolov5_lifecycle.settings.settings import validated\n"
+        "validated({'tracker': 'none'})\n"
+        "try:\n    validated({'tracker': 'bytetrack'})\n"
+        "except ValueError as error:\n    print(error)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout.startswith("tracker: 'bytetrack' needs scipy. ")
+    assert f"{sys.executable} -m pip install scipy" in run.stdout
+    assert run.stdout.endswith("sudo apt install python3-scipy, or use the tracker 'none'.\n")
 
 
 def test_every_contradiction_is_reported_at_once() -> None:

@@ -31,6 +31,7 @@ GOOD = Status(
     overtaken=7,
     latency=LatencySummary(29.9, 21.0, 30.5),
     empty=EmptyRun(0.9),
+    tracking={"tracker": "bytetrack", "confirmed tracks": "6"},
     busy_s=0.02,
     recently_rejected="",
     abandoned_threads=0,

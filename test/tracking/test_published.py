@@ -32,16 +32,16 @@ def test_the_published_detections_are_those_of_their_threshold(
     raw = np.array(listed, np.float32).reshape(-1, 7)
     tracked = select(raw, replace(selection, confidence_threshold=LOW))
     ids = [str(row) for row in range(len(tracked))]
-    found, found_ids = published(tracked, ids, selection.confidence_threshold)
+    found = published(tracked, ids, selection.confidence_threshold)
     expected = select(raw, selection)
     np.testing.assert_array_equal(found.boxes_xyxy, expected.boxes_xyxy)
     np.testing.assert_array_equal(found.scores, expected.scores)
     np.testing.assert_array_equal(found.class_ids, expected.class_ids)
     assert found.best_missed == expected.best_missed
-    assert found_ids == tuple(ids[: len(found)])
+    assert found.track_ids == tuple(ids[: len(found)])
 
 
 def test_a_missed_score_that_is_noise_is_not_told() -> None:
     noise = Detections(np.zeros((1, 4), np.float32), np.array([0.03], np.float32), np.zeros(1, np.int64))
-    found, ids = published(noise, [""], 0.25)
-    assert (len(found), found.best_missed, ids) == (0, 0.0, ())
+    found = published(noise, [""], 0.25)
+    assert (len(found), found.best_missed, found.track_ids) == (0, 0.0, ())

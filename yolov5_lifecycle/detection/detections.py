@@ -24,12 +24,16 @@ class Detections:
     """(n,) indices into the model's class names."""
     best_missed: float = 0.0
     """Without detections: the highest score below the threshold, 0 if none was worth reporting."""
+    track_ids: tuple[str, ...] = ()
+    """(n,) identities, "" where there is none; empty without a tracker."""
 
     def __post_init__(self) -> None:
         count = len(self.scores)
         _check("boxes_xyxy", self.boxes_xyxy, (count, 4), np.float32)
         _check("scores", self.scores, (count,), np.float32)
         _check("class_ids", self.class_ids, (count,), np.int64)
+        if len(self.track_ids) not in (0, count):
+            raise ValueError(f"track_ids must be none or {count}, found {len(self.track_ids)}.")
         if not np.isfinite(self.boxes_xyxy).all():
             raise ValueError("boxes_xyxy must be finite, found NaN or infinity.")
         if (self.boxes_xyxy[:, :2] > self.boxes_xyxy[:, 2:]).any():
@@ -46,8 +50,12 @@ class Detections:
 
     def objects(self, class_names: Sequence[str]) -> list[FoundObject]:
         """The rows as objects with their class names, highest score first."""
-        rows = zip(self.class_ids.tolist(), self.scores.tolist(), self.boxes_xyxy.tolist(), strict=True)
-        return [FoundObject(class_names[class_id], score, tuple(box)) for class_id, score, box in rows]
+        ids = self.track_ids or ("",) * len(self)
+        rows = zip(self.class_ids.tolist(), self.scores.tolist(), self.boxes_xyxy.tolist(), ids, strict=True)
+        return [
+            FoundObject(class_names[class_id], score, tuple(box), track_id)
+            for class_id, score, box, track_id in rows
+        ]
 
 
 def _check(column: str, values: NDArray[np.generic], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
@@ -58,11 +66,12 @@ def _check(column: str, values: NDArray[np.generic], shape: tuple[int, ...], dty
 
 @dataclass(frozen=True)
 class FoundObject:
-    """One detection: class name, score in [0, 1] and box in image pixels."""
+    """One detection: class name, score in [0, 1], box in image pixels, and "" or the id of its track."""
 
     class_name: str
     score: float
     box_xyxy: tuple[float, float, float, float]
+    track_id: str = ""
 
     @property
     def centre_xy(self) -> tuple[float, float]:

@@ -22,22 +22,33 @@ _GOLDEN_RATIO = 0.618034  # its multiples spread evenly over the hue circle for 
 
 
 def annotate(image: ColourImage, detections: Detections, class_names: Sequence[str]) -> NDArray[np.uint8]:
-    """A copy (H, W, 3) of the image, same channel order, with boxes and labels such as "dog 0.87".
+    """A copy (H, W, 3) of the image, same channel order, with boxes and labels such as "dog #3 0.87".
 
+    The number is that of the track; detections without one have labels such as "dog 0.87".
     Line width and font size scale with the image; a label that does not fit is truncated. Non-ASCII
     characters lose their accents or become question marks. Higher scores are drawn over lower ones.
     """
     canvas = np.array(image.pixels, order="C")
     pen = _Pen.for_image(image.size_hw)
     corners = _corners_inside(detections.boxes_xyxy, image.size_hw)
-    rows = list(zip(corners, detections.scores.tolist(), detections.class_ids.tolist(), strict=True))[::-1]
-    for (x1, y1, x2, y2), _, class_id in rows:
+    class_ids, details = detections.class_ids.tolist(), _details(detections)
+    rows = list(zip(corners, class_ids, details, strict=True))[::-1]
+    for (x1, y1, x2, y2), class_id, _ in rows:
         cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, image.order), pen.line_px)
-    for (x1, y1, _, _), score, class_id in rows:
+    for (x1, y1, _, _), class_id, detail in rows:
         colour = class_colour(class_id, image.order)
-        label = pen.label(printable(class_names[class_id]), score, canvas.shape[1])
+        label = pen.label(printable(class_names[class_id]), detail, canvas.shape[1])
         _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, image.order))
     return canvas
+
+
+def _details(detections: Detections) -> list[str]:
+    """What follows the class name in each label."""
+    ids = detections.track_ids or ("",) * len(detections)
+    scores = [f"{score:.2f}" for score in detections.scores.tolist()]
+    return [
+        f"#{track_id} {score}" if track_id else score for track_id, score in zip(ids, scores, strict=True)
+    ]
 
 
 def class_colour(class_id: int, order: Order) -> Colour:
@@ -81,11 +92,11 @@ class _Pen:
         (width, above), below = cv2.getTextSize(text, _FONT, self.font_scale, self.text_thickness)
         return width, above, below
 
-    def label(self, name: str, score: float, max_width: int) -> str:
-        """Name and score, the name truncated to fit `max_width`; empty when nothing fits."""
+    def label(self, name: str, detail: str, max_width: int) -> str:
+        """Name and detail, the name truncated to fit `max_width`; empty when nothing fits."""
         whole = [name] if len(name) <= _MAX_NAME_CHARACTERS else []
         cut = [name[:length] + ".." for length in range(min(len(name), _MAX_NAME_CHARACTERS) - 1, 0, -1)]
-        labels = (f"{short} {score:.2f}" for short in [*whole, *cut])
+        labels = (f"{short} {detail}" for short in [*whole, *cut])
         return next(
             (text for text in labels if self.text_size(text)[0] + 2 * self.margin_px <= max_width), ""
         )

@@ -71,8 +71,10 @@ def detection_line(
 ) -> str:
     """A line of JSON with the `identity` of an image, its size and its detections, boxes in image pixels."""
     height, width = image.size_hw
-    found = [
+    found: list[dict[str, object]] = [
         {"class_name": one.class_name, "score": one.score, "box_xyxy": one.box_xyxy}
         for one in detections.objects(class_names)
     ]
+    for one, track_id in zip(found, detections.track_ids, strict=False):  # none without a tracker
+        one["id"] = track_id
     return json.dumps({**identity, "width": width, "height": height, "detections": found}) + "\n"

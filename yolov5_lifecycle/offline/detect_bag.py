@@ -16,6 +16,7 @@ from yolov5_lifecycle.commands.command_parser import CommandParser
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_files import detect_files
 from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineDetector
+from yolov5_lifecycle.offline.image_files import has_still_images
 from yolov5_lifecycle.process.standard_streams import complain, show_progress
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
@@ -25,6 +26,7 @@ from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _OF_THE_NODE = ("autostart", "bond_timeout", "image_reliability", "image_transport", "lazy", "max_rate")
 """Settings without effect offline; a parameter file may contain them, command-line arguments may not."""
+_TRACK = "tracker=bytetrack"
 _RECORDING_SUFFIXES = (".mcap", ".db3")
 _MAX_TOLD = 10
 _PROGRESS_PERIOD_S = 0.1
@@ -164,6 +166,8 @@ def _usage_problem(arguments: argparse.Namespace) -> str:
         if arguments.output is None:
             return "give --output, the recording to be written"
         return "a recording has no use for --annotated; give --images" if arguments.annotated else ""
+    if _TRACK in arguments.assignments and has_still_images(arguments.source):
+        return f"{arguments.source} has no time in it; only recordings and videos are tracked"
     useless = [name for name in ("topic", "images") if getattr(arguments, name)]
     return f"{arguments.source} is no recording; only those have a use for --{useless[0]}" if useless else ""
 
@@ -203,6 +207,13 @@ def command_parser() -> argparse.ArgumentParser:
             metavar=form,
             help="a parameter of the detector, over those of the file; may be repeated",
         )
+    parser.add_argument(
+        "--track",
+        action="append_const",
+        dest="assignments",
+        const=_TRACK,
+        help=f"give the same object the same id in every image; short for --set {_TRACK}",
+    )
     parser.add_argument(
         "--node",
         type=_node_name,

@@ -18,8 +18,8 @@ from yolov5_lifecycle.offline.image_files import (
     ImageFile,
     VideoFile,
     VideoFrame,
+    has_still_images,
     image_files,
-    is_image,
 )
 
 
@@ -32,7 +32,7 @@ def detect_files(source: Path, output: Path | None, *, annotated: Path | None, l
     with ExitStack() as stack:
         lines = stack.enter_context(_text(output)) if output else sys.stdout
         drawings = stack.enter_context(whole_output(annotated)) if annotated else None
-        if source.is_dir() or is_image(source):
+        if has_still_images(source):
             return _detect_images(source, lines, drawings, load)
         return _detect_video(source, lines, drawings, load)
 

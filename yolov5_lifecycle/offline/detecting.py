@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -17,6 +18,8 @@ from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracker_settings
 
 Stored = TypeVar("Stored", bound=StoredImage)
 
@@ -63,6 +66,7 @@ class Watch(Protocol):
 class OfflineDetector:
     """Detector that owns the model that `prepare` loads and applies `settings` to every image.
 
+    With the setting `tracker` the images of its runs that have a time are tracked, as those of one camera.
     Raises ValueError or OSError like `prepare_model`, and SettingsError for a class unknown to the model.
     """
 
@@ -74,6 +78,7 @@ class OfflineDetector:
         if problems := model_problems(settings, self.class_names):
             raise SettingsError(problems)
         self._selection = selection(settings, self.class_names)
+        self._tracking = tracked_detection(settings)
         self._failures = 0
 
     def run(
@@ -107,7 +112,7 @@ class OfflineDetector:
     ) -> Outcome:
         try:
             image = stored.load()
-            detections = self._detector.detect(image, self._selection)
+            detections = self._detections(stored, image)
         except ImageError as error:
             self._watch.lost(stored.label, Outcome.REJECTED, error)
             return Outcome.REJECTED
@@ -120,6 +125,12 @@ class OfflineDetector:
         objects.update(self.class_names[class_id] for class_id in detections.class_ids.tolist())
         return Outcome.DETECTED
 
+    def _detections(self, stored: StoredImage, image: ColourImage) -> Detections:
+        stamp_s = None if self._tracking is None else stored.stamp_s
+        if self._tracking is None or stamp_s is None:
+            return self._detector.detect(image, self._selection)
+        return self._tracking.detect(self._detector, image, self._selection, stamp_s)
+
     def _count_failure(self, error: InferenceError) -> None:
         self._failures += 1
         too_many = self._failures >= self.settings.max_consecutive_failures
@@ -127,6 +138,13 @@ class OfflineDetector:
             raise DetectingError(
                 f"stopped after {self._failures} consecutive failed images: {error}"
             ) from error
+
+
+def tracked_detection(settings: Settings) -> TrackedDetection | None:
+    """The tracker that `settings` ask for, with ids from 1, or None."""
+    if settings.tracker == "none":
+        return None
+    return TrackedDetection(ByteTracker(itertools.count(1)), tracker_settings(settings))
 
 
 LoadDetector = Callable[[], OfflineDetector]

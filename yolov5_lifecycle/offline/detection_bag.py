@@ -79,7 +79,7 @@ def _detection(found: FoundObject, header: Any) -> Any:
         bbox=_new(
             "vision_msgs/msg/BoundingBox2D", center=centre, size_x=found.size_xy[0], size_y=found.size_xy[1]
         ),
-        id="",
+        id=found.track_id,
     )
 
 

@@ -33,6 +33,10 @@ class ImageFile:
         """The keys that identify it in a line of JSON."""
         return {"file": str(self.path)}
 
+    @property
+    def stamp_s(self) -> None:
+        """Nobody knows how much time lies between the files of a folder, so they are not tracked."""
+
     def load(self) -> ColourImage:
         try:
             # An absolute path is never mistaken for a camera index.
@@ -43,9 +47,10 @@ class ImageFile:
 
 @dataclass(frozen=True)
 class VideoFrame:
-    """A video frame, counted from 0."""
+    """A video frame, counted from 0, and its time in the video."""
 
     number: int
+    stamp_s: float
     image: ColourImage
 
     @property
@@ -64,6 +69,11 @@ class VideoFrame:
 def is_image(path: Path) -> bool:
     """Whether `path` has an image file extension; any other file may be a video."""
     return path.suffix.lower() in IMAGE_SUFFIXES
+
+
+def has_still_images(path: Path) -> bool:
+    """Whether `path` is an image file or a folder of them."""
+    return path.is_dir() or is_image(path)
 
 
 def image_files(path: Path) -> list[ImageFile]:
@@ -88,5 +98,8 @@ class VideoFile:
         capture = cv2.VideoCapture(str(path))
         claimed_frames = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
         capture.release()
-        frames = (VideoFrame(number, frame.image) for number, frame in enumerate(source.frames))
-        return cls(frames, source.rate_hz or IMAGE_RATE_HZ, claimed_frames)
+        rate_hz = source.rate_hz or IMAGE_RATE_HZ
+        frames = (
+            VideoFrame(number, number / rate_hz, frame.image) for number, frame in enumerate(source.frames)
+        )
+        return cls(frames, rate_hz, claimed_frames)

@@ -55,6 +55,12 @@ class RecordedImage:
                 f"Expected a message of {self.type_name}, found other bytes ({in_one_line(str(error))})."
             ) from None
 
+    @property
+    def stamp_s(self) -> float:
+        """Stamp of its header in seconds; raises ImageError."""
+        stamp = self.message.header.stamp
+        return float(stamp.sec) + float(stamp.nanosec) * 1e-9
+
     def load(self) -> ColourImage:
         decode = compressed_image if self.type_name == _COMPRESSED else raw_image
         return decode(self.message)
@@ -186,6 +192,10 @@ class StoredImage(Protocol):
     @property
     def label(self) -> str:
         """Its name in messages: a time stamp, a file, a frame number."""
+
+    @property
+    def stamp_s(self) -> float | None:
+        """When it was taken, in seconds since any epoch; None if unknown. Raises ImageError."""
 
     def load(self) -> ColourImage:
         """Load the pixels; raises ImageError."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -20,16 +21,27 @@ PIP_PACKAGES: Mapping[str, str] = MappingProxyType(
         "pydantic_core": "pydantic-core",
         "rosbags": "rosbags",
         "safetensors": "safetensors",
+        "scipy": "scipy",
         "torch": "torch",
         "yaml": "pyyaml",
     }
 )
 """Name for pip of each module that this package imports and that does not belong to ROS."""
+_APT_PACKAGES = {"cv2": "python3-opencv", "scipy": "python3-scipy"}
 
 
 def import_problem(error: ImportError) -> str:
     """The failed import, the Python used, and how to install what is missing."""
     return f"{sys.executable} cannot import what is needed: {in_one_line(str(error))}. {_remedy(error)}"
+
+
+def absence_of(module: str) -> str:
+    """Why the optional `module` cannot be imported and what to do; imports it and returns "" if it can."""
+    try:
+        importlib.import_module(module)
+    except ImportError as error:
+        return import_problem(error)
+    return ""
 
 
 def _remedy(error: ImportError) -> str:
@@ -39,6 +51,6 @@ def _remedy(error: ImportError) -> str:
     if module not in PIP_PACKAGES:
         return f"If '{module}' belongs to ROS, source ROS first: source /opt/ros/jazzy/setup.bash"
     remedy = f"Install it with {sys.executable} -m pip install {PIP_PACKAGES[module]}"
-    if module == "cv2":
-        remedy += ", or beside a ROS of apt with sudo apt install python3-opencv"
+    if module in _APT_PACKAGES:
+        remedy += f", or beside a ROS of apt with sudo apt install {_APT_PACKAGES[module]}"
     return remedy

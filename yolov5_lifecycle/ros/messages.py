@@ -71,7 +71,8 @@ def _detection(found: FoundObject, header: Header) -> Detection2D:
     bbox = BoundingBox2D(size_x=found.size_xy[0], size_y=found.size_xy[1])
     bbox.center.position.x, bbox.center.position.y = found.centre_xy
     hypothesis = ObjectHypothesis(class_id=found.class_name, score=found.score)
-    return Detection2D(header=header, results=[ObjectHypothesisWithPose(hypothesis=hypothesis)], bbox=bbox)
+    results = [ObjectHypothesisWithPose(hypothesis=hypothesis)]
+    return Detection2D(header=header, results=results, bbox=bbox, id=found.track_id)
 
 
 def detection_3d_array_message(
@@ -99,6 +100,11 @@ def _detection_3d(detection: Detection2D, box: Box3D, header: Header) -> Detecti
     for result in results:
         result.pose.pose = bbox.center
     return Detection3D(header=header, results=results, bbox=bbox, id=detection.id)
+
+
+def stamp_s(header: Header) -> float:
+    """Stamp in seconds, exact to less than a microsecond."""
+    return float(header.stamp.sec) + float(header.stamp.nanosec) * 1e-9
 
 
 def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:

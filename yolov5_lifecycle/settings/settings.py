@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from yolov5_lifecycle.models.architecture import SIZES, Size, image_size_problem
+from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, contradiction, violation
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
@@ -81,6 +82,33 @@ class Settings(BaseModel):
     )
     max_rate: Annotated[float, Change.LIVE] = Field(
         0.0, ge=0, le=1000, description="Maximum rate of inference in frames per second. 0: no limit."
+    )
+    tracker: Annotated[Literal["none", "bytetrack"], Change.LIVE] = Field(
+        "none",
+        description="bytetrack: give the same object the same Detection2D.id in every image; requires scipy. "
+        "none: ids are empty.",
+    )
+    track_high_threshold: Annotated[float, Change.LIVE] = Field(
+        0.25, ge=0, le=1, description="Minimum score of a detection that may begin a track."
+    )
+    track_low_threshold: Annotated[float, Change.LIVE] = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="Minimum score of a detection that may continue a track, published or not; at most "
+        "track_high_threshold.",
+    )
+    track_match_threshold: Annotated[float, Change.LIVE] = Field(
+        0.2,
+        ge=0.01,
+        le=1,
+        description="Minimum IoU of a detection and the predicted box of the track that it continues.",
+    )
+    track_timeout: Annotated[float, Change.LIVE] = Field(
+        1.5, ge=0.01, le=60, description="Seconds for which a track is kept without a detection."
+    )
+    track_across_classes: Annotated[bool, Change.LIVE] = Field(
+        False, description="Whether a track may continue with a detection of another class."
     )
     lazy: Annotated[bool, Change.LIVE] = Field(
         True,
@@ -184,4 +212,16 @@ def _contradictions(settings: Settings) -> list[Problem]:
     if settings.image_size % stride and not settings.weights:
         whose = f"model_size '{settings.model_size}'"
         problems.append(Problem("image_size", image_size_problem(settings.image_size, stride, whose=whose)))
+    return problems + _tracker_contradictions(settings)
+
+
+def _tracker_contradictions(settings: Settings) -> list[Problem]:
+    problems = []
+    low, high = settings.track_low_threshold, settings.track_high_threshold
+    if low > high:
+        reason = f"{low:g} is above track_high_threshold, {high:g}. Lower it, or raise the other."
+        problems.append(Problem("track_low_threshold", reason))
+    if settings.tracker != "none" and (absence := absence_of("scipy.optimize")):
+        reason = f"'{settings.tracker}' needs scipy. {absence.rstrip('.')}, or use the tracker 'none'."
+        problems.append(Problem("tracker", reason))
     return problems

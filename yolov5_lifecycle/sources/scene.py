@@ -79,6 +79,8 @@ def random_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[ND
 class Scene:
     """Six drifting, rotating shapes, every class at least once, each in its own cell of a still background.
 
+    They stay in view, and each has the same row of the ground truth in every frame.
+
     Deterministic: the arguments and the frame index define the position of every shape.
     """
 

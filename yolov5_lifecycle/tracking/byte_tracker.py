@@ -40,6 +40,11 @@ class ByteTracker:
         """Tracks that are kept, unconfirmed and lost ones included."""
         return len(self._tracks)
 
+    @property
+    def confirmed(self) -> int:
+        """Tracks with an id that are kept, lost ones included; may be asked in any thread."""
+        return int(self._tracks.is_confirmed.sum())
+
     def reset(self) -> None:
         """Forget all tracks. Idempotent."""
         self._tracks = Tracks.none()

@@ -31,7 +31,8 @@ class CameraOutputs:
 
     Image topics and `camera_info` follow the remapping of `image_raw`, as with image_transport. `camera_info`
     has the calibration of the settings, if any, and is transient local. `~/truth` has the shapes of the
-    synthetic scene, sent before their image. `forms` create the image messages, only for subscribers.
+    synthetic scene with their true identities, sent before their image. `forms` create the image messages,
+    only for subscribers.
 
     Raises RuntimeError or ParameterException for invalid `qos_overrides`, and SettingsError for an invalid
     calibration.
@@ -121,5 +122,11 @@ def _check_calibrated(frame: SourceFrame, calibration: Calibration | None) -> No
 
 
 def _certain(truth: Truth) -> Detections:
-    """Ground truth as detections with score 1."""
-    return Detections(truth.boxes_xyxy, np.ones(len(truth.boxes_xyxy), np.float32), truth.class_ids)
+    """Ground truth as detections with score 1; the number of each shape, from 1, is the id of its track."""
+    count = len(truth.boxes_xyxy)
+    return Detections(
+        boxes_xyxy=truth.boxes_xyxy,
+        scores=np.ones(count, np.float32),
+        class_ids=truth.class_ids,
+        track_ids=tuple(str(number) for number in range(1, count + 1)),
+    )

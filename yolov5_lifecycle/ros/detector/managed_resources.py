@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 
@@ -50,6 +51,7 @@ class ManagedResources:
         )
         self._topic = ImageTopic(node, "raw")
         self._last_image = LastImage()
+        self._track_ids = itertools.count(1)
         self.loader = ModelLoader(node, prepare, last_image=self._last_image, on_device_lost=on_device_lost)
         self.detection: Detection | None = None
         self._outputs: Outputs | None = None
@@ -137,6 +139,7 @@ class ManagedResources:
             overtaken=detection.losses.overtaken if detection else None,
             latency=detection.latencies.summary(time.monotonic()) if detection else None,
             empty=detection.empty_frames.run if detection else None,
+            tracking=detection.tracker_values if detection else {},
             busy_s=self._worker.busy_s(),
             recently_rejected=self._failures.recent_rejection(),
             abandoned_threads=self._worker.abandoned_threads(),
@@ -156,6 +159,7 @@ class ManagedResources:
             outputs=outputs,
             worker=self._worker,
             last_image=self._last_image,
+            track_ids=self._track_ids,
         )
 
     def _follow_subscribers(self) -> None:

@@ -14,6 +14,7 @@ from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 
 @dataclass(frozen=True)
@@ -45,12 +46,18 @@ class Pipeline:
     latencies: LatencyWindow
     empty_frames: EmptyFrames
     last_image: LastImage
+    tracking: TrackedDetection | None = None
 
     def detect(self, frame: ReceivedFrame) -> DetectedFrame:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
         image = messages.image_of_message(frame.message)
         self.last_image.size_hw = image.size_hw
-        return DetectedFrame(frame, image, self.detector.detect(image, self.selection))
+        if self.tracking is None:
+            detections = self.detector.detect(image, self.selection)
+        else:
+            stamp_s = messages.stamp_s(frame.message.header)
+            detections = self.tracking.detect(self.detector, image, self.selection, stamp_s)
+        return DetectedFrame(frame, image, detections)
 
     def publish(self, result: DetectedFrame) -> None:
         """Publish the detections and, if it has subscribers, the annotated image."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 from rclpy.lifecycle import LifecycleNode
@@ -21,6 +21,8 @@ from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
 from yolov5_lifecycle.streaming.worker import Worker
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracker_settings
 
 Made = TypeVar("Made")
 
@@ -32,7 +34,7 @@ class Detection:
     """Owns the model and the image subscription, created in this order and released in reverse.
 
     `preparation` is the model, once loaded. `settings()` returns the current settings. `topic` is the image
-    topic.
+    topic. `track_ids` numbers the tracks.
 
     If the subscription cannot be created, this is logged and stays in `problem`; every `look` retries.
     """
@@ -47,6 +49,7 @@ class Detection:
         outputs: Outputs,
         worker: Worker[ReceivedFrame, DetectedFrame],
         last_image: LastImage,
+        track_ids: Iterator[int],
     ) -> None:
         self._node = node
         self._settings = settings
@@ -54,6 +57,8 @@ class Detection:
         self._outputs = outputs
         self._worker = worker
         self._last_image = last_image
+        self._track_ids = track_ids
+        self._tracker: ByteTracker | None = None
         self.losses = ImageLosses()
         self.problem = ""
         self.latencies = LatencyWindow()
@@ -66,12 +71,20 @@ class Detection:
         """The model, loaded; raises what loading it raised."""
         return self.preparation.result()
 
+    @property
+    def tracker_values(self) -> dict[str, str]:
+        """For diagnostics: the tracker and its tracks after the last image; empty without one."""
+        if self._tracker is None:
+            return {}
+        return {"tracker": self._settings().tracker, "confirmed tracks": str(self._tracker.confirmed)}
+
     def start(self) -> None:
         """Begin to detect; raises what loading raised, SettingsError if the settings do not fit the model."""
         settings, model = self._settings(), self.model
         if problems := model_problems(settings, model.detector.class_names):
             raise SettingsError(problems)
         self._topic.follow(settings.image_transport)
+        self._tracker = self._new_tracker(settings)
         self._start(settings, model)
 
     def look(self, topic: TopicStatus) -> InputStatus | None:
@@ -91,13 +104,16 @@ class Detection:
         The caller closes a replaced model.
         """
         self.empty_frames = EmptyFrames(after.confidence_threshold)
+        is_other_camera = before.image_transport != after.image_transport
+        if is_other_camera or before.tracker != after.tracker or preparation is not self.preparation:
+            self._tracker = self._new_tracker(after)
         self._start(after, preparation.result())
         self.preparation = preparation
         is_resubscribed = bool(before.differing(after, Change.RESUBSCRIBE))
         if is_resubscribed:
             self._unsubscribe()
             self._topic.follow(after.image_transport)
-        if before.image_transport != after.image_transport:
+        if is_other_camera:
             self.losses.stop()
         if is_resubscribed or before.lazy != after.lazy:
             self.follow_subscribers()
@@ -154,7 +170,11 @@ class Detection:
             self.model.close(is_at_rest=rested)
         return rested
 
+    def _new_tracker(self, settings: Settings) -> ByteTracker | None:
+        return ByteTracker(self._track_ids) if settings.tracker == "bytetrack" else None
+
     def _start(self, settings: Settings, model: PreparedModel) -> None:
+        tracker = self._tracker
         pipeline = Pipeline(
             detector=model.detector,
             selection=selection(settings, model.detector.class_names),
@@ -162,6 +182,7 @@ class Detection:
             latencies=self.latencies,
             empty_frames=self.empty_frames,
             last_image=self._last_image,
+            tracking=None if tracker is None else TrackedDetection(tracker, tracker_settings(settings)),
         )
         self._worker.start(pipeline, max_rate_hz=settings.max_rate)
 

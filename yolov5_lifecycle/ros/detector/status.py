@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rclpy.qos import ReliabilityPolicy
@@ -41,6 +42,7 @@ class Status:
     `settings`: from configure on; `model`, `input`, `lost`, `overtaken`, `latency`, `empty`: while active.
     `topic`: the expected image topic, in every state; `input`: the subscription to it, None without one.
     `lost`, `overtaken`: images sent but not taken since activation, as counted by `ImageLosses`.
+    `tracking`: values of the tracker, empty without one.
     `busy_s`: time that inference has spent on the current image, in seconds.
     `abandoned_threads`: threads that hung during deactivate and are still running.
     `resident_mb`: RAM of the process, None if unknown.
@@ -57,6 +59,7 @@ class Status:
     overtaken: int | None
     latency: LatencySummary | None
     empty: EmptyRun | None
+    tracking: Mapping[str, str]
     busy_s: float
     recently_rejected: str
     abandoned_threads: int
@@ -144,7 +147,7 @@ class Status:
         if self.empty is not None:
             values["empty frames in a row"] = str(self.empty.frames)
             values["best score in them"] = f"{self.empty.best_missed:.2g}"
-        return values
+        return values | dict(self.tracking)
 
 
 def _missing(topic: TopicStatus) -> str:

@@ -1,0 +1,120 @@
+"""Recordings and videos with `--track`: the ids that the node would have given."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message
+from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import Image
+from support.detected_offline import MODEL, SET_MODEL, prepare_once, run
+from support.recorded_scene import COUNT, images, shown, stamp_s, video
+from vision_msgs.msg import Detection2DArray
+
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
+from yolov5_lifecycle.detection.draw import annotate
+from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.ros.messages import image_of_message
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.tracker_settings import TrackerSettings
+
+SETTINGS = Settings.model_validate(MODEL)
+every_spelling = pytest.mark.parametrize(
+    "words", [["--track"], ["--set", "tracker=bytetrack"], ["-p", "tracker:=bytetrack"]], ids=" ".join
+)
+
+
+def detector() -> Detector:
+    return prepare_once(SETTINGS, USUAL_SOURCE_HW).detector
+
+
+def tracked() -> list[Detections]:
+    """What the node finds in the images of the recording, with a tracker."""
+    tracking = TrackedDetection(ByteTracker(itertools.count(1)), TrackerSettings())
+    chosen = selection(SETTINGS, detector().class_names)
+    return [
+        tracking.detect(detector(), ColourImage(shown(number)[0], "rgb"), chosen, stamp_s(number))
+        for number in range(COUNT)
+    ]
+
+
+@every_spelling
+def test_the_messages_of_a_recording_have_ids(words: list[str], drive: Path, tmp_path: Path) -> None:
+    output = tmp_path / "found"
+    assert run([str(drive), "--output", str(output), "--images", *SET_MODEL, *words]) == 0
+    with Reader(output) as reader:
+        data = [(connection.topic, bytes(data)) for connection, _, data in reader.messages()]
+    arrays = [deserialize_message(each, Detection2DArray) for topic, each in data if "detections" in topic]
+    drawn = [deserialize_message(each, Image) for topic, each in data if topic == "/yolov5/image"]
+    expected = tracked()
+    assert [tuple(one.id for one in array.detections) for array in arrays] == [e.track_ids for e in expected]
+    assert {*expected[0].track_ids} == {""}
+    assert "" not in expected[-1].track_ids
+    for number, message in enumerate(drawn):
+        image = ColourImage(shown(number)[0], "rgb")
+        labelled = annotate(image, expected[number], detector().class_names)
+        np.testing.assert_array_equal(image_of_message(message).pixels, labelled)
+
+
+@every_spelling
+def test_the_lines_of_a_video_have_ids(words: list[str], tmp_path: Path) -> None:
+    source, output, drawn = video(tmp_path / "drive.avi"), tmp_path / "found.jsonl", tmp_path / "drawn.avi"
+    command = [str(source), "--output", str(output), "--annotated", str(drawn), *SET_MODEL]
+    assert run([*command, *words]) == 0
+    lines = [json.loads(line)["detections"] for line in output.read_text().splitlines()]
+    assert {one["id"] for one in lines[0]} == {""}
+    last = [one["id"] for one in lines[-1]]
+    assert "" not in last
+    assert len({*last}) == len(last) > 0
+
+
+def test_without_a_tracker_lines_have_no_ids(tmp_path: Path) -> None:
+    source, output = video(tmp_path / "drive.avi"), tmp_path / "found.jsonl"
+    assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
+    assert '"id"' not in output.read_text()
+
+
+def test_an_annotated_video_shows_the_ids(tmp_path: Path) -> None:
+    source = video(tmp_path / "drive.avi")
+    frames = []
+    for name, words in (("plain", []), ("tracked", ["--track"])):
+        drawn, lines = tmp_path / f"{name}.avi", tmp_path / f"{name}.jsonl"
+        command = [str(source), "--output", str(lines), "--annotated", str(drawn), *SET_MODEL]
+        assert run([*command, *words]) == 0
+        capture = cv2.VideoCapture(str(drawn))
+        frames.append([capture.read()[1] for _ in range(COUNT)])
+        capture.release()
+    plain, with_ids = frames
+    np.testing.assert_array_equal(with_ids[0], plain[0])
+    assert (with_ids[1] != plain[1]).any()
+
+
+@every_spelling
+@pytest.mark.parametrize("source", ["shots", "shots/0.png"])
+def test_image_files_are_not_tracked(
+    source: str, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images(tmp_path / "shots")
+    with pytest.raises(SystemExit, match="2"):
+        run([str(tmp_path / source), *SET_MODEL, *words])
+    assert "has no time in it; only recordings and videos are tracked" in capsys.readouterr().err
+
+
+def test_a_parameter_file_with_a_tracker_serves_image_files_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    tracker: bytetrack\n")
+    assert run([str(images(tmp_path / "shots")), "--params-file", str(file), *SET_MODEL]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(lines) == COUNT
+    assert not any("id" in one for line in lines for one in line["detections"])

@@ -1,0 +1,128 @@
+"""The node gives objects identities while a tracker is chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.served_node import Preparations, ServedNode, image, prediction
+from vision_msgs.msg import Detection2DArray
+
+PARAMETERS = ("tracker:=bytetrack", "track_timeout:=60.0")
+
+
+@pytest.fixture
+def tracking(prepare: Preparations) -> Iterator[ServedNode]:
+    with ServedNode(prepare, parameters=PARAMETERS) as served:
+        served.bring_to("active")
+        yield served
+    assert served.escaped == []
+
+
+def see(served: ServedNode, sec: int) -> Detection2DArray:
+    """What is published for an image taken at `sec`."""
+    message = image()
+    message.header.stamp.sec = sec
+    served.publish(message)
+    served.wait_for(
+        lambda: bool(served.detections) and served.detections[-1].header == message.header, "the detections"
+    )
+    return served.detections[-1]
+
+
+def ids_at(served: ServedNode, *stamps_s: int) -> list[str]:
+    """The ids that the only object has in images taken at `stamps_s`."""
+    return [detection.id for sec in stamps_s for detection in see(served, sec).detections]
+
+
+def wait_until_unsubscribed(served: ServedNode) -> None:
+    """Before the node subscribes again, so that the next image goes to the new subscription."""
+    served.wait_for(lambda: served.images.get_subscription_count() == 0, "the end of the subscription")
+
+
+def test_an_object_has_an_id_from_its_second_image_on(tracking: ServedNode) -> None:
+    assert ids_at(tracking, 1, 2, 3) == ["", "1", "1"]
+
+
+def test_without_a_tracker_ids_are_empty(served: ServedNode) -> None:
+    served.bring_to("active")
+    assert ids_at(served, 1, 2) == ["", ""]
+    assert "tracker" not in served.values()
+
+
+def test_diagnostics_name_the_tracker_and_count_its_tracks(tracking: ServedNode) -> None:
+    ids_at(tracking, 1, 2)
+    values = tracking.values()
+    assert (values["tracker"], values["confirmed tracks"]) == ("bytetrack", "1")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"confidence_threshold": 0.4},
+        {"track_high_threshold": 0.3, "track_low_threshold": 0.2},
+        {"track_across_classes": True},
+        {"classes": ["cat"]},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_a_change_that_is_live_keeps_the_tracks(tracking: ServedNode, change: dict[str, object]) -> None:
+    ids_at(tracking, 1, 2)
+    assert tracking.set(**change) == (True, "")
+    assert ids_at(tracking, 3) == ["1"]
+
+
+def test_tracking_begins_and_ends_with_the_next_image(served: ServedNode) -> None:
+    served.bring_to("active")
+    assert ids_at(served, 1) == [""]
+    for first_id, sec in (("1", 10), ("2", 20)):
+        assert served.set(tracker="bytetrack", track_timeout=60.0) == (True, "")
+        assert ids_at(served, sec, sec + 1) == ["", first_id]
+        assert served.set(tracker="none") == (True, "")
+        assert ids_at(served, sec + 2) == [""]
+
+
+def test_a_reload_starts_afresh_and_reuses_no_id(tracking: ServedNode) -> None:
+    ids_at(tracking, 1, 2)
+    assert tracking.set(image_size=320) == (True, "")
+    assert ids_at(tracking, 3, 4) == ["", "2"]
+
+
+def test_activating_again_starts_afresh_and_reuses_no_id(tracking: ServedNode) -> None:
+    ids_at(tracking, 1, 2)
+    assert tracking.transition("deactivate")
+    wait_until_unsubscribed(tracking)
+    assert tracking.transition("activate")
+    assert ids_at(tracking, 3, 4) == ["", "2"]
+
+
+def test_another_image_transport_starts_afresh(tracking: ServedNode) -> None:
+    ids_at(tracking, 1, 2)
+    assert tracking.set(image_transport="compressed") == (True, "")
+    wait_until_unsubscribed(tracking)
+    assert tracking.set(image_transport="raw") == (True, "")
+    assert ids_at(tracking, 3, 4) == ["", "2"]
+
+
+def test_a_stamp_that_goes_back_starts_afresh(tracking: ServedNode) -> None:
+    assert ids_at(tracking, 10, 11, 5, 6) == ["", "1", "", "2"]
+
+
+def test_only_what_the_threshold_admits_is_published(tracking: ServedNode, prepare: Preparations) -> None:
+    def scored(score: float) -> NDArray[np.float32]:
+        return prediction("cat", score)
+
+    ids_at(tracking, 1, 2)
+    prepare.running.run = lambda: scored(0.2)
+    assert ids_at(tracking, 3, 4) == []
+    prepare.running.run = lambda: scored(0.9)
+    assert ids_at(tracking, 5) == ["1"]
+
+
+def test_thresholds_that_contradict_each_other_are_refused(tracking: ServedNode) -> None:
+    done, reason = tracking.set(track_low_threshold=0.5)
+    assert not done
+    assert "track_low_threshold: 0.5 is above track_high_threshold, 0.25" in reason
+    assert tracking.get("track_low_threshold") == 0.1

@@ -1,0 +1,109 @@
+"""A tracker changes neither which detections are published nor their boxes; it adds identities."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from support.scripted_runtime import ScriptedRuntime
+
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracker_settings
+from yolov5_lifecycle.tracking.tracker_settings import TrackerSettings
+
+IMAGE = ColourImage(np.zeros((64, 64, 3), np.uint8), "rgb")
+scores = st.sampled_from((0.06, 0.15, 0.2, 0.3, 0.6, 0.9))
+rows = st.tuples(*[st.integers(8, 56)] * 2, *[st.integers(2, 30)] * 2, scores, scores)
+
+
+def detector_of(images: Sequence[NDArray[np.float32]]) -> Detector:
+    """Predicts each of `images`, raw rows of two classes, in turn."""
+    predictions = iter(images)
+    runtime = ScriptedRuntime(lambda: next(predictions))
+    return Detector(runtime, class_names=("cat", "dog"), image_size=64, stride=32)
+
+
+def predicted(listed: Sequence[tuple[float, ...]]) -> NDArray[np.float32]:
+    """Raw rows from centre, size and the scores of both classes."""
+    raw = np.ones((len(listed), 7), np.float32)
+    raw[:, [0, 1, 2, 3, 5, 6]] = np.array(listed, np.float32).reshape(-1, 6)
+    return raw
+
+
+def new_tracking(settings: TrackerSettings | None = None) -> TrackedDetection:
+    return TrackedDetection(ByteTracker(itertools.count(1)), settings or TrackerSettings())
+
+
+def found_in(
+    images: Sequence[NDArray[np.float32]], selection: Selection, tracking: TrackedDetection | None = None
+) -> list[Detections]:
+    """What is published for `images` of 10 Hz."""
+    detector, tracking = detector_of(images), tracking or new_tracking()
+    return [tracking.detect(detector, IMAGE, selection, number / 10) for number in range(len(images))]
+
+
+@given(
+    listed=st.lists(st.lists(rows, max_size=8), min_size=1, max_size=4),
+    selection=st.builds(
+        Selection,
+        confidence_threshold=st.sampled_from((0.05, 0.1, 0.25, 0.7)),
+        max_detections=st.integers(1, 4),
+        classes=st.sampled_from((None, frozenset({1}))),
+        agnostic_nms=st.booleans(),
+    ),
+)
+def test_the_same_is_published_with_a_tracker_and_without(
+    listed: list[list[tuple[float, ...]]], selection: Selection
+) -> None:
+    images = [predicted(each) for each in listed]
+    plain = detector_of(images)
+    for tracked in found_in(images, selection):
+        expected = plain.detect(IMAGE, selection)
+        np.testing.assert_array_equal(tracked.boxes_xyxy, expected.boxes_xyxy)
+        np.testing.assert_array_equal(tracked.scores, expected.scores)
+        np.testing.assert_array_equal(tracked.class_ids, expected.class_ids)
+        assert len(tracked.track_ids) == len(expected)
+
+
+def test_a_detection_that_is_not_published_continues_its_track() -> None:
+    scores = (0.9, 0.9, 0.15, 0.15, 0.9)
+    images = [predicted([(32, 32, 20, 20, score, 0)]) for score in scores]
+    tracking = new_tracking(TrackerSettings(track_timeout=0.15))  # one missing image, not two
+    assert [found.track_ids for found in found_in(images, Selection(), tracking)] == [
+        ("",),
+        ("1",),
+        (),
+        (),
+        ("1",),
+    ]
+
+
+@pytest.mark.parametrize("threshold", [0.05, 0.25])
+def test_the_network_is_asked_for_the_lower_of_the_two_thresholds(threshold: float) -> None:
+    found = found_in([predicted([(32, 32, 20, 20, 0.08, 0)])] * 2, Selection(confidence_threshold=threshold))
+    assert [len(each) for each in found] == [int(threshold < 0.08)] * 2
+
+
+def test_the_settings_of_the_node_have_the_defaults_of_the_tracker() -> None:
+    assert tracker_settings(Settings()) == TrackerSettings()
+
+
+def test_every_setting_of_the_tracker_is_one_of_the_node() -> None:
+    chosen = {
+        "track_high_threshold": 0.6,
+        "track_low_threshold": 0.3,
+        "track_match_threshold": 0.4,
+        "track_timeout": 2.5,
+        "track_across_classes": True,
+    }
+    assert tracker_settings(Settings.model_validate(chosen)) == TrackerSettings(**chosen)  # type: ignore[arg-type]
