@@ -21,21 +21,29 @@ _MAX_NAME_CHARACTERS = 40
 _GOLDEN_RATIO = 0.618034  # its multiples spread evenly over the hue circle for any number of classes
 
 
-def annotate(image: ColourImage, detections: Detections, class_names: Sequence[str]) -> NDArray[np.uint8]:
-    """A copy (H, W, 3) of the image, same channel order, with boxes and labels such as "dog 0.87".
+def annotate(
+    image: ColourImage,
+    detections: Detections,
+    class_names: Sequence[str],
+    *,
+    distances_m: Sequence[float | None] = (),
+) -> NDArray[np.uint8]:
+    """A copy (H, W, 3) of the image, same channel order, with boxes and labels such as "dog 0.87 2.4 m".
 
+    `distances_m` has one entry for each detection, None where it is unknown, or is empty.
     Line width and font size scale with the image; a label that does not fit is truncated. Non-ASCII
     characters lose their accents or become question marks. Higher scores are drawn over lower ones.
     """
     canvas = np.array(image.pixels, order="C")
     pen = _Pen.for_image(image.size_hw)
     corners = _corners_inside(detections.boxes_xyxy, image.size_hw)
-    rows = list(zip(corners, detections.scores.tolist(), detections.class_ids.tolist(), strict=True))[::-1]
+    figures = _figures(detections.scores.tolist(), distances_m or (None,) * len(corners))
+    rows = list(zip(corners, figures, detections.class_ids.tolist(), strict=True))[::-1]
     for (x1, y1, x2, y2), _, class_id in rows:
         cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, image.order), pen.line_px)
-    for (x1, y1, _, _), score, class_id in rows:
+    for (x1, y1, _, _), text, class_id in rows:
         colour = class_colour(class_id, image.order)
-        label = pen.label(printable(class_names[class_id]), score, canvas.shape[1])
+        label = pen.label(printable(class_names[class_id]), text, canvas.shape[1])
         _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, image.order))
     return canvas
 
@@ -81,14 +89,22 @@ class _Pen:
         (width, above), below = cv2.getTextSize(text, _FONT, self.font_scale, self.text_thickness)
         return width, above, below
 
-    def label(self, name: str, score: float, max_width: int) -> str:
-        """Name and score, the name truncated to fit `max_width`; empty when nothing fits."""
+    def label(self, name: str, figures: str, max_width: int) -> str:
+        """Name and figures, the name truncated to fit `max_width`; empty when nothing fits."""
         whole = [name] if len(name) <= _MAX_NAME_CHARACTERS else []
         cut = [name[:length] + ".." for length in range(min(len(name), _MAX_NAME_CHARACTERS) - 1, 0, -1)]
-        labels = (f"{short} {score:.2f}" for short in [*whole, *cut])
+        labels = (f"{short} {figures}" for short in [*whole, *cut])
         return next(
             (text for text in labels if self.text_size(text)[0] + 2 * self.margin_px <= max_width), ""
         )
+
+
+def _figures(scores: Sequence[float], distances_m: Sequence[float | None]) -> list[str]:
+    """What follows the name in each label."""
+    return [
+        f"{score:.2f}" if distance_m is None else f"{score:.2f} {distance_m:.1f} m"
+        for score, distance_m in zip(scores, distances_m, strict=True)
+    ]
 
 
 def _draw_label(
