@@ -137,6 +137,8 @@ class ManagedResources:
             overtaken=detection.losses.overtaken if detection else None,
             latency=detection.latencies.summary(time.monotonic()) if detection else None,
             empty=detection.empty_frames.run if detection else None,
+            depth=detection.depth.look() if detection and detection.depth else None,
+            subscribers_3d=self._outputs.subscribers_3d if self._outputs else 0,
             busy_s=self._worker.busy_s(),
             recently_rejected=self._failures.recent_rejection(),
             abandoned_threads=self._worker.abandoned_threads(),
