@@ -38,7 +38,7 @@ def topics() -> set[str]:
     return {
         f"{NODE}{text.removeprefix('~')}" if text.startswith("~/") else text
         for text in constants()
-        if re.fullmatch(r"(~/|/)[a-z_/]+", text)
+        if re.fullmatch(r"(~/|/)[a-z0-9_/]+", text)
     }
 
 
@@ -69,9 +69,10 @@ def test_rviz_shows_images_of_the_node() -> None:
     assert set(shown) <= topics()
 
 
-def test_rviz_is_ready_for_boxes_in_space() -> None:
+def test_rviz_shows_boxes_in_space() -> None:
     layout = yaml.safe_load((CONFIG / "yolov5.rviz").read_text())["Visualization Manager"]
     (boxes,) = values({"displays": layout["Displays"][2:]}, "Topic")
+    assert boxes["Value"] in topics()
     assert (boxes["Value"], boxes["Reliability Policy"]) == (f"{NODE}/detections_3d", "Reliable")
     assert [display["Class"] for display in layout["Displays"][2:]] == [
         "vision_msgs_rviz_plugins/Detection3DArray"

@@ -28,6 +28,7 @@ from support.pages import (
     every_page,
     spans,
     table,
+    topics_of_readme,
     typed,
 )
 from support.served_node import Preparations, ServedNode
@@ -103,10 +104,12 @@ def test_a_detect_bag_command_is_understood(page: Path) -> None:
 
 @every_page
 def test_a_remapped_name_exists(page: Path) -> None:
-    topics = {row[0].partition(" ")[2].strip("`") for row in table(README, "Topics")}
     of_camera = {"image_raw"}
     remapped = set(re.findall(r"-r '?([~\w/]+):=", "\n".join(typed(page) + spans(page))))
-    assert {name.replace("/yolov5/", "~/") for name in remapped} <= topics | of_camera | {"__node", "__ns"}
+    assert {name.replace("/yolov5/", "~/") for name in remapped} <= topics_of_readme() | of_camera | {
+        "__node",
+        "__ns",
+    }
 
 
 def test_the_image_is_small_enough_for_a_repository() -> None:
@@ -130,8 +133,7 @@ def test_the_topics_of_the_readme_are_those_of_the_node() -> None:
         for node in ast.walk(ast.parse(file.read_text()))
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     }
-    shown = {row[0].partition(" ")[2].strip("`") for row in table(README, "Topics")}
-    assert shown == {text for text in texts if re.fullmatch(r"~/[a-z_/]+|/diagnostics", text)}
+    assert topics_of_readme() == {text for text in texts if re.fullmatch(r"~/[a-z0-9_/]+|/diagnostics", text)}
 
 
 def test_the_encodings_of_the_page_are_those_that_are_understood() -> None:
@@ -199,11 +201,7 @@ def test_the_launch_arguments_are_those_of_the_page() -> None:
 
 @pytest.mark.parametrize("node", re.findall(r"^## (.*)$", MIGRATION.read_text(), re.MULTILINE))
 def test_a_name_that_replaces_that_of_another_node_exists(node: str) -> None:
-    known = (
-        {setting.name for setting in SETTINGS}
-        | {row[0].partition(" ")[2].strip("`") for row in table(README, "Topics")}
-        | {"yolov5"}
-    )
+    known = {setting.name for setting in SETTINGS} | topics_of_readme() | {"yolov5"}
     named = {name for row in table(MIGRATION, node) for name in re.findall(r"`([^`]+)`", row[1])}
     assert named <= known
 
@@ -223,8 +221,9 @@ def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() 
 
 def test_every_reason_for_silence_is_explained() -> None:
     explained = " ".join(TROUBLESHOOTING.read_text().split())
-    source = ast.parse((REPOSITORY / "yolov5_lifecycle" / "ros" / "detector" / "status.py").read_text())
-    functions = [node for node in ast.walk(source) if isinstance(node, ast.FunctionDef)]
+    folder = REPOSITORY / "yolov5_lifecycle" / "ros" / "detector"
+    sources = [ast.parse((folder / name).read_text()) for name in ("status.py", "depth_status.py")]
+    functions = [node for source in sources for node in ast.walk(source) if isinstance(node, ast.FunctionDef)]
     told = [
         function
         for function in functions

@@ -24,13 +24,12 @@ from support.detector_process import NODE, environment
 from support.file_server import FileServer, sending_ranges
 from support.pages import (
     PAGES,
-    README,
     TUTORIAL,
     blocks,
     declared_arguments,
     every_page,
     spans,
-    table,
+    topics_of_readme,
     typed,
 )
 from support.recorded_scene import images, jpeg, raw, record, video
@@ -67,7 +66,7 @@ NOT_RUN = {
 }
 """How a command begins, and why it is not tried."""
 
-TOPICS = {row[0].partition(" ")[2].strip("`").replace("~", NODE) for row in table(README, "Topics")}
+TOPICS = {topic.replace("~", NODE) for topic in topics_of_readme()}
 PARSERS = {
     "BENCH_FLAGS": bench.parser,
     "FUZZ_FLAGS": fuzz.parser,

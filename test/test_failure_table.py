@@ -68,6 +68,11 @@ PINNED = {
         "test_frames.py::test_rejected_images_do_not_flood_the_log",
         "test_end_to_end.py::test_an_unreadable_image_is_counted_and_the_next_one_detected",
     ],
+    "depth image or `camera_info` missing, late, unreadable or of another size": [
+        "test_depth.py::test_an_image_without_depth_is_detected_and_counted_with_the_reason",
+        "test_depth.py::test_images_of_another_size_than_depth_are_counted_and_explained",
+        "test_depth.py::test_hostile_messages_are_rejected_counted_and_explained_and_the_next_is_used",
+    ],
     "inference fails": [
         "test_frames.py::test_failures_in_a_row_deactivate_the_node_with_the_reason",
         "test_frames.py::test_a_detected_frame_ends_the_count_of_failures",

@@ -49,7 +49,8 @@ def test_the_policy_allows_what_the_node_uses_and_nothing_more(ros_domain: int) 
     def agrees(unused: str) -> bool:
         return all(names == allowed(*key) - {unused} for key, names in used(served.client).items())
 
-    with ServedNode(Preparations(), parameters=["use_sim_time:=true"]) as served:
+    parameters = ["use_sim_time:=true", "depth:=true", "lazy:=false"]
+    with ServedNode(Preparations(), parameters=parameters) as served:
         served.bring_to("active")
         served.wait_for(lambda: agrees("/yolov5/image_raw/compressed"), "the names of the policy")
         assert served.set(image_transport="compressed") == (True, "")

@@ -17,6 +17,7 @@ from support.detector_process import NODE, PARAMETERS, as_arguments, detector_pr
 from support.served_node import Preparations, ServedNode
 
 from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.detector.depth_input import DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
 from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
@@ -142,6 +143,8 @@ def test_every_topic_may_be_overridden_in_history_depth_and_reliability(
             )
             for topic in topics
         ]
+        depth = DepthInput(node, slop_s=0.05)
+        depth.follow(is_needed=True)
         ours = [e for e in (*node.publishers, *node.subscriptions) if node.has_parameter(_depth_of(e))]
         assert len(ours) == len(names)
         for endpoint in ours:
@@ -151,6 +154,7 @@ def test_every_topic_may_be_overridden_in_history_depth_and_reliability(
         for topic, image_input in zip(topics, inputs, strict=True):
             assert image_input.look(topic.look()).reliability.name == reliability.upper()
             image_input.close()
+        depth.follow(is_needed=False)
         outputs.close()
 
 

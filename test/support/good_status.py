@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from rclpy.qos import ReliabilityPolicy
 
+from yolov5_lifecycle.ros.detector.depth_placing import PlacingCounts
+from yolov5_lifecycle.ros.detector.depth_status import DepthStatus, SourceStatus
 from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
 from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
 from yolov5_lifecycle.ros.detector.status import Status
@@ -19,6 +21,7 @@ GOOD_INPUT = InputStatus(
     silent_s=0.1,
     recent=RecentImages(window_s=5.0, received=150, lost=1, max_bytes=LARGE),
 )
+SOURCE = SourceStatus("/yolov5/depth/image_raw", publishers=1, missing_s=0.0)
 GOOD = Status(
     state="active",
     problem="",
@@ -32,6 +35,10 @@ GOOD = Status(
     latency=LatencySummary(29.9, 21.0, 30.5),
     empty=EmptyRun(0.9),
     tracking={"tracker": "bytetrack", "confirmed tracks": "6"},
+    depth=DepthStatus(
+        image=SOURCE, camera_info=SOURCE, counts=PlacingCounts(), run=None, recently_rejected=""
+    ),
+    subscribers_3d=1,
     busy_s=0.02,
     recently_rejected="",
     abandoned_threads=0,

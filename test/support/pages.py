@@ -53,6 +53,11 @@ def table(page: Path, heading: str) -> list[list[str]]:
     return rows[2:]
 
 
+def topics_of_readme() -> set[str]:
+    """The topics in the table of the README, as ~/name."""
+    return {name for row in table(README, "Topics") for name in re.findall(r"`([^`]+)`", row[0])}
+
+
 def declared_arguments(launch_file: str) -> dict[str, str]:
     """Name and default, as far as that is written out, of every launch argument."""
     calls = [

@@ -151,6 +151,8 @@ class ServedNode:
         self._thread.join(PATIENCE_S)
         self.node.close()
         self.client.destroy_node()
+        for executor in (self._executor, self._client_executor):
+            executor.shutdown()  # else the garbage collector does, and raises if it takes its parts first
         rclpy.shutdown(context=self._context)
 
     def _serve(self) -> None:

@@ -21,17 +21,25 @@ _MAX_NAME_CHARACTERS = 40
 _GOLDEN_RATIO = 0.618034  # its multiples spread evenly over the hue circle for any number of classes
 
 
-def annotate(image: ColourImage, detections: Detections, class_names: Sequence[str]) -> NDArray[np.uint8]:
-    """A copy (H, W, 3) of the image, same channel order, with boxes and labels such as "dog #3 0.87".
+def annotate(
+    image: ColourImage,
+    detections: Detections,
+    class_names: Sequence[str],
+    *,
+    distances_m: Sequence[float | None] = (),
+) -> NDArray[np.uint8]:
+    """A copy (H, W, 3) of the image, same channel order, with boxes and labels such as "dog #3 0.87 2.4 m".
 
-    The number is that of the track; detections without one have labels such as "dog 0.87".
+    The number is that of the track, if there is one. `distances_m` has one entry for each detection, None
+    where it is unknown, or is empty.
+
     Line width and font size scale with the image; a label that does not fit is truncated. Non-ASCII
     characters lose their accents or become question marks. Higher scores are drawn over lower ones.
     """
     canvas = np.array(image.pixels, order="C")
     pen = _Pen.for_image(image.size_hw)
     corners = _corners_inside(detections.boxes_xyxy, image.size_hw)
-    class_ids, details = detections.class_ids.tolist(), _details(detections)
+    class_ids, details = detections.class_ids.tolist(), _details(detections, distances_m)
     rows = list(zip(corners, class_ids, details, strict=True))[::-1]
     for (x1, y1, x2, y2), class_id, _ in rows:
         cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, image.order), pen.line_px)
@@ -42,12 +50,20 @@ def annotate(image: ColourImage, detections: Detections, class_names: Sequence[s
     return canvas
 
 
-def _details(detections: Detections) -> list[str]:
+def _details(detections: Detections, distances_m: Sequence[float | None]) -> list[str]:
     """What follows the class name in each label."""
-    ids = detections.track_ids or ("",) * len(detections)
-    scores = [f"{score:.2f}" for score in detections.scores.tolist()]
+    count = len(detections)
+    rows = zip(
+        detections.track_ids or ("",) * count,
+        detections.scores.tolist(),
+        distances_m or (None,) * count,
+        strict=True,
+    )
     return [
-        f"#{track_id} {score}" if track_id else score for track_id, score in zip(ids, scores, strict=True)
+        (f"#{track_id} " if track_id else "")
+        + f"{score:.2f}"
+        + ("" if distance_m is None else f" {distance_m:.1f} m")
+        for track_id, score, distance_m in rows
     ]
 
 

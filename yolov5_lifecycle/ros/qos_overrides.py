@@ -11,7 +11,7 @@ from rclpy.qos import HistoryPolicy, QoSPolicyKind, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
-from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED, full_name
+from yolov5_lifecycle.ros.topics import COLOUR_IMAGES, PUBLISHED, SUBSCRIBED, full_name
 from yolov5_lifecycle.settings.parameter_file import QOS_PREFIX
 from yolov5_lifecycle.settings.schema import Problem
 from yolov5_lifecycle.settings.settings import Settings
@@ -45,7 +45,7 @@ def qos_problems(node: Node) -> list[Problem]:
 def qos_rules(node: Node) -> list[Callable[[Settings], list[Problem]]]:
     """One rule per QoS override that conflicts with or duplicates a value of `image_reliability`."""
     overrides = parameter_overrides(node)
-    names = [_name(node, topic, "reliability") for topic in SUBSCRIBED]
+    names = [_name(node, topic, "reliability") for topic in COLOUR_IMAGES]
     return [partial(_reliability_problems, name) for name in names if name in overrides]
 
 

@@ -5,14 +5,18 @@ from __future__ import annotations
 from rclpy.node import Node
 
 DETECTIONS = "~/detections"
+DETECTIONS_3D = "~/detections_3d"
 IMAGE = "~/image"
 COMPRESSED_IMAGE = "~/image/compressed"
 LABEL_INFO = "~/label_info"
 IMAGE_RAW = "~/image_raw"
 COMPRESSED_IMAGE_RAW = "~/image_raw/compressed"
+DEPTH_IMAGE_RAW = "~/depth/image_raw"
+DEPTH_CAMERA_INFO = "~/depth/camera_info"
 
-PUBLISHED = (DETECTIONS, IMAGE, COMPRESSED_IMAGE, LABEL_INFO)
-SUBSCRIBED = (IMAGE_RAW, COMPRESSED_IMAGE_RAW)
+PUBLISHED = (DETECTIONS, DETECTIONS_3D, IMAGE, COMPRESSED_IMAGE, LABEL_INFO)
+COLOUR_IMAGES = (IMAGE_RAW, COMPRESSED_IMAGE_RAW)
+SUBSCRIBED = (*COLOUR_IMAGES, DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)
 _OTHERS = ("/diagnostics", "/rosout", "/parameter_events")
 
 _COMPRESSED = "/compressed"

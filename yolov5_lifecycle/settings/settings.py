@@ -126,6 +126,17 @@ class Settings(BaseModel):
     image_reliability: Annotated[Literal["auto", "best_effort", "reliable"], Change.RESUBSCRIBE] = Field(
         "auto", description="QoS reliability of the image subscription. auto: what the publishers offer."
     )
+    depth: Annotated[bool, Change.RESUBSCRIBE] = Field(
+        False,
+        description="Publish ~/detections_3d: where detections are in space, from ~/depth/image_raw and "
+        "~/depth/camera_info.",
+    )
+    depth_slop_s: Annotated[float, Change.RESUBSCRIBE] = Field(
+        0.05,
+        ge=0,
+        le=10,
+        description="Largest difference in seconds between the stamps of an image and of its depth image.",
+    )
     autostart: Annotated[bool, Change.READ_ONLY] = Field(
         False, description="Configure and activate automatically, once, when the process starts."
     )

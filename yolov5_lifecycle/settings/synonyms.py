@@ -18,6 +18,7 @@ SYNONYMS = {
     "model_file": "weights",
     "model_path": "weights",
     "weights_url": "weights",
+    "use_3d": "depth",
 }
 """Names that YOLOv5's own scripts and other nodes use for a setting."""
 

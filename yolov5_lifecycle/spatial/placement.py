@@ -46,6 +46,17 @@ class Unplaced(Enum):
 Placement = Box3D | Unplaced
 
 
+def unusable(
+    image_size_hw: tuple[int, int], depth: DepthImage | None, intrinsics: Intrinsics | None
+) -> Unplaced | None:
+    """Why no box of an image can be placed, None if boxes can be."""
+    if depth is None:
+        return Unplaced.NO_DEPTH_IMAGE
+    if intrinsics is None:
+        return Unplaced.NO_CAMERA_INFO
+    return None if image_size_hw == depth.size_hw == intrinsics.size_hw else Unplaced.OTHER_SIZE
+
+
 def place(
     boxes_xyxy: NDArray[np.float32],
     image_size_hw: tuple[int, int],
@@ -58,15 +69,12 @@ def place(
     image is aligned; (0, 0) is the outer corner of its first pixel. `depth` and `intrinsics` are None while
     there are none. docs/depth.md describes how the distance is found.
     """
-    count = len(boxes_xyxy)
-    if depth is None:
-        return (Unplaced.NO_DEPTH_IMAGE,) * count
-    if intrinsics is None:
-        return (Unplaced.NO_CAMERA_INFO,) * count
-    if not image_size_hw == depth.size_hw == intrinsics.size_hw:
-        return (Unplaced.OTHER_SIZE,) * count
+    if (reason := unusable(image_size_hw, depth, intrinsics)) is not None:
+        return (reason,) * len(boxes_xyxy)
+    assert depth is not None
+    assert intrinsics is not None
     placements: list[Placement] = []
-    for first in range(0, count, MAX_BOXES_AT_ONCE):
+    for first in range(0, len(boxes_xyxy), MAX_BOXES_AT_ONCE):
         boxes = boxes_xyxy[first : first + MAX_BOXES_AT_ONCE]
         extents_m = surface_extents_m(sampled(depth, boxes))
         placements += _placements(boxes.astype(np.float64), extents_m, intrinsics)

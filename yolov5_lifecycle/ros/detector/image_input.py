@@ -123,7 +123,7 @@ class ImageInput:
         )
 
     def _policy(self, offers: Sequence[ReliabilityPolicy]) -> ReliabilityPolicy:
-        return _common(offers) if self._wanted is None else self._wanted
+        return common_reliability(offers) if self._wanted is None else self._wanted
 
     def _unsubscribe(self) -> None:
         if self._subscription is not None:
@@ -161,7 +161,7 @@ class ImageInput:
         self._on_frame(ReceivedFrame(message, self._last_frame_s))
 
 
-def _common(offers: Sequence[ReliabilityPolicy]) -> ReliabilityPolicy:
+def common_reliability(offers: Sequence[ReliabilityPolicy]) -> ReliabilityPolicy:
     """Reliable if every publisher is, else best effort, which matches all publishers."""
     reliable = bool(offers) and all(offer is ReliabilityPolicy.RELIABLE for offer in offers)
     return ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT

@@ -13,7 +13,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CompressedImage, Image
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE_RAW, IMAGE_RAW, PUBLISHED, full_name
+from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE_RAW, DEPTH_IMAGE_RAW, IMAGE_RAW, PUBLISHED, full_name
 from yolov5_lifecycle.settings.suggestion import most_similar
 
 Transport = Literal["raw", "compressed"]
@@ -99,7 +99,7 @@ class ImageTopic:
 
     def _search(self) -> tuple[str, ...]:
         """Other topics with an image publisher, most similar name first; queries a bounded number."""
-        own = {full_name(self._node, topic) for topic in PUBLISHED} | {self.name}
+        own = {full_name(self._node, topic) for topic in (*PUBLISHED, DEPTH_IMAGE_RAW)} | {self.name}
         candidates = [
             name
             for name, types in self._node.get_topic_names_and_types()

@@ -11,13 +11,20 @@ from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
-from vision_msgs.msg import Detection2DArray, LabelInfo
+from vision_msgs.msg import Detection2DArray, Detection3DArray, LabelInfo
 
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.ros.messages import compressed_image_message, image_message
 from yolov5_lifecycle.ros.qos_overrides import overriding_options
-from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE, DETECTIONS, IMAGE, LABEL_INFO, endpoint_name
+from yolov5_lifecycle.ros.topics import (
+    COMPRESSED_IMAGE,
+    DETECTIONS,
+    DETECTIONS_3D,
+    IMAGE,
+    LABEL_INFO,
+    endpoint_name,
+)
 
 
 class Outputs:
@@ -42,6 +49,7 @@ class Outputs:
         self._publishers: list[LifecyclePublisher] = []
         try:
             self.detections = self._publisher(Detection2DArray, DETECTIONS, QoSProfile(depth=10))
+            self.detections_3d = self._publisher(Detection3DArray, DETECTIONS_3D, QoSProfile(depth=10))
             self._image = self._publisher(Image, IMAGE, _newest())
             self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, _newest())
             self.label_info = self._publisher(
@@ -53,8 +61,13 @@ class Outputs:
 
     @property
     def subscribers(self) -> int:
-        """Number of subscriptions that need inference."""
+        """Number of subscriptions that need inference, those to detections in space left out."""
         return int(self.detections.get_subscription_count()) + self.image_subscribers
+
+    @property
+    def subscribers_3d(self) -> int:
+        """Number of subscriptions to detections in space."""
+        return int(self.detections_3d.get_subscription_count())
 
     @property
     def image_subscribers(self) -> int:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
@@ -11,6 +14,7 @@ from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros import messages
+from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
@@ -46,6 +50,8 @@ class Pipeline:
     latencies: LatencyWindow
     empty_frames: EmptyFrames
     last_image: LastImage
+    placing: DepthPlacing | None
+    """None while the setting `depth` is false."""
     tracking: TrackedDetection | None = None
 
     def detect(self, frame: ReceivedFrame) -> DetectedFrame:
@@ -60,13 +66,34 @@ class Pipeline:
         return DetectedFrame(frame, image, detections)
 
     def publish(self, result: DetectedFrame) -> None:
-        """Publish the detections and, if it has subscribers, the annotated image."""
+        """Publish the detections and, if they have subscribers, their places and the annotated image."""
         detections, header = result.detections, result.frame.message.header
         class_names = self.detector.class_names
-        self.outputs.detections.publish(messages.detection_array(detections, class_names, header))
+        array = messages.detection_array(detections, class_names, header)
+        self.outputs.detections.publish(array)
         now_s = time.monotonic()
         self.latencies.add(now_s, (now_s - result.frame.received_s) * 1e3)
         self.empty_frames.add(now_s, len(detections), detections.best_missed)
-        if self.outputs.image_subscribers:
-            drawn = annotate(result.image, detections, class_names)
+        has_viewers = self.outputs.image_subscribers > 0
+        distances_m = self._publish_3d(result, array, has_viewers=has_viewers)
+        if has_viewers:
+            drawn = annotate(result.image, detections, class_names, distances_m=distances_m)
             self.outputs.publish_image(ColourImage(drawn, result.image.order), header)
+
+    def _publish_3d(
+        self, result: DetectedFrame, array: Detection2DArray, *, has_viewers: bool
+    ) -> Sequence[float | None]:
+        """Publish where the detections are in space; their distances in metres, () if nobody asks for them.
+
+        An image without depth has no message: an empty one would say that there is no object.
+        """
+        has_subscribers = self.outputs.subscribers_3d > 0
+        if self.placing is None or not (has_subscribers or has_viewers):
+            return ()
+        boxes_xyxy = result.detections.boxes_xyxy
+        placed = self.placing.place(boxes_xyxy, result.image.size_hw, array.header.stamp)
+        if has_subscribers and placed.frame_id is not None:
+            self.outputs.detections_3d.publish(
+                messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
+            )
+        return placed.distances_m

@@ -11,6 +11,7 @@ from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros import messages
+from yolov5_lifecycle.ros.detector.depth_input import DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, InputStatus, ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
@@ -65,6 +66,7 @@ class Detection:
         self.empty_frames = EmptyFrames(settings().confidence_threshold)
         self.preparation = preparation
         self._input: ImageInput | None = None
+        self.depth: DepthInput | None = None
 
     @property
     def model(self) -> PreparedModel:
@@ -121,12 +123,17 @@ class Detection:
 
     def follow_subscribers(self) -> None:
         """Subscribe if frames are needed; unsubscribe if `lazy` and the outputs have no subscriber."""
-        wanted = not self._settings().lazy or self._outputs.subscribers > 0
+        settings = self._settings()
+        subscribers_3d = self._outputs.subscribers_3d if settings.depth else 0
+        wanted = not settings.lazy or self._outputs.subscribers + subscribers_3d > 0
         if wanted and self._input is None:
             self._input = self._trying(self._subscribed)
         elif not wanted:
             self._unsubscribe()
             self.losses.stop()
+        if self.depth is not None and wanted:
+            viewers = subscribers_3d + self._outputs.image_subscribers
+            self.depth.follow(is_needed=not settings.lazy or viewers > 0)
 
     def _subscribed(self) -> ImageInput:
         return ImageInput(
@@ -174,6 +181,7 @@ class Detection:
         return ByteTracker(self._track_ids) if settings.tracker == "bytetrack" else None
 
     def _start(self, settings: Settings, model: PreparedModel) -> None:
+        self._follow_depth(settings)
         tracker = self._tracker
         pipeline = Pipeline(
             detector=model.detector,
@@ -182,11 +190,23 @@ class Detection:
             latencies=self.latencies,
             empty_frames=self.empty_frames,
             last_image=self._last_image,
+            placing=self.depth.placing if self.depth else None,
             tracking=None if tracker is None else TrackedDetection(tracker, tracker_settings(settings)),
         )
         self._worker.start(pipeline, max_rate_hz=settings.max_rate)
 
+    def _follow_depth(self, settings: Settings) -> None:
+        """Begin or end to place detections; begin afresh with another slop."""
+        slop_s = settings.depth_slop_s if settings.depth else None
+        if slop_s == (self.depth.slop_s if self.depth else None):
+            return
+        if self.depth is not None:
+            self.depth.follow(is_needed=False)
+        self.depth = None if slop_s is None else DepthInput(self._node, slop_s=slop_s)
+
     def _unsubscribe(self) -> None:
+        if self.depth is not None:
+            self.depth.follow(is_needed=False)
         if self._input is not None:
             self._input.close()
             self._input = None

@@ -9,6 +9,7 @@ from rclpy.qos import ReliabilityPolicy
 
 from yolov5_lifecycle.detection.nms import WORTH_TELLING
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.ros.detector.depth_status import DepthStatus
 from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
 from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
 from yolov5_lifecycle.settings.settings import Settings
@@ -40,6 +41,7 @@ class Status:
     """Snapshot of the node.
 
     `settings`: from configure on; `model`, `input`, `lost`, `overtaken`, `latency`, `empty`: while active.
+    `depth`: while active with the setting `depth`. `subscribers_3d`: subscriptions to detections in space.
     `topic`: the expected image topic, in every state; `input`: the subscription to it, None without one.
     `lost`, `overtaken`: images sent but not taken since activation, as counted by `ImageLosses`.
     `tracking`: values of the tracker, empty without one.
@@ -60,6 +62,8 @@ class Status:
     latency: LatencySummary | None
     empty: EmptyRun | None
     tracking: Mapping[str, str]
+    depth: DepthStatus | None
+    subscribers_3d: int
     busy_s: float
     recently_rejected: str
     abandoned_threads: int
@@ -89,7 +93,7 @@ class Status:
             return _losses(self.input.recent)
         if self.recently_rejected:
             return f"images are rejected: {self.recently_rejected}"
-        return ""
+        return self.depth.hint if self.depth else ""
 
     @property
     def remark(self) -> str:
@@ -98,6 +102,8 @@ class Status:
             return self.state + _REMEDIES.get(self.state, "")
         if self.input is None and self.problem:
             return ""
+        if self.subscribers_3d and self.depth is None:
+            return "~/detections_3d has a subscriber, but nothing is published on it: set depth to true"
         if self.input is None:
             idle = "idle (lazy): no subscribers to ~/detections or ~/image, so no images are received"
             is_missing = self.topic.publishers == 0 and self.topic.missing_s > DISCOVERY_S
@@ -147,7 +153,7 @@ class Status:
         if self.empty is not None:
             values["empty frames in a row"] = str(self.empty.frames)
             values["best score in them"] = f"{self.empty.best_missed:.2g}"
-        return values | dict(self.tracking)
+        return values | dict(self.tracking) | (self.depth.values() if self.depth else {})
 
 
 def _missing(topic: TopicStatus) -> str:

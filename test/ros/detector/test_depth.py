@@ -1,0 +1,304 @@
+"""Detections in space: placed with the depth image of their moment, or counted with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, Image
+from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header, prediction_of
+from support.depth_scene import CAMERA, DepthScene, Difficulty, random_depth_scene
+from support.hostile_depth import hostile_camera_infos, hostile_depths
+from support.served_node import Preparations, ServedNode, image
+from vision_msgs.msg import Detection3DArray
+
+SLOP_S = 0.05
+PADDING_Y = 8  # a network input of 320 x 256 for images of 320 x 240
+DEPTH_ON = ("image_size:=320", "depth:=true", f"depth_slop_s:={SLOP_S}")
+SCENE = random_depth_scene(np.random.default_rng(5), "board")
+EMPTY = np.zeros(CAMERA.size_hw, np.float32)
+
+
+class DepthClient:
+    """A colour and a depth camera, and a subscriber to `~/detections_3d`."""
+
+    def __init__(self, served: ServedNode, prepare: Preparations) -> None:
+        self.served = served
+        self._prepare = prepare
+        self.received: list[Detection3DArray] = []
+        client = served.client
+        best_effort = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.depth = client.create_publisher(Image, "/yolov5/depth/image_raw", best_effort)
+        self.info = client.create_publisher(CameraInfo, "/yolov5/depth/camera_info", 2)
+        self.subscription = client.create_subscription(
+            Detection3DArray, "/yolov5/detections_3d", self.received.append, 10
+        )
+        self._stamp_s = 100.0
+
+    def begin(self) -> None:
+        self.served.bring_to("active")
+        self.show(SCENE)
+        self.wait_for_depth()
+
+    def wait_for_depth(self, count: int = 1) -> None:
+        publishers = (self.depth, self.info)
+        self.served.wait_for(
+            lambda: all(one.get_subscription_count() == count for one in publishers), "the subscriptions"
+        )
+
+    def show(self, scene: DepthScene) -> None:
+        """The model detects the object of `scene` from now on."""
+        rows = prediction_of([scene.box_xyxy], padding_y=PADDING_Y)
+        self._prepare.running.run = lambda: rows
+
+    def next_stamp_s(self) -> float:
+        self._stamp_s += 1.0
+        return self._stamp_s
+
+    def values_until(self, condition: Callable[[dict[str, str]], bool], what: str) -> dict[str, str]:
+        """The diagnostics once they fulfil `condition`."""
+        last: dict[str, str] = {}
+
+        def is_met() -> bool:
+            last.clear()
+            last.update(self.served.values())
+            return condition(last)
+
+        self.served.wait_for(is_met, what)
+        return last
+
+    def send(self, depth: Image | None, info: CameraInfo | None) -> None:
+        """Send messages of the depth camera and wait until the node has them."""
+        before = self.served.values()
+        if info is not None:
+            self.info.publish(info)
+        if depth is not None:
+            self.depth.publish(depth)
+            expected = int(before["depth images received"]) + 1
+            self.values_until(lambda now: int(now["depth images received"]) == expected, "the depth image")
+
+    def detect(self, stamp_s: float, *, size_hw: tuple[int, int] = CAMERA.size_hw) -> int:
+        """Send a colour image and wait for its detections in 2D; their number."""
+        message = image(*size_hw)
+        message.header = header(stamp_s)
+        message.header.frame_id = "colour"
+        count = len(self.served.detections)
+        self.served.publish(message)
+        self.served.wait_for(lambda: len(self.served.detections) > count, "the detections")
+        assert self.served.detections[-1].header == message.header
+        return len(self.served.detections[-1].detections)
+
+    def place(self, scene: DepthScene = SCENE, *, encoding: str = "16UC1") -> Detection3DArray:
+        """Send depth and colour images until one is placed; what was published in space."""
+        first = header(self._stamp_s).stamp.sec
+
+        def placed() -> list[Detection3DArray]:
+            return [array for array in self.received if array.header.stamp.sec > first]
+
+        def is_placed() -> bool:
+            stamp_s = self.next_stamp_s()
+            self.info.publish(camera_info_message(stamp_s))
+            self.depth.publish(depth_message(scene.depth_m, stamp_s, encoding=encoding))
+            # Messages of different topics arrive in any order: perhaps the next one is paired.
+            self.detect(stamp_s)
+            return bool(placed())
+
+        self.served.wait_for(is_placed, "detections in space")
+        return placed()[0]
+
+
+@pytest.fixture
+def client(prepare: Preparations) -> Iterator[DepthClient]:
+    with ServedNode(prepare, parameters=DEPTH_ON) as served:
+        yield DepthClient(served, prepare)
+    assert served.escaped == []
+
+
+@pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
+def test_detections_are_placed_where_the_objects_are(client: DepthClient, encoding: str) -> None:
+    client.begin()
+    rng = np.random.default_rng(11)
+    errors = []
+    for _ in range(12):
+        scene = random_depth_scene(rng, "board", Difficulty(hole_share=0.3))
+        client.show(scene)
+        array = client.place(scene, encoding=encoding)
+        (detection,) = array.detections
+        centre = detection.bbox.center.position
+        found = np.array([centre.x, centre.y, centre.z])
+        errors.append(float(np.linalg.norm(found - scene.centre_xyz_m)) / scene.range_m)
+    assert np.median(errors) <= 0.02
+    assert sorted(errors)[-2] <= 0.05
+
+
+def test_the_array_in_space_has_the_stamp_ids_and_scores_of_that_in_the_image(client: DepthClient) -> None:
+    client.begin()
+    array = client.place()
+    plain = next(one for one in client.served.detections if one.header.stamp == array.header.stamp)
+    assert plain.header.frame_id == "colour"
+    assert array.header.frame_id == DEPTH_FRAME
+    (placed,), (detection,) = array.detections, plain.detections
+    assert placed.header == array.header
+    assert placed.id == detection.id
+    assert [result.hypothesis for result in placed.results] == [
+        result.hypothesis for result in detection.results
+    ]
+    values = client.served.values()
+    assert int(values["detections placed"]) >= 1
+    assert int(values["images with depth"]) >= 1
+    assert client.served.status().message == "detecting"
+
+
+def test_an_image_without_objects_has_an_empty_array_in_space(
+    client: DepthClient, prepare: Preparations
+) -> None:
+    client.begin()
+    client.place()
+    prepare.running.run = lambda: np.zeros((1, 7), np.float32)
+    assert client.place().detections == []
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "info", "reason"),
+    [
+        pytest.param(None, {}, "no depth image", id="none"),
+        pytest.param(-1.0, {}, "no depth image", id="late"),
+        pytest.param(1.0, {}, "no depth image", id="passed"),
+        pytest.param(0.01, None, "no camera_info", id="no camera_info"),
+        pytest.param(0.01, {"width": 160}, "other size", id="size of camera_info"),
+    ],
+)
+def test_an_image_without_depth_is_detected_and_counted_with_the_reason(
+    client: DepthClient, delay_s: float | None, info: dict[str, Any] | None, reason: str
+) -> None:
+    client.begin()
+    stamp_s = client.next_stamp_s()
+    client.send(
+        None if delay_s is None else depth_message(SCENE.depth_m, stamp_s + delay_s),
+        None if info is None else camera_info_message(stamp_s, **info),
+    )
+    assert client.detect(stamp_s) == 1
+    values = client.values_until(lambda now: now[f"unplaced: {reason}"] == "1", "the count")
+    assert values["images without depth"] == "1"
+    assert values["detections placed"] == "0"
+    assert client.received == [], "an empty array would say that there is no object"
+
+
+def test_images_of_another_size_than_depth_are_counted_and_explained(client: DepthClient) -> None:
+    client.begin()
+    stamp_s = client.next_stamp_s()
+    client.send(depth_message(SCENE.depth_m, stamp_s), camera_info_message(stamp_s))
+
+    def is_told() -> bool:
+        client.detect(stamp_s, size_hw=(120, 160))
+        return "other size: images of 160x120, depth images of 320x240" in client.served.status().message
+
+    client.served.wait_for(is_told, "the hint")
+    assert int(client.served.values()["unplaced: other size"]) > 0
+
+
+def test_a_detection_without_measurements_is_in_the_image_only(client: DepthClient) -> None:
+    client.begin()
+    client.place()
+    blind = DepthScene(EMPTY, SCENE.box_xyxy, SCENE.centre_xyz_m, SCENE.size_xyz_m)
+    array = client.place(blind)
+    assert array.detections == []
+    assert len(client.served.detections[-1].detections) == 1
+    client.values_until(lambda now: int(now["unplaced: no valid depth in box"]) > 0, "the count")
+
+
+def test_hostile_messages_are_rejected_counted_and_explained_and_the_next_is_used(
+    client: DepthClient,
+) -> None:
+    client.begin()
+    client.place()
+    depths, infos = hostile_depths().values(), hostile_camera_infos().values()
+
+    def are_rejected() -> bool:
+        client.served.images.publish(image(*CAMERA.size_hw))
+        for depth, info in zip(depths, cycle(infos), strict=False):
+            client.depth.publish(depth)
+            client.info.publish(info)
+        status = client.served.diagnostics[-1].status[0]
+        values = {item.key: item.value for item in status.values}
+        fewest = min(int(values[f"{what} rejected"]) for what in ("depth images", "camera_infos"))
+        return fewest >= 100 and "no place in space: " in status.message
+
+    client.served.status()
+    client.served.wait_for(are_rejected, "a hundred rejections and the hint")
+    client.served.wait_for_log("depth image rejected: ")
+    client.served.wait_for_log("camera_info rejected: ")
+    assert client.detect(client.next_stamp_s()) == 1
+    assert len(client.place().detections) == 1
+
+
+def test_depth_is_switched_on_and_off_while_the_node_detects(prepare: Preparations) -> None:
+    with ServedNode(prepare, parameters=["image_size:=320"]) as served:
+        client = DepthClient(served, prepare)
+        served.bring_to("active")
+        client.show(SCENE)
+        assert client.detect(client.next_stamp_s()) == 1
+        assert served.status().message == (
+            "~/detections_3d has a subscriber, but nothing is published on it: set depth to true"
+        )
+        assert "depth images received" not in served.values()
+        assert served.client.count_subscribers("/yolov5/depth/image_raw") == 0
+        assert served.set(depth=True) == (True, "")
+        client.wait_for_depth()
+        assert len(client.place().detections) == 1
+        assert served.set(depth_slop_s=0.2) == (True, "")
+        client.wait_for_depth()
+        assert len(client.place().detections) == 1
+        assert served.set(depth=False) == (True, "")
+        client.wait_for_depth(0)
+        count = len(client.received)
+        assert client.detect(client.next_stamp_s()) == 1
+        assert len(client.received) == count
+    assert served.escaped == []
+
+
+def test_a_lazy_node_needs_depth_only_for_those_who_show_it(client: DepthClient) -> None:
+    client.begin()
+    for subscription in list(client.served.client.subscriptions):
+        if subscription.topic == "/yolov5/detections":
+            client.served.client.destroy_subscription(subscription)
+    client.served.wait_for(lambda: client.served.image_subscriptions() == 1, "the node to stay subscribed")
+    client.wait_for_depth()
+    client.served.client.destroy_subscription(client.subscription)
+    client.wait_for_depth(0)
+    client.served.wait_for(lambda: client.served.image_subscriptions() == 0, "the node to unsubscribe")
+    client.served.client.create_subscription(Image, "/yolov5/image", lambda _: None, 1)
+    client.wait_for_depth()
+    assert client.served.transition("deactivate")
+    client.wait_for_depth(0)
+
+
+def test_a_missing_depth_camera_is_named(prepare: Preparations) -> None:
+    arguments = ["--ros-args", "-r", "~/depth/image_raw:=/depth/aligned"]
+    with ServedNode(prepare, parameters=DEPTH_ON, arguments=arguments) as served:
+        served.bring_to("active")
+        served.client.create_subscription(Detection3DArray, "/yolov5/detections_3d", lambda _: None, 1)
+
+        def is_told() -> bool:
+            served.publish()
+            return "no publisher of depth images on /depth/aligned" in served.status().message
+
+        served.wait_for(is_told, "the hint")
+
+
+def test_the_subscription_takes_the_reliability_that_the_depth_cameras_offer(client: DepthClient) -> None:
+    client.begin()
+    topics = {"/yolov5/depth/image_raw": "BEST_EFFORT", "/yolov5/depth/camera_info": "RELIABLE"}
+
+    def offered() -> dict[str, str]:
+        return {
+            topic: info.qos_profile.reliability.name
+            for topic in topics
+            for info in client.served.client.get_subscriptions_info_by_topic(topic)
+        }
+
+    client.served.wait_for(lambda: offered() == topics, "the reliability of each")

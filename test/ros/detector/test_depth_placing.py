@@ -1,0 +1,128 @@
+"""Depth images and camera_info in, places of detections out: what is rejected, and why there is no place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.node import Node
+from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header
+from support.depth_scene import CAMERA, random_depth_scene
+from support.hostile_depth import hostile_camera_infos, hostile_depths
+
+from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing, PlacedImage
+from yolov5_lifecycle.spatial.placement import Box3D, Unplaced
+
+SCENE = random_depth_scene(np.random.default_rng(5), "board")
+BOXES = SCENE.box_xyxy[None]
+BLIND = np.full(CAMERA.size_hw, np.nan, np.float32)
+
+
+@pytest.fixture
+def node(ros_domain: int) -> Iterator[Node]:
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[])
+    node = rclpy.create_node("yolov5", context=context)
+    yield node
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def placing(node: Node) -> DepthPlacing:
+    return DepthPlacing(node, slop_s=0.05)
+
+
+def placed(
+    placing: DepthPlacing, stamp_s: float = 1.0, size_hw: tuple[int, int] = CAMERA.size_hw
+) -> PlacedImage:
+    return placing.place(BOXES, size_hw, header(stamp_s).stamp)
+
+
+def fill(placing: DepthPlacing, stamp_s: float = 1.0) -> None:
+    placing.take_image(depth_message(SCENE.depth_m, stamp_s))
+    placing.take_camera_info(camera_info_message(stamp_s))
+
+
+def test_a_detection_is_placed_in_the_frame_of_the_depth_image(placing: DepthPlacing) -> None:
+    fill(placing)
+    image = placed(placing, 1.04)
+    (box,) = image.placements
+    assert isinstance(box, Box3D)
+    assert np.linalg.norm(np.subtract(box.centre_xyz_m, SCENE.centre_xyz_m)) < 0.05 * SCENE.range_m
+    assert (image.frame_id, image.distances_m) == (DEPTH_FRAME, [box.distance_m])
+    assert (placing.counts.placed, placing.counts.placed_images, placing.run) == (1, 1, None)
+
+
+@pytest.mark.parametrize("why", hostile_depths())
+def test_a_hostile_depth_image_is_rejected_and_those_before_it_stay(placing: DepthPlacing, why: str) -> None:
+    fill(placing)
+    placing.take_image(hostile_depths()[why])
+    assert (placing.counts.depth_images, placing.counts.rejected_depth_images) == (2, 1)
+    assert why in placing.rejection
+    assert placed(placing).frame_id == DEPTH_FRAME
+
+
+@pytest.mark.parametrize("why", hostile_camera_infos())
+def test_a_hostile_camera_info_is_rejected_and_the_one_before_it_stays(
+    placing: DepthPlacing, why: str
+) -> None:
+    fill(placing)
+    placing.take_camera_info(hostile_camera_infos()[why])
+    assert placing.counts.rejected_camera_infos == 1
+    assert why in placing.rejection
+    assert placed(placing).frame_id == DEPTH_FRAME
+
+
+@pytest.mark.parametrize(
+    ("stamp_s", "size_hw", "reason", "told"),
+    [
+        pytest.param(1.2, CAMERA.size_hw, Unplaced.NO_DEPTH_IMAGE, "older than the colour image", id="late"),
+        pytest.param(0.8, CAMERA.size_hw, Unplaced.NO_DEPTH_IMAGE, "no longer kept", id="passed"),
+        pytest.param(1.0, (48, 64), Unplaced.OTHER_SIZE, "images of 64x48, depth images of", id="size"),
+    ],
+)
+def test_an_image_whose_detections_have_no_place_is_counted_with_the_reason(
+    placing: DepthPlacing, stamp_s: float, size_hw: tuple[int, int], reason: Unplaced, told: str
+) -> None:
+    fill(placing)
+    assert placed(placing, stamp_s, size_hw) == PlacedImage((reason,), None)
+    assert placing.counts.unplaced == {reason: 1}
+    assert placing.counts.unplaced_images == 1
+    assert placing.run is not None
+    assert told in placing.run.reason
+
+
+def test_depth_without_camera_info_places_nothing(placing: DepthPlacing) -> None:
+    placing.take_image(depth_message(SCENE.depth_m, 1.0))
+    assert placed(placing) == PlacedImage((Unplaced.NO_CAMERA_INFO,), None)
+
+
+def test_a_detection_without_measurements_is_counted_alone(placing: DepthPlacing) -> None:
+    fill(placing)
+    placing.take_image(depth_message(BLIND, 1.01, encoding="32FC1"))
+    image = placed(placing, 1.01)
+    assert image == PlacedImage((Unplaced.NO_VALID_DEPTH,), DEPTH_FRAME)
+    assert image.distances_m == [None]
+    assert placing.counts.unplaced == {Unplaced.NO_VALID_DEPTH: 1}
+    assert (placing.counts.placed, placing.counts.placed_images) == (0, 1)
+
+
+def test_a_run_of_images_without_depth_lasts_until_one_has_depth(node: Node) -> None:
+    times_s = iter((5.0, 6.0, 9.0))
+    placing = DepthPlacing(node, slop_s=0.05, clock=lambda: next(times_s))
+    for _ in range(3):
+        placed(placing)
+    assert placing.run is not None
+    assert (placing.run.begun_s, placing.run.ended_s) == (5.0, 9.0)
+    fill(placing)
+    assert placed(placing).frame_id == DEPTH_FRAME
+    assert placing.run is None
+
+
+def test_what_was_received_before_is_forgotten(placing: DepthPlacing) -> None:
+    fill(placing)
+    placing.forget()
+    assert placed(placing).placements == (Unplaced.NO_DEPTH_IMAGE,)

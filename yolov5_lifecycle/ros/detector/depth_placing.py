@@ -1,0 +1,169 @@
+"""From depth images and camera_info to the places of detections, and what has no place counted by reason."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image
+
+from yolov5_lifecycle.images.image import ImageError
+from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
+from yolov5_lifecycle.spatial.intrinsics import Intrinsics, IntrinsicsError, intrinsics_of_message
+from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
+from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
+
+MAX_FRAME_ID = 256
+"""Characters. The name of the frame is repeated in each detection, so a huge one would multiply."""
+
+
+@dataclass(frozen=True, eq=False)
+class FramedDepth:
+    """A depth image and the name of its frame."""
+
+    image: DepthImage
+    frame_id: str
+
+
+@dataclass(frozen=True)
+class PlacedImage:
+    """Where the detections in one image are, and in which frame; None if none could be placed."""
+
+    placements: tuple[Placement, ...]
+    frame_id: str | None
+
+    @property
+    def distances_m(self) -> list[float | None]:
+        """Of each detection from the camera, None where it is unknown."""
+        return [placed.distance_m if isinstance(placed, Box3D) else None for placed in self.placements]
+
+
+@dataclass
+class PlacingCounts:
+    """What has been received and placed so far. Each number is written by one thread only."""
+
+    depth_images: int = 0
+    rejected_depth_images: int = 0
+    rejected_camera_infos: int = 0
+    placed_images: int = 0
+    """Those with a depth image and camera_info that fit."""
+    unplaced_images: int = 0
+    placed: int = 0
+    unplaced: Counter[Unplaced] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class UnplacedRun:
+    """Consecutive images, up to the last one, whose detections could not be placed, and why the last not."""
+
+    reason: str
+    begun_s: float
+    ended_s: float
+
+
+class DepthPlacing:
+    """Keeps the newest depth images and the camera_info, and places detections with them.
+
+    `take_image` and `take_camera_info` are called in the executor, `place` in the inference thread; anyone
+    may read the rest. What is unusable is rejected with a throttled warning, and what was kept stays. `clock`
+    returns monotonic seconds.
+    """
+
+    def __init__(self, node: Node, *, slop_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._node = node
+        self._clock = clock
+        self._pairing: DepthPairing[FramedDepth] = DepthPairing(slop_s)
+        self._intrinsics: Intrinsics | None = None
+        self.counts = PlacingCounts()
+        self.run: UnplacedRun | None = None
+        self.rejection = ""
+        self.rejected_s = float("-inf")
+
+    def take_image(self, message: Image) -> None:
+        """Keep a depth image, without a copy; reject one that cannot be read."""
+        self.counts.depth_images += 1
+        try:
+            frame_id = _checked_frame_id(message.header.frame_id)
+            depth = FramedDepth(depth_image_of_message(message), frame_id)
+        except ImageError as error:
+            self.counts.rejected_depth_images += 1
+            self._reject(f"depth images are rejected: {error}")
+            self._node.get_logger().warning(f"depth image rejected: {error}", throttle_duration_sec=5.0)
+            return
+        self._pairing.add(_nanoseconds(message.header.stamp), depth)
+
+    def take_camera_info(self, message: CameraInfo) -> None:
+        """Use these intrinsics from now on; reject those that describe no calibrated camera."""
+        try:
+            self._intrinsics = intrinsics_of_message(message)
+        except IntrinsicsError as error:
+            self.counts.rejected_camera_infos += 1
+            self._reject(f"camera_info is rejected: {error}")
+            self._node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
+
+    def place(
+        self, boxes_xyxy: NDArray[np.float32], image_size_hw: tuple[int, int], stamp: Time
+    ) -> PlacedImage:
+        """Place the boxes (n, 4) of the image with this stamp with the depth image nearest to it."""
+        count, intrinsics = len(boxes_xyxy), self._intrinsics
+        paired = self._pairing.pair(_nanoseconds(stamp))
+        if isinstance(paired, Unpaired):
+            missing = Unplaced.NO_DEPTH_IMAGE
+            return self._unplaced(count, missing, f"{missing.value}: {paired.value}")
+        depth = paired.item.image
+        if (unfit := unusable(image_size_hw, depth, intrinsics)) is not None:
+            told = _explained(unfit, image_size_hw, depth, intrinsics)
+            return self._unplaced(count, unfit, told)
+        placements = place(boxes_xyxy, image_size_hw, depth, intrinsics)
+        no_place = Counter(placement for placement in placements if isinstance(placement, Unplaced))
+        self.counts.placed_images += 1
+        self.counts.placed += count - no_place.total()
+        self.counts.unplaced.update(no_place)
+        self.run = None
+        return PlacedImage(placements, paired.item.frame_id)
+
+    def forget(self) -> None:
+        """Drop depth images and camera_info, as when they are no longer subscribed to."""
+        self._pairing.clear()
+        self._intrinsics = None
+        self.run = None
+
+    def _unplaced(self, count: int, reason: Unplaced, told: str) -> PlacedImage:
+        """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
+        now_s = self._clock()
+        self.run = UnplacedRun(told, self.run.begun_s if self.run else now_s, now_s)
+        self.counts.unplaced_images += 1
+        self.counts.unplaced[reason] += count
+        return PlacedImage((reason,) * count, None)
+
+    def _reject(self, reason: str) -> None:
+        self.rejection, self.rejected_s = reason, self._clock()
+
+
+def _explained(
+    reason: Unplaced, image_size_hw: tuple[int, int], depth: DepthImage, intrinsics: Intrinsics | None
+) -> str:
+    if intrinsics is None:
+        return reason.value
+    sizes = (image_size_hw, depth.size_hw, intrinsics.size_hw)
+    colour, of_depth, of_info = (f"{width}x{height}" for height, width in sizes)
+    return f"{reason.value}: images of {colour}, depth images of {of_depth}, camera_info of {of_info} pixels"
+
+
+def _checked_frame_id(frame_id: str) -> str:
+    if len(frame_id) > MAX_FRAME_ID:
+        raise ImageError(
+            f"Expected a frame_id of at most {MAX_FRAME_ID} characters, found {len(frame_id)}. Correct it in "
+            "the depth camera."
+        )
+    return frame_id
+
+
+def _nanoseconds(stamp: Time) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
