@@ -35,7 +35,7 @@ GOOD = Status(
     latency=LatencySummary(29.9, 21.0, 30.5),
     empty=EmptyRun(0.9),
     tracking={"tracker": "bytetrack", "confirmed tracks": "6"},
-    depth=DepthStatus(
+    depth_status=DepthStatus(
         image=SOURCE, camera_info=SOURCE, counts=PlacingCounts(), run=None, recently_rejected=""
     ),
     subscribers_3d=1,

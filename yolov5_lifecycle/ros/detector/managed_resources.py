@@ -140,7 +140,7 @@ class ManagedResources:
             latency=detection.latencies.summary(time.monotonic()) if detection else None,
             empty=detection.empty_frames.run if detection else None,
             tracking=detection.tracker_values if detection else {},
-            depth=detection.depth.look() if detection and detection.depth else None,
+            depth_status=detection.depth.look() if detection and detection.depth else None,
             subscribers_3d=self._outputs.subscribers_3d if self._outputs else 0,
             busy_s=self._worker.busy_s(),
             recently_rejected=self._failures.recent_rejection(),

@@ -41,7 +41,8 @@ class Status:
     """Snapshot of the node.
 
     `settings`: from configure on; `model`, `input`, `lost`, `overtaken`, `latency`, `empty`: while active.
-    `depth`: while active with the setting `depth`. `subscribers_3d`: subscriptions to detections in space.
+    `depth_status`: while active with the setting `depth`. `subscribers_3d`: subscriptions to detections in
+    space.
     `topic`: the expected image topic, in every state; `input`: the subscription to it, None without one.
     `lost`, `overtaken`: images sent but not taken since activation, as counted by `ImageLosses`.
     `tracking`: values of the tracker, empty without one.
@@ -62,7 +63,7 @@ class Status:
     latency: LatencySummary | None
     empty: EmptyRun | None
     tracking: Mapping[str, str]
-    depth: DepthStatus | None
+    depth_status: DepthStatus | None
     subscribers_3d: int
     busy_s: float
     recently_rejected: str
@@ -93,7 +94,7 @@ class Status:
             return _losses(self.input.recent)
         if self.recently_rejected:
             return f"images are rejected: {self.recently_rejected}"
-        return self.depth.hint if self.depth else ""
+        return self.depth_status.hint if self.depth_status else ""
 
     @property
     def remark(self) -> str:
@@ -102,7 +103,7 @@ class Status:
             return self.state + _REMEDIES.get(self.state, "")
         if self.input is None and self.problem:
             return ""
-        if self.subscribers_3d and self.depth is None:
+        if self.subscribers_3d and self.depth_status is None:
             return "~/detections_3d has a subscriber, but nothing is published on it: set depth to true"
         if self.input is None:
             idle = "idle (lazy): no subscribers to ~/detections or ~/image, so no images are received"
@@ -153,7 +154,7 @@ class Status:
         if self.empty is not None:
             values["empty frames in a row"] = str(self.empty.frames)
             values["best score in them"] = f"{self.empty.best_missed:.2g}"
-        return values | dict(self.tracking) | (self.depth.values() if self.depth else {})
+        return values | dict(self.tracking) | (self.depth_status.values() if self.depth_status else {})
 
 
 def _missing(topic: TopicStatus) -> str:
