@@ -150,10 +150,11 @@ def test_the_array_in_space_has_the_stamp_ids_and_scores_of_that_in_the_image(cl
     assert [result.hypothesis for result in placed.results] == [
         result.hypothesis for result in detection.results
     ]
-    values = client.served.values()
+    status = client.served.status()
+    assert status.message == "detecting"
+    values = {item.key: item.value for item in status.values}
     assert int(values["detections placed"]) >= 1
     assert int(values["images with depth"]) >= 1
-    assert client.served.status().message == "detecting"
 
 
 def test_an_image_without_objects_has_an_empty_array_in_space(
