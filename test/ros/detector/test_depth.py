@@ -14,7 +14,7 @@ from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_messa
 from support.depth_scene import CAMERA, DepthScene, Difficulty, random_depth_scene
 from support.hostile_depth import hostile_camera_infos, hostile_depths
 from support.served_node import Preparations, ServedNode, image
-from vision_msgs.msg import Detection3DArray
+from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 SLOP_S = 0.05
 PADDING_Y = 8  # a network input of 320 x 256 for images of 320 x 240
@@ -86,11 +86,14 @@ class DepthClient:
         message = image(*size_hw)
         message.header = header(stamp_s)
         message.header.frame_id = "colour"
-        count = len(self.served.detections)
+        begun = len(self.served.detections)
         self.served.publish(message)
-        self.served.wait_for(lambda: len(self.served.detections) > count, "the detections")
-        assert self.served.detections[-1].header == message.header
-        return len(self.served.detections[-1].detections)
+
+        def answers() -> list[Detection2DArray]:
+            return [array for array in self.served.detections[begun:] if array.header == message.header]
+
+        self.served.wait_for(lambda: bool(answers()), "the detections")
+        return len(answers()[0].detections)
 
     def place(self, scene: DepthScene = SCENE, *, encoding: str = "16UC1") -> Detection3DArray:
         """Send depth and colour images until one is placed; what was published in space."""
@@ -147,10 +150,11 @@ def test_the_array_in_space_has_the_stamp_ids_and_scores_of_that_in_the_image(cl
     assert [result.hypothesis for result in placed.results] == [
         result.hypothesis for result in detection.results
     ]
-    values = client.served.values()
+    status = client.served.status()
+    assert status.message == "detecting"
+    values = {item.key: item.value for item in status.values}
     assert int(values["detections placed"]) >= 1
     assert int(values["images with depth"]) >= 1
-    assert client.served.status().message == "detecting"
 
 
 def test_an_image_without_objects_has_an_empty_array_in_space(
