@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 from yolov5_lifecycle.process.environment import prepare_environment
 
 prepare_environment()  # as the commands do; child processes inherit it
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    # nohup ignores it, which child processes would inherit; a handler is reset to the default in them.
+    signal.signal(signal.SIGHUP, lambda *_: None)
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Beside other workers, more threads for one network only wait for each other; child processes inherit it.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
