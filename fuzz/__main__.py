@@ -13,13 +13,13 @@ def main() -> int:
     """Return 0 if no target failed, 1 otherwise."""
     options = parser().parse_args()
     broken = [name for name in options.only if not _holds(name, options.seconds)]
-    print(f"taken wrongly: {', '.join(broken) or 'none'}")
+    print(f"handled wrongly: {', '.join(broken) or 'none'}")
     return 1 if broken else 0
 
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(prog="make fuzz", description="Search for bytes that are taken wrongly.")
+    parser = argparse.ArgumentParser(prog="make fuzz", description="Fuzz the parsers of untrusted bytes.")
     parser.add_argument(
         "--only",
         nargs="+",

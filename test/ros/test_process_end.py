@@ -196,7 +196,7 @@ from yolov5_lifecycle.ros.detector import process as detector
 default = signal.getsignal(signal.SIGTERM)
 
 def end():
-    while signal.getsignal(signal.SIGTERM) is default:  # until the process obeys it
+    while signal.getsignal(signal.SIGTERM) is default:  # until the process handles it
         pass
     os.kill(os.getpid(), signal.SIGTERM)
 
