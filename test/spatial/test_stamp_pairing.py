@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import pytest
 from hypothesis import given
@@ -68,6 +69,25 @@ def test_only_the_newest_are_kept() -> None:
     depths = pairing(*range(0, 10 * FRAME_MS, FRAME_MS))
     paired = [not isinstance(depths.pair(index * FRAME_MS * MS), Unpaired) for index in range(10)]
     assert paired == [index >= 10 - CAPACITY for index in range(10)]
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        pytest.param([100], range(133, 2000, FRAME_MS), id="received before"),
+        pytest.param([70], [103, *range(133, 2000, FRAME_MS)], id="a nearer one received after"),
+    ],
+)
+def test_a_slow_detection_keeps_the_depth_image_of_its_beginning(
+    before: list[int], after: Iterable[int]
+) -> None:
+    depths = pairing(*before)
+    depths.expect(100 * MS)
+    for stamp_ms in after:
+        depths.add(stamp_ms * MS, f"at {stamp_ms}")
+    assert item(depths.pair(100 * MS)) in ("at 100", "at 103")
+    depths.expect(1990 * MS)
+    assert depths.pair(100 * MS) is Unpaired.PASSED
 
 
 @pytest.mark.parametrize("stamp_ms", [0, 99], ids=["recording starts again", "same stamp again"])

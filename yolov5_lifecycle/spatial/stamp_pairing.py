@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Generic, TypeVar
@@ -10,7 +11,7 @@ from typing import Generic, TypeVar
 Item = TypeVar("Item")
 
 CAPACITY = 4
-"""Depth images kept: at 30 Hz those of the last 0.13 s, which is longer than a detection takes."""
+"""Newest depth images kept: at 30 Hz those of the last 0.13 s."""
 
 
 class Unpaired(Enum):
@@ -32,7 +33,8 @@ class Stamped(Generic[Item]):
 class DepthPairing(Generic[Item]):
     """The newest depth images, of which one is chosen for each colour image; nothing waits.
 
-    One thread adds, any thread pairs: what is kept is one tuple, replaced as a whole.
+    While objects are detected in a colour image, however long that takes, the depth image nearest to it is
+    kept, too. One thread adds, another one expects and pairs; what they share is replaced as a whole.
     """
 
     def __init__(self, slop_s: float) -> None:
@@ -41,6 +43,8 @@ class DepthPairing(Generic[Item]):
             raise ValueError(f"slop_s must be a finite number of seconds >= 0, found {slop_s}.")
         self._slop_ns = round(slop_s * 1e9)
         self._kept: tuple[Stamped[Item], ...] = ()
+        self._expected_ns: int | None = None
+        self._nearest: Stamped[Item] | None = None
 
     def add(self, stamp_ns: int, item: Item) -> None:
         """Keep a depth image, and the CAPACITY - 1 before it.
@@ -50,22 +54,38 @@ class DepthPairing(Generic[Item]):
         """
         kept = self._kept
         if kept and stamp_ns <= kept[-1].stamp_ns:
-            kept = ()
+            kept, self._nearest = (), None
         self._kept = (*kept[-(CAPACITY - 1) :], Stamped(stamp_ns, item))
+        if (expected_ns := self._expected_ns) is not None:
+            self._nearest = _nearest(expected_ns, self._candidates())
+
+    def expect(self, stamp_ns: int) -> None:
+        """Keep the depth image nearest to a colour image from now on, until the next one is expected."""
+        self._expected_ns = stamp_ns
+        self._nearest = _nearest(stamp_ns, self._candidates())
 
     def pair(self, stamp_ns: int) -> Stamped[Item] | Unpaired:
         """The depth image nearest in time to a colour image, the newer of two that are equally near.
 
         Otherwise the reason why none is within the slop.
         """
-        kept = self._kept
-        if not kept:
+        candidates = self._candidates()
+        if (nearest := _nearest(stamp_ns, candidates)) is None:
             return Unpaired.MISSING
-        nearest = min(kept, key=lambda depth: (abs(depth.stamp_ns - stamp_ns), -depth.stamp_ns))
         if abs(nearest.stamp_ns - stamp_ns) <= self._slop_ns:
             return nearest
-        return Unpaired.LATE if kept[-1].stamp_ns < stamp_ns else Unpaired.PASSED
+        return Unpaired.LATE if candidates[-1].stamp_ns < stamp_ns else Unpaired.PASSED
 
     def clear(self) -> None:
         """Drop what is kept, as when the subscription is recreated."""
-        self._kept = ()
+        self._kept, self._nearest = (), None
+
+    def _candidates(self) -> tuple[Stamped[Item], ...]:
+        """All that is kept, the newest last."""
+        nearest = self._nearest
+        return self._kept if nearest is None else (nearest, *self._kept)
+
+
+def _nearest(stamp_ns: int, depths: Sequence[Stamped[Item]]) -> Stamped[Item] | None:
+    """The one whose stamp is nearest, the newer of two that are equally near; None without any."""
+    return min(depths, key=lambda depth: (abs(depth.stamp_ns - stamp_ns), -depth.stamp_ns), default=None)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from itertools import cycle
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header, prediction_of
 from support.depth_scene import CAMERA, DepthScene, Difficulty, random_depth_scene
 from support.hostile_depth import hostile_camera_infos, hostile_depths
-from support.served_node import Preparations, ServedNode, image
+from support.served_node import PATIENCE_S, Preparations, ServedNode, image
 from vision_msgs.msg import Detection2DArray, Detection3DArray
+
+from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY
 
 SLOP_S = 0.05
 PADDING_Y = 8  # a network input of 320 x 256 for images of 320 x 240
@@ -155,6 +159,33 @@ def test_the_array_in_space_has_the_stamp_ids_and_scores_of_that_in_the_image(cl
     values = {item.key: item.value for item in status.values}
     assert int(values["detections placed"]) >= 1
     assert int(values["images with depth"]) >= 1
+
+
+def test_a_slow_model_places_detections_with_the_depth_image_of_their_moment(
+    client: DepthClient, prepare: Preparations
+) -> None:
+    client.begin()
+    client.place()
+    rows = prediction_of([SCENE.box_xyxy], padding_y=PADDING_Y)
+    entered, release = threading.Event(), threading.Event()
+
+    def slow() -> NDArray[np.float32]:
+        entered.set()
+        assert release.wait(PATIENCE_S)
+        return rows
+
+    prepare.running.run = slow
+    stamp_s = client.next_stamp_s()
+    client.send(depth_message(SCENE.depth_m, stamp_s), None)
+    message = image(*CAMERA.size_hw)
+    message.header = header(stamp_s)
+    client.served.publish(message)
+    client.served.wait_for(entered.is_set, "inference to begin")
+    for _ in range(2 * CAPACITY):
+        client.send(depth_message(EMPTY, client.next_stamp_s()), None)
+    release.set()
+    client.served.wait_for(lambda: client.received[-1].header.stamp == message.header.stamp, "its place")
+    assert len(client.received[-1].detections) == 1
 
 
 def test_an_image_without_objects_has_an_empty_array_in_space(

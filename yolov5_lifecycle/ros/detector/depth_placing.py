@@ -70,9 +70,9 @@ class UnplacedRun:
 class DepthPlacing:
     """Keeps the newest depth images and the camera_info, and places detections with them.
 
-    `take_image` and `take_camera_info` are called in the executor, `place` in the inference thread; anyone
-    may read the rest. What is unusable is rejected with a throttled warning, and what was kept stays. `clock`
-    returns monotonic seconds.
+    `take_image` and `take_camera_info` are called in the executor, `expect` and `place` in the inference
+    thread; anyone may read the rest. What is unusable is rejected with a throttled warning, and what was kept
+    stays. `clock` returns monotonic seconds.
     """
 
     def __init__(self, node: Node, *, slop_s: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -107,6 +107,10 @@ class DepthPlacing:
             self._reject(f"camera_info is rejected: {error}")
             self._node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
 
+    def expect(self, stamp: Time) -> None:
+        """Keep the depth image nearest to this stamp until the next call, for the image now detected in."""
+        self._pairing.expect(_nanoseconds(stamp))
+
     def place(
         self, boxes_xyxy: NDArray[np.float32], image_size_hw: tuple[int, int], stamp: Time
     ) -> PlacedImage:
@@ -136,8 +140,8 @@ class DepthPlacing:
 
     def _unplaced(self, count: int, reason: Unplaced, told: str) -> PlacedImage:
         """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
-        now_s = self._clock()
-        self.run = UnplacedRun(told, self.run.begun_s if self.run else now_s, now_s)
+        now_s, run = self._clock(), self.run  # `forget` may clear it in the executor
+        self.run = UnplacedRun(told, run.begun_s if run else now_s, now_s)
         self.counts.unplaced_images += 1
         self.counts.unplaced[reason] += count
         return PlacedImage((reason,) * count, None)

@@ -58,6 +58,8 @@ class Pipeline:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
         image = messages.image_of_message(frame.message)
         self.last_image.size_hw = image.size_hw
+        if self.placing is not None:
+            self.placing.expect(frame.message.header.stamp)
         if self.tracking is None:
             detections = self.detector.detect(image, self.selection)
         else:
