@@ -140,7 +140,7 @@ def occlusions(rng: np.random.Generator) -> TrackScene:
 
 
 def returns(rng: np.random.Generator) -> TrackScene:
-    """Six that leave the image and come back: as somebody else, since nobody can know."""
+    """Six objects that leave the image and come back with a new identity, as a tracker cannot know."""
     actors = [
         _actor(
             rng,

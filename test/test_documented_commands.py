@@ -73,7 +73,7 @@ PARSERS = {
     "SOAK_FLAGS": soak.parser,
     "TRACKING_FLAGS": tracking.parser,
 }
-"""What takes the words that `make` hands on."""
+"""The parser of the options that `make` passes on."""
 MODULE_PARSERS = {"benchmark.depth": depth.parser}
 """What takes the words behind a module that Python runs."""
 TRANSITIONS = {"configure", "activate", "deactivate", "cleanup", "shutdown"}

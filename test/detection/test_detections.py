@@ -1,4 +1,4 @@
-"""Detections are checked at birth."""
+"""Detections are validated on construction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures and videos through the detector: lines of JSON and annotated files."""
+"""Images and videos through the detector: lines of JSON and annotated files."""
 
 from __future__ import annotations
 

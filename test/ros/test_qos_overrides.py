@@ -1,4 +1,4 @@
-"""QoS that a parameter file overrides is obeyed by the topics it names, or refused with the reason."""
+"""QoS overrides of a parameter file take effect on the topics they name, or are refused with the reason."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
     ("assignment", "value"),
     [
         pytest.param("confidence_threshold=0.4", ("confidence_threshold", 0.4), id="number"),
-        pytest.param("confidence_threshold=1", ("confidence_threshold", 1.0), id="whole number"),
+        pytest.param("confidence_threshold=1", ("confidence_threshold", 1.0), id="integer"),
         pytest.param("classes=[circle, star]", ("classes", ["circle", "star"]), id="list"),
         pytest.param("classes=[0, 2]", ("classes", ["0", "2"]), id="list of numbers"),
         pytest.param('classes=[dog, "2"]', ("classes", ["dog", "2"]), id="names and numbers"),

@@ -13,7 +13,7 @@ GREYS = (10, 90, 170, 250)
 
 
 def grey_folder(folder: Path) -> Path:
-    """Pictures, 24 x 32, whose numbers have the order of GREYS, and a file that is none, in `folder`."""
+    """Images, 24 x 32, numbered in the order of GREYS, and a file of another kind, in `folder`."""
     for number, grey in enumerate(GREYS, start=8):
         assert cv2.imwrite(str(folder / f"{number}.png"), np.full((24, 32, 3), grey, np.uint8))
     (folder / "notes.txt").write_text("not an image")

@@ -194,6 +194,11 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--annotated", type=Path, metavar="PATH", help="new annotated video, image or folder of images"
     )
+    _add_detector_options(parser)
+    return parser
+
+
+def _add_detector_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--params-file", type=Path, metavar="FILE.yaml", help="parameters as the detector is given them"
     )
@@ -220,7 +225,6 @@ def command_parser() -> argparse.ArgumentParser:
         default="/yolov5",
         help="name of the detector in the file and in topics (default: %(default)s)",
     )
-    return parser
 
 
 def _assignment(text: str) -> str:

@@ -76,7 +76,7 @@ def served_with(*parameters: str) -> Iterator[tuple[ServedNode, Preparations]]:
     assert served.escaped == []
 
 
-class Listener:
+class BondSubscriber:
     """The messages on `bond`, taken by the client of `served`."""
 
     def __init__(self, served: ServedNode) -> None:
@@ -97,13 +97,13 @@ def test_the_bond_is_off_unless_it_is_asked_for() -> None:
 
 def test_heartbeats_go_on_while_a_model_is_loaded_and_while_inference_hangs() -> None:
     with served_with("bond_timeout:=4.0") as (served, prepare):
-        listener = Listener(served)
+        subscriber = BondSubscriber(served)
         served.bring_to("active")
         assert prepare.begun.acquire(timeout=PATIENCE_S)
         prepare.gate.clear()
         reload = served.begin_set(image_size=320)
         assert prepare.begun.acquire(timeout=PATIENCE_S)
-        listener.wait_for_more()
+        subscriber.wait_for_more()
         assert not reload.done()
         prepare.gate.set()
         served.wait_for(reload.done, "the reload")
@@ -116,9 +116,9 @@ def test_heartbeats_go_on_while_a_model_is_loaded_and_while_inference_hangs() ->
 
         prepare.running.run = hang
         served.send_until(begun.is_set, "inference to begin")
-        listener.wait_for_more()
+        subscriber.wait_for_more()
         release.set()
-        assert {(message.id, message.active, message.heartbeat_timeout) for message in listener.heard} == {
+        assert {(message.id, message.active, message.heartbeat_timeout) for message in subscriber.heard} == {
             ("yolov5", True, 4.0)
         }
 
@@ -126,11 +126,11 @@ def test_heartbeats_go_on_while_a_model_is_loaded_and_while_inference_hangs() ->
 @pytest.mark.parametrize("transition", ["deactivate", "shutdown"])
 def test_a_node_that_is_no_longer_active_has_ended_its_bond(transition: str) -> None:
     with served_with("bond_timeout:=4.0") as (served, _):
-        listener = Listener(served)
+        subscriber = BondSubscriber(served)
         served.bring_to("active")
-        listener.wait_for_more()
+        subscriber.wait_for_more()
         assert served.transition(transition)
-        served.wait_for(lambda: not listener.heard[-1].active, "the end of the bond")
+        served.wait_for(lambda: not subscriber.heard[-1].active, "the end of the bond")
         served.wait_for(lambda: served.client.count_publishers("/bond") == 0, "the publisher to go")
 
 

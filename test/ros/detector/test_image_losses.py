@@ -277,7 +277,7 @@ def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_
 
 
 def test_the_camera_publishes_the_ground_truth_of_images_that_it_does_not_send(ros_domain: int) -> None:
-    """So truths that were told are not images that were sent, unless somebody subscribes to both."""
+    """So the ground truths published are not the images sent, unless there is a subscriber to both."""
     with closing(Observer("camera", domain=ros_domain)) as node:
         outputs = CameraOutputs(node, declared_settings(node))
         truths: list[Detection2DArray] = []

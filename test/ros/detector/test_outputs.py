@@ -39,7 +39,7 @@ def node(ros_domain: int) -> Iterator[LifecycleNode]:
 
 @pytest.fixture
 def observer(ros_domain: int) -> Iterator[Observer]:
-    with closing(Observer("listener", domain=ros_domain)) as observer:
+    with closing(Observer("subscriber", domain=ros_domain)) as observer:
         yield observer
 
 
@@ -52,7 +52,7 @@ def made(node: LifecycleNode, encode: Callable[[ColourImage], NDArray[np.uint8]]
 def publish_until(
     outputs: Outputs, image: ColourImage, observer: Observer, received: Callable[[], bool]
 ) -> None:
-    """A listener may be seen before it sees the publisher, so once is not enough."""
+    """A subscriber may be discovered before it discovers the publisher, so once is not enough."""
 
     def is_received() -> bool:
         outputs.publish_image(image, HEADER)
@@ -74,7 +74,7 @@ def test_an_image_is_published_in_both_forms_with_its_header_and_colours(
     outputs = made(node)
     listen(observer, Image, "/yolov5/image", raw)
     listen(observer, CompressedImage, "/yolov5/image/compressed", compressed)
-    observer.wait_for(lambda: outputs.image_subscribers == 2, "both listeners")
+    observer.wait_for(lambda: outputs.image_subscribers == 2, "both subscribers")
     publish_until(outputs, ColourImage(PIXELS, order), observer, lambda: bool(raw and compressed))
     assert raw[0].header == compressed[0].header == HEADER
     assert compressed[0].format == f"{order}8; jpeg compressed bgr8"
@@ -95,7 +95,7 @@ def test_only_images_with_subscribers_are_encoded(node: LifecycleNode, observer:
     outputs = made(node, encode)
     assert (outputs.subscribers, outputs.image_subscribers) == (0, 0)
     listen(observer, Image, "/yolov5/image", raw)
-    observer.wait_for(lambda: outputs.subscribers == 1, "a listener")
+    observer.wait_for(lambda: outputs.subscribers == 1, "a subscriber")
     publish_until(outputs, ColourImage(PIXELS, "rgb"), observer, lambda: bool(raw))
     assert not encoded
 
@@ -110,7 +110,7 @@ def test_an_image_that_cannot_be_compressed_is_still_published_raw(
     outputs = made(node, encode)
     listen(observer, Image, "/yolov5/image", raw)
     listen(observer, CompressedImage, "/yolov5/image/compressed", [])
-    observer.wait_for(lambda: outputs.image_subscribers == 2, "both listeners")
+    observer.wait_for(lambda: outputs.image_subscribers == 2, "both subscribers")
     publish_until(outputs, ColourImage(PIXELS, "rgb"), observer, lambda: bool(raw))
 
 

@@ -60,8 +60,8 @@ def test_every_mistake_in_a_parameter_file_is_named_and_can_be_corrected(tmp_pat
         ):
             assert word in told
             assert word in detector.process.output
-        mended = {"iou_threshold": 0.5, "max_detections": 10, "precision": "auto"}
-        assert detector.node.set_parameters(confidence_threshold=0.5, **mended, **PARAMETERS) == ""
+        fixed = {"iou_threshold": 0.5, "max_detections": 10, "precision": "auto"}
+        assert detector.node.set_parameters(confidence_threshold=0.5, **fixed, **PARAMETERS) == ""
         detector.bring_to("active")
         assert len(detector.look().scores) > 0
 

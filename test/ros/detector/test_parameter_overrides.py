@@ -9,7 +9,7 @@ from support.served_node import Preparations, ServedNode
 
 
 @pytest.mark.parametrize(
-    ("parameter", "mended"),
+    ("parameter", "fixed"),
     [
         pytest.param("confidence_threshold:=1.5", {"confidence_threshold": 0.5}, id="out-of-range"),
         pytest.param("lazy:=high", {"lazy": True}, id="wrong-type"),
@@ -18,12 +18,12 @@ from support.served_node import Preparations, ServedNode
     ],
 )
 def test_a_bad_override_fails_configure_until_it_is_corrected(
-    prepare: Preparations, parameter: str, mended: dict[str, object]
+    prepare: Preparations, parameter: str, fixed: dict[str, object]
 ) -> None:
     with ServedNode(prepare, parameters=[parameter]) as served:
         assert not served.transition("configure")
         assert parameter.partition(":=")[0] in served.status().message
-        assert served.set(**mended) == (True, "")
+        assert served.set(**fixed) == (True, "")
         assert served.transition("configure")
         assert served.escaped == []
 

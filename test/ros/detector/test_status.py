@@ -14,8 +14,8 @@ from support.good_status import GOOD, GOOD_INPUT, LARGE
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.detector.image_input import RecentImages
-from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
-from yolov5_lifecycle.ros.detector.status import DISCOVERY_S, EMPTY_S, SILENCE_S, SLOW_S, Status
+from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S, TopicStatus
+from yolov5_lifecycle.ros.detector.status import EMPTY_S, SILENCE_S, SLOW_S, Status
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameCounter, Outcome
 

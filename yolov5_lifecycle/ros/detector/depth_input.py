@@ -14,12 +14,12 @@ from sensor_msgs.msg import CameraInfo, Image
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing
 from yolov5_lifecycle.ros.detector.depth_status import DepthStatus, SourceStatus
+from yolov5_lifecycle.ros.detector.frame_failures import RECENT_S
 from yolov5_lifecycle.ros.detector.image_input import common_reliability
 from yolov5_lifecycle.ros.qos_overrides import overridden_reliability, overriding_options
 from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name
 
 _QUEUE = 2
-_RECENT_S = 2.0
 
 
 class DepthInput:
@@ -58,7 +58,7 @@ class DepthInput:
     def look(self) -> DepthStatus:
         """Update the subscriptions to what the publishers offer; return the status."""
         image, camera_info = (source.look() for source in self._sources) if self._sources else (None, None)
-        is_recent = self._clock() - self.placing.rejected_s < _RECENT_S
+        is_recent = self._clock() - self.placing.rejected_s < RECENT_S
         return DepthStatus(
             image=image,
             camera_info=camera_info,

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from yolov5_lifecycle.ros.detector.depth_placing import PlacingCounts, UnplacedRun
+from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S
 from yolov5_lifecycle.spatial.placement import Unplaced
 
-UNDISCOVERED_S = 5.0
-"""Time that ROS may take to discover publishers."""
 UNPLACED_S = 2.0
 """Images without depth for longer than this are reported."""
 
@@ -48,7 +47,7 @@ class DepthStatus:
                 return ""
             if source.problem:
                 return f"{source.problem}: detections have no place in space"
-            if source.publishers == 0 and source.missing_s > UNDISCOVERED_S:
+            if source.publishers == 0 and source.missing_s > DISCOVERY_S:
                 return (
                     f"no publisher of {what} on {source.name}: detections have no place in space; start the "
                     "depth camera, remap the topic or set depth to false"

@@ -11,7 +11,8 @@ from rclpy.node import Node
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
-_RECENT_S = 2.0
+RECENT_S = 2.0
+"""A rejection is reported in diagnostics for this long."""
 
 
 class FrameFailures:
@@ -63,5 +64,5 @@ class FrameFailures:
             executor.create_task(what, reason)
 
     def recent_rejection(self) -> str:
-        """Why the last image was rejected, "" if that was more than `_RECENT_S` ago."""
-        return self._rejection if time.monotonic() - self._rejected_s < _RECENT_S else ""
+        """Why the last image was rejected, "" if that was more than `RECENT_S` ago."""
+        return self._rejection if time.monotonic() - self._rejected_s < RECENT_S else ""

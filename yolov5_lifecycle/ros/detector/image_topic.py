@@ -23,6 +23,8 @@ TOPICS: dict[Transport, tuple[str, type]] = {
     "compressed": (COMPRESSED_IMAGE_RAW, CompressedImage),
 }
 _TYPE_NAMES = {"raw": "sensor_msgs/msg/Image", "compressed": "sensor_msgs/msg/CompressedImage"}
+DISCOVERY_S = 5.0
+"""Time that ROS may take to discover publishers."""
 _SEARCH_EVERY_S = 5.0
 _MAX_CANDIDATES = 200
 _MAX_ASKED = 20

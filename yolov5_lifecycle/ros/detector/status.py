@@ -11,7 +11,7 @@ from yolov5_lifecycle.detection.nms import WORTH_TELLING
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.ros.detector.depth_status import DepthStatus
 from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
-from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
+from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S, TopicStatus
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameBalance, LatencySummary, Outcome
 
@@ -19,8 +19,6 @@ MANY_LOST = 4
 """More than one image lost per this many received is reported, given at least FEWEST_IMAGES."""
 FEWEST_IMAGES = 10
 """Min number of images for a meaningful loss ratio."""
-DISCOVERY_S = 5.0
-"""Time that ROS may take to discover the image publishers."""
 DEFAULT_SEGMENT_BYTES = 512 * 1024
 """Shared-memory segment that Fast DDS reserves per process without config/shm.xml."""
 SILENCE_S = 2.0
