@@ -11,7 +11,7 @@ from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.ros.detector.frame_failures import CameraFailures, FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
+from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, Transport
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage
 from yolov5_lifecycle.ros.detector.stream import Stream
@@ -100,11 +100,14 @@ class Camera:
         self._feed.close()
         return rested
 
-    def status(self, settings: Settings) -> CameraStatus:
-        """Snapshot; updates the subscription to what the publishers offer. `settings` of this camera."""
+    def status(self, transport: Transport) -> CameraStatus:
+        """Snapshot; updates the subscription to what the publishers offer.
+
+        `transport` is the setting `image_transport` of this camera.
+        """
         stream = self._stream
         if stream is None:
-            self._topic.follow(settings.image_transport)
+            self._topic.follow(transport)
         topic = self._topic.look()
         image_input = stream.look(topic) if stream else None
         return CameraStatus(
