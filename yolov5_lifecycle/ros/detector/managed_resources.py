@@ -46,9 +46,8 @@ class ManagedResources:
             on_too_many=on_too_many,
             on_device_lost=on_device_lost,
         )
-        self._worker: Worker[ReceivedFrame, DetectedFrame] = Worker(
-            on_failure=self._failures.failed, on_success=self._failures.succeeded
-        )
+        self._worker: Worker[ReceivedFrame, DetectedFrame] = Worker()
+        self._feed = self._worker.feed(on_failure=self._failures.failed, on_success=self._failures.succeeded)
         self._topic = ImageTopic(node, "raw")
         self._last_image = LastImage()
         self._track_ids = itertools.count(1)
@@ -130,7 +129,7 @@ class ManagedResources:
         return Status(
             state=state,
             problem=problem or (detection.problem if detection else ""),
-            balance=self._worker.balance(),
+            balance=self._feed.balance(),
             topic=topic,
             settings=self._parameters.settings() if self._outputs else None,
             model=detection.model if detection else None,
@@ -142,7 +141,7 @@ class ManagedResources:
             tracking=detection.tracker_values if detection else {},
             depth_status=detection.depth.look() if detection and detection.depth else None,
             subscribers_3d=self._outputs.subscribers_3d if self._outputs else 0,
-            busy_s=self._worker.busy_s(),
+            busy_s=self._feed.busy_s(),
             recently_rejected=self._failures.recent_rejection(),
             abandoned_threads=self._worker.abandoned_threads(),
             resident_mb=resident_mb(),
@@ -160,6 +159,7 @@ class ManagedResources:
             topic=self._topic,
             outputs=outputs,
             worker=self._worker,
+            feed=self._feed,
             last_image=self._last_image,
             track_ids=self._track_ids,
         )

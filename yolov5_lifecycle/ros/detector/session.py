@@ -20,6 +20,7 @@ from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage, Pipeline
 from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.feed import Feed
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
 from yolov5_lifecycle.streaming.worker import Worker
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
@@ -49,6 +50,7 @@ class Detection:
         topic: ImageTopic,
         outputs: Outputs,
         worker: Worker[ReceivedFrame, DetectedFrame],
+        feed: Feed[ReceivedFrame, DetectedFrame],
         last_image: LastImage,
         track_ids: Iterator[int],
     ) -> None:
@@ -57,6 +59,7 @@ class Detection:
         self._topic = topic
         self._outputs = outputs
         self._worker = worker
+        self._feed = feed
         self._last_image = last_image
         self._track_ids = track_ids
         self._tracker: ByteTracker | None = None
@@ -140,7 +143,7 @@ class Detection:
             self._node,
             topic=self._topic,
             reliability=self._settings().image_reliability,
-            on_frame=self._worker.offer,
+            on_frame=self._feed.offer,
             losses=self.losses,
         )
 
@@ -172,7 +175,7 @@ class Detection:
     def close(self) -> bool:
         """Unsubscribe, stop the worker, free the model; return False if a hung thread was abandoned."""
         self._unsubscribe()
-        rested = self._worker.stop(REST_TIMEOUT_S)
+        rested = self._feed.stop(REST_TIMEOUT_S)
         if self.preparation.exception() is None:
             self.model.close(is_at_rest=rested)
         return rested
@@ -193,7 +196,7 @@ class Detection:
             placing=self.depth.placing if self.depth else None,
             tracking=None if tracker is None else TrackedDetection(tracker, tracker_settings(settings)),
         )
-        self._worker.start(pipeline, max_rate_hz=settings.max_rate)
+        self._feed.start(pipeline, max_rate_hz=settings.max_rate)
 
     def _follow_depth(self, settings: Settings) -> None:
         """Begin or end to place detections; begin afresh with another slop."""
