@@ -16,6 +16,7 @@ from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage
 from yolov5_lifecycle.ros.detector.stream import Stream
 from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.frame_statistics import FrameBalance
 from yolov5_lifecycle.streaming.worker import Worker
 
 
@@ -82,23 +83,29 @@ class Camera:
         if self._stream is not None:
             self._stream.follow_subscribers()
 
-    def rest(self) -> bool:
-        """Stop to detect; return False if the frame hangs and the inference thread was abandoned."""
-        stream, self._stream = self._stream, None
-        return stream is None or stream.close()
+    def unsubscribe(self) -> None:
+        """End the stream; the caller stops its feed, alone or with those of all cameras."""
+        if self._stream is not None:
+            self._stream.unsubscribe()
+            self._stream = None
 
     def release(self) -> None:
-        """Destroy the publishers; call after `rest`."""
+        """Destroy the publishers; call when no frame is in progress."""
         if self._outputs is not None:
             self._outputs.close()
             self._outputs = None
 
-    def close(self) -> bool:
-        """Release everything; return False like `rest`. Frames that are offered later are not counted."""
-        rested = self.rest()
-        self.release()
+    def close(self, timeout_s: float) -> bool:
+        """End with a closed balance; False if the frame in progress hung and its thread was abandoned."""
+        self.unsubscribe()
+        rested = self._feed.stop(timeout_s)
         self._feed.close()
+        self.release()
         return rested
+
+    def balance(self) -> FrameBalance:
+        """Counts of the frames since the camera was named in `cameras`."""
+        return self._feed.balance()
 
     def status(self, transport: Transport) -> CameraStatus:
         """Snapshot; updates the subscription to what the publishers offer.

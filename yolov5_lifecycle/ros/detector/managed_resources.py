@@ -15,9 +15,8 @@ from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.outputs import LabelInfoOutput
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
-from yolov5_lifecycle.ros.detector.session import Detection
+from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.detector.status import Status
-from yolov5_lifecycle.ros.detector.stream import REST_TIMEOUT_S
 from yolov5_lifecycle.ros.parameters import SettingsParameters
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.worker import Worker
@@ -184,9 +183,10 @@ class ManagedResources:
 
     def _close_all_but(self, names: Sequence[str]) -> None:
         for name in [name for name in self._cameras if name not in names]:
-            camera = self._cameras.pop(name)
-            if not camera.close():
-                self._node.get_logger().error(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
+            camera, log = self._cameras.pop(name), self._node.get_logger()
+            if not camera.close(REST_TIMEOUT_S):
+                log.error(f"{name}: inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
+            log.info(f"camera {name or '(without a name)'} removed: {camera.balance()}")
 
     def _may_activate(self, label_info: LabelInfoOutput | None) -> bool:
         """Whether the configuration with `label_info` still exists and is not active."""
@@ -198,5 +198,5 @@ class ManagedResources:
             preparation=preparation,
             cameras=self._cameras,
             label_info=label_info,
-            rest=lambda: self._worker.rest(REST_TIMEOUT_S),
+            worker=self._worker,
         )

@@ -16,7 +16,7 @@ from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
-from yolov5_lifecycle.ros.detector.stream import REST_TIMEOUT_S
+from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 from yolov5_lifecycle.ros.detector.transitions import (
     FAILURE,
     SUCCESS,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from rclpy.lifecycle import LifecycleNode
 
@@ -11,17 +11,22 @@ from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.camera import Camera
+from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import Preparation
 from yolov5_lifecycle.ros.detector.outputs import LabelInfoOutput
+from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.worker import Worker
+
+REST_TIMEOUT_S = 3.0
+"""Max wait for the frame in progress; launch escalates its stop signal after 5 s."""
 
 
 class Detection:
     """Owns the model, with which each of the `cameras` detects from `start` to `close`.
 
-    `preparation` is the model, once loaded. `rest()` waits for the frame in progress and returns whether it
-    finished.
+    `preparation` is the model, once loaded. `worker` runs the inference of all cameras.
     """
 
     def __init__(
@@ -31,12 +36,12 @@ class Detection:
         preparation: Preparation,
         cameras: Mapping[str, Camera],
         label_info: LabelInfoOutput,
-        rest: Callable[[], bool],
+        worker: Worker[ReceivedFrame, DetectedFrame],
     ) -> None:
         self._node = node
         self._cameras = cameras
         self._label_info = label_info
-        self.rest = rest
+        self._worker = worker
         self.preparation = preparation
 
     @property
@@ -65,6 +70,10 @@ class Detection:
         self.preparation = preparation
         self.publish_label_info(settings)
 
+    def rest(self) -> bool:
+        """Wait for the frame in progress; return False if it hangs, which deactivate handles."""
+        return self._worker.rest(REST_TIMEOUT_S)
+
     def publish_label_info(self, settings: Settings) -> None:
         self._label_info.publish(
             messages.label_info(
@@ -76,10 +85,12 @@ class Detection:
 
     def close(self) -> bool:
         """Stop all cameras, free the model; return False if a hung thread was abandoned."""
-        rested = [camera.rest() for camera in self._cameras.values()]
+        for camera in self._cameras.values():
+            camera.unsubscribe()
+        rested = self._worker.stop(REST_TIMEOUT_S)
         if self.preparation.exception() is None:
-            self.model.close(is_at_rest=all(rested))
-        return all(rested)
+            self.model.close(is_at_rest=rested)
+        return rested
 
     def _detect(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
         for name in settings.camera_names:
