@@ -23,7 +23,7 @@ MAX_SUGGESTIONS = 3
 """Max number of unknown names per request for which a similar name is suggested."""
 MAX_REASON_LENGTH = 2000
 """Max length of the refusal of one change, in characters."""
-_BY_EFFORT = (Change.RELOAD, Change.RESUBSCRIBE, Change.LIVE)
+_BY_EFFORT = (Change.RELOAD, Change.CAMERAS, Change.RESUBSCRIBE, Change.LIVE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ class SettingsParameters:
         withdrawn = tuple(parameter.name for parameter in asked if self._is_withdrawn(parameter))
         rest = [parameter for parameter in asked if parameter.name not in withdrawn]
         unknown = tuple(p.name for p in rest if not self._node.has_parameter(p.name))
-        problems = [SCHEMA.unknown(name, suggest=index < suggestions) for index, name in enumerate(unknown)]
+        problems = [SCHEMA.unknown(name, may_suggest=index < suggestions) for index, name in enumerate(unknown)]
         wanted = [coerced(parameter, SETTINGS_BY_NAME) for parameter in rest]
         proposal = self._proposal([parameter for parameter in wanted if not self._stays(parameter)])
         return replace(
