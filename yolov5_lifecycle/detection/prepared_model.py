@@ -64,12 +64,12 @@ class PreparedModel:
             release_unused_memory()
 
 
-Prepare = Callable[[Settings, tuple[int, int]], PreparedModel]
+Prepare = Callable[[Settings, Sequence[tuple[int, int]]], PreparedModel]
 """See `prepare_model`."""
 
 
-def prepare_model(settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
-    """Find, load and build the model that `settings` select, and warm it up at image size `source_hw`.
+def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
+    """Find, load and build the model that `settings` select, and warm it up at image sizes `sizes_hw`.
 
     Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
     """
@@ -88,7 +88,8 @@ def prepare_model(settings: Settings, source_hw: tuple[int, int]) -> PreparedMod
         image_size=settings.image_size,
     )
     try:
-        detector.warm_up(source_hw)
+        for size_hw in dict.fromkeys(sizes_hw):
+            detector.warm_up(size_hw)
     except BaseException:  # its traceback keeps the detector alive
         detector.close()
         raise
@@ -157,7 +158,7 @@ def load_model(
         "agnostic_nms": agnostic_nms,
     }
     settings = validated({name: SETTINGS_BY_NAME[name].coerced(value) for name, value in values.items()})
-    model = prepare_model(settings, USUAL_SOURCE_HW)
+    model = prepare_model(settings, [USUAL_SOURCE_HW])
     if problems := model_problems(settings, model.detector.class_names):
         model.close()
         raise SettingsError(problems)

@@ -30,7 +30,10 @@ _REMEDY = "Correct it and restart the node."
 
 
 def qos_problems(node: Node, cameras: Sequence[str]) -> list[Problem]:
-    """QoS overrides that are invalid or match no topic of `node` with these `cameras`; a restart fixes them."""
+    """QoS overrides that are invalid or match no topic of `node` with these `cameras`.
+
+    Fixing them needs a restart.
+    """
     topics: dict[Kind, list[str]] = {"publisher": published(cameras), "subscription": subscribed(cameras)}
     policy_of = {
         _name(node, topic, kind, policy): policy

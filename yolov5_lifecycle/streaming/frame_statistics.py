@@ -43,7 +43,9 @@ class FrameBalance:
 
     def __str__(self) -> str:
         counted = ", ".join(f"{count} {outcome.value}" for outcome, count in self.outcomes.items() if count)
-        return f"{self.received} frames received, {self.pending} pending" + (f", {counted}" if counted else "")
+        return f"{self.received} frames received, {self.pending} pending" + (
+            f", {counted}" if counted else ""
+        )
 
 
 class FrameCounter:

@@ -55,7 +55,7 @@ class Camera:
             )
 
     def detect(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
-        """Start to detect, or change to these settings of the camera and this detector from the next frame on.
+        """Start to detect; or change to these settings and this detector from the next frame on.
 
         `is_active`: whether the node is active already, so that rclpy does not activate the publishers.
         """

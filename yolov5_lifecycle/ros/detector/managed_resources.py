@@ -106,8 +106,8 @@ class ManagedResources:
     def apply(self, settings: Settings, preparation: Preparation | None = None) -> None:
         """Change to `settings`, and while active from the next frame on to the model of `preparation`.
 
-        Added cameras start, the others lose no frame, removed ones end. If this raises, what it has changed is
-        undone by applying the previous settings and preparation.
+        Added cameras start, the others lose no frame, removed ones end. If this raises, applying the previous
+        settings and preparation undoes what it has changed.
         """
         if self._label_info is None:
             return
@@ -164,7 +164,7 @@ class ManagedResources:
         return self._parameters.value("cameras") or ("",)
 
     def _follow_names(self) -> None:
-        """Have those cameras that the parameters name; their values change without `apply` until configured."""
+        """Add and remove cameras as the parameters name them; until configured, `apply` is not called."""
         for name in self._names():
             self._camera(name)
         self._close_all_but(self._names())
@@ -185,7 +185,7 @@ class ManagedResources:
         for name in [name for name in self._cameras if name not in names]:
             camera, log = self._cameras.pop(name), self._node.get_logger()
             if not camera.close(REST_TIMEOUT_S):
-                log.error(f"{name}: inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
+                log.error(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
             log.info(f"camera {name or '(without a name)'} removed: {camera.balance()}")
 
     def _may_activate(self, label_info: LabelInfoOutput | None) -> bool:

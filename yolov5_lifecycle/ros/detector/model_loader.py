@@ -22,8 +22,8 @@ REFUSALS = (ValueError, OSError, RuntimeError)
 class ModelLoader:
     """Prepares one model at a time in its own thread, from construction to `close`.
 
-    Models are warmed up with `sizes_hw()`, the size of each camera's last image. `on_device_lost(reason)` is called when no further
-    model can be prepared.
+    Models are warmed up with `sizes_hw()`, the size of each camera's last image. `on_device_lost(reason)` is
+    called when no further model can be prepared.
     """
 
     def __init__(

@@ -82,7 +82,7 @@ class Stream:
         return self._trying(lambda: present.look(topic))
 
     def apply(self, settings: Settings, detector: Detector) -> None:
-        """Change to `settings` and `detector` from the next frame on; without a difference, nothing happens."""
+        """Change to `settings` and `detector` from the next frame on; do nothing if both are the same."""
         if settings == self._settings and detector is self._detector:
             return
         before, self._settings = self._settings, settings
