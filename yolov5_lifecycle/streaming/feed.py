@@ -3,25 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic
 
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
-
-Frame = TypeVar("Frame")
-Result = TypeVar("Result")
-AnyFrame = TypeVar("AnyFrame", contravariant=True)
-
-
-class Pipeline(Protocol[AnyFrame, Result]):
-    """What the worker does with a frame, in its thread."""
-
-    def detect(self, frame: AnyFrame) -> Result:
-        """The result for `frame`. Raises ImageError when the frame is unreadable."""
-
-    def publish(self, result: Result) -> None:
-        """Publish what `detect` returned; not called for a frame that was abandoned."""
+from yolov5_lifecycle.streaming.pipeline import Batch, Frame, Pipeline, Result
 
 
 class RateLimit:
@@ -91,17 +78,42 @@ class Slot(Generic[Frame, Result]):
         self.frame = frame
         return True
 
+    def turn(self) -> Turn[Frame, Result]:
+        """The frame that waits, of a slot that is not stopped, with the pipeline of now."""
+        assert self.pipeline is not None, "a stopped slot has no turn"
+        assert self.frame is not None, "a slot without a frame has no turn"
+        return Turn(self, self.pipeline, self.frame)
 
-@dataclass(eq=False)
+    def begin(self, job: Job[Frame, Result], number: int) -> None:
+        """Hand the waiting frame over to `job`, in the turn `number` among those of all slots."""
+        self.frame = None
+        self.job = job
+        self.last_turn = number
+
+
+@dataclass(eq=False, slots=True)
 class Turn(Generic[Frame, Result]):
-    """The frame of `slot` that is processed, and the pipeline for it."""
+    """The frame of `slot` that is processed, the pipeline for it, and how it ended."""
 
     slot: Slot[Frame, Result]
     pipeline: Pipeline[Frame, Result]
     frame: Frame
+    outcome: Outcome = Outcome.DETECTED
+    error: Exception | None = None
+
+    def fail(self, outcome: Outcome, error: Exception) -> None:
+        self.outcome = outcome
+        self.error = error
+
+    def report(self) -> None:
+        """Call `on_success` or `on_failure`; without the lock, after the frame was counted."""
+        if self.error is None:
+            self.slot.on_success()
+        else:
+            self.slot.on_failure(self.outcome, self.error)
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Job(Generic[Frame, Result]):
     """What the thread works on since `begun_s` (monotonic seconds)."""
 
@@ -123,38 +135,40 @@ class Schedule(Generic[Frame, Result]):
         self.clock = clock
         self.job: Job[Frame, Result] | None = None
         self.slots: set[Slot[Frame, Result]] = set()
-        self._waiting: dict[Slot[Frame, Result], None] = {}
+        self.waiting: dict[Slot[Frame, Result], None] = {}
         self._replace_thread = replace_thread
         self._turns = 0
-
-    @property
-    def has_waiting(self) -> bool:
-        return bool(self._waiting)
 
     def offer(self, slot: Slot[Frame, Result], frame: Frame) -> None:
         """Let `frame` wait in `slot`, unless it is stopped or its rate limit drops the frame."""
         if slot.receive(frame, self.clock()):
-            self._waiting[slot] = None
+            self.waiting[slot] = None
             self.changed.notify_all()
 
     def stop(self, slots: Sequence[Slot[Frame, Result]]) -> None:
         """Stop `slots` and flush their waiting frames."""
         for slot in slots:
             slot.stop()
-            self._waiting.pop(slot, None)
+            self.waiting.pop(slot, None)
 
-    def begin(self) -> Job[Frame, Result]:
-        """Begin the job that is next; there must be a waiting frame."""
-        slot = min(self._waiting, key=lambda slot: slot.last_turn)
-        job = self.job = Job([self._take(slot)], self.clock())
-        for turn in job.turns:
-            turn.slot.job = job
+    def begin(self, batch: Batch[Frame, Result] | None = None) -> Job[Frame, Result]:
+        """Begin the job that is next; there must be a waiting frame.
+
+        With `batch` the frame that is next takes others with the same key along, those next to it first.
+        """
+        slots = [*self.waiting] if len(self.waiting) == 1 else self._next_slots(batch)
+        turns = [slot.turn() for slot in slots]
+        job = self.job = Job(turns, self.clock())
+        for slot in slots:
+            self._turns += 1
+            slot.begin(job, self._turns)
+            del self.waiting[slot]
         return job
 
-    def finish(self, job: Job[Frame, Result], outcomes: Sequence[Outcome]) -> None:
-        """Count the frames of `job`, which is over, with their `outcomes`."""
-        for turn, outcome in zip(job.turns, outcomes, strict=True):
-            turn.slot.counter.finish(outcome)
+    def finish(self, job: Job[Frame, Result]) -> None:
+        """Count the frames of `job`, which is over, with their outcomes."""
+        for turn in job.turns:
+            turn.slot.counter.finish(turn.outcome)
             turn.slot.job = None
         self.job = None
         self.changed.notify_all()
@@ -174,18 +188,36 @@ class Schedule(Generic[Frame, Result]):
                 # A publish in progress cannot be cancelled; publishing never takes long.
                 return self.wait(job, None)
             job.is_abandoned = True
-            self.finish(job, [Outcome.FAILED] * len(job.turns))
+            for turn in job.turns:
+                turn.outcome = Outcome.FAILED
+            self.finish(job)
             self._replace_thread()
         return False
 
-    def _take(self, slot: Slot[Frame, Result]) -> Turn[Frame, Result]:
-        del self._waiting[slot]
-        self._turns += 1
-        slot.last_turn = self._turns
-        pipeline, frame, slot.frame = slot.pipeline, slot.frame, None
-        assert pipeline is not None, "a stopped slot does not wait"
-        assert frame is not None, "a slot without a frame does not wait"
-        return Turn(slot, pipeline, frame)
+    def _next_slots(self, batch: Batch[Frame, Result] | None) -> list[Slot[Frame, Result]]:
+        if batch is None:
+            return [min(self.waiting, key=_last_turn)]
+        first, *others = sorted(self.waiting, key=_last_turn)
+        slots = [first]
+        if (key := _key(batch, first)) is not None:
+            for slot in others:
+                if len(slots) >= batch.max_size:
+                    break
+                if _key(batch, slot) == key:
+                    slots.append(slot)
+        return slots
+
+
+def _last_turn(slot: Slot[Frame, Result]) -> int:
+    return slot.last_turn
+
+
+def _key(batch: Batch[Frame, Result], slot: Slot[Frame, Result]) -> Hashable | None:
+    turn = slot.turn()
+    try:
+        return batch.key(turn.pipeline, turn.frame)
+    except Exception:  # noqa: BLE001 - `detect` reports what is wrong with the frame
+        return None
 
 
 class Feed(Generic[Frame, Result]):

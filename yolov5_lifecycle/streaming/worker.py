@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from typing import Generic, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Generic
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.streaming.feed import Feed, Frame, Job, Result, Schedule, Slot, Turn
+from yolov5_lifecycle.streaming.feed import Feed, Job, Schedule, Slot, Turn
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
+from yolov5_lifecycle.streaming.pipeline import Batch, Frame, Result
 
 MAX_ABANDONED_THREADS = 3
 """Each holds the memory of its model and image; beyond this limit, restart the process."""
-
-
-class _Failure(NamedTuple):
-    """Why a frame has no published result."""
-
-    outcome: Outcome
-    error: Exception
 
 
 class Worker(Generic[Frame, Result]):
@@ -37,6 +31,8 @@ class Worker(Generic[Frame, Result]):
     def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._schedule: Schedule[Frame, Result] = Schedule(clock=clock, replace_thread=self._replace_thread)
         self._changed = self._schedule.changed
+        self.batch: Batch[Frame, Result] | None = None
+        """Frames that wait at the same time may run together, from the next job on; None: each alone."""
         self._is_closed = False
         self._abandoned: list[threading.Thread] = []
         self._thread = self._new_thread()
@@ -95,61 +91,82 @@ class Worker(Generic[Frame, Result]):
         self._thread.start()
 
     def _run(self) -> None:
-        while (job := self._next_job()) is not None:
-            self._work(job)
-            del job  # an idle thread holds no frame
+        while (next_job := self._next_job()) is not None:
+            job, batch = next_job
+            if batch is None or len(job.turns) == 1:
+                self._work(job)
+            else:
+                self._work_together(job, batch)
+            del job, batch, next_job  # an idle thread holds no frame
 
-    def _next_job(self) -> Job[Frame, Result] | None:
+    def _next_job(self) -> tuple[Job[Frame, Result], Batch[Frame, Result] | None] | None:
         with self._changed:
-            self._changed.wait_for(lambda: self._schedule.has_waiting or self._is_over())
-            return None if self._is_over() else self._schedule.begin()
+            while not self._schedule.waiting and not self._is_over():
+                self._changed.wait()
+            batch = self.batch
+            return None if self._is_over() else (self._schedule.begin(batch), batch)
 
     def _is_over(self) -> bool:
         """Whether the current thread has nothing more to do."""
         return self._is_closed or threading.current_thread() is not self._thread
 
     def _work(self, job: Job[Frame, Result]) -> None:
-        results = [self._detected(turn) for turn in job.turns]
-        if not self._may_publish(job):
-            return
-        failures = [self._published(turn, result) for turn, result in zip(job.turns, results, strict=True)]
-        with self._changed:
-            self._schedule.finish(job, [_outcome(failure) for failure in failures])
-        for turn, failure in zip(job.turns, failures, strict=True):
-            _report(turn.slot, failure)
+        (turn,) = job.turns
+        try:
+            result = turn.pipeline.detect(turn.frame)
+            if not self._may_publish(job):
+                return
+            turn.pipeline.publish(result)
+        except Exception as error:  # noqa: BLE001 - counted and reported; the next frame is processed
+            turn.fail(_outcome(error), error)
+        if self._finish(job):
+            turn.report()
+
+    def _work_together(self, job: Job[Frame, Result], batch: Batch[Frame, Result]) -> None:
+        try:
+            results = _detected(batch, job)
+        except Exception as error:  # noqa: BLE001 - likewise
+            for turn in job.turns:
+                turn.fail(Outcome.FAILED, error)
+        else:
+            if not self._may_publish(job):
+                return
+            for turn, result in zip(job.turns, results, strict=True):
+                _publish(turn, result)
+        if self._finish(job):
+            for turn in job.turns:
+                turn.report()
 
     def _may_publish(self, job: Job[Frame, Result]) -> bool:
         with self._changed:
             job.is_publishing = not job.is_abandoned
             return job.is_publishing
 
-    def _detected(self, turn: Turn[Frame, Result]) -> Result | _Failure:
-        try:
-            return turn.pipeline.detect(turn.frame)
-        except Exception as error:  # noqa: BLE001 - counted and reported; the next frame is processed
-            return _failure(error)
-
-    def _published(self, turn: Turn[Frame, Result], result: Result | _Failure) -> _Failure | None:
-        """Publish `result`; return why it is not published, None if it is."""
-        if isinstance(result, _Failure):
-            return result
-        try:
-            turn.pipeline.publish(result)
-        except Exception as error:  # noqa: BLE001 - likewise
-            return _failure(error)
-        return None
+    def _finish(self, job: Job[Frame, Result]) -> bool:
+        with self._changed:
+            if not job.is_abandoned:
+                self._schedule.finish(job)
+            return not job.is_abandoned
 
 
-def _failure(error: Exception) -> _Failure:
-    return _Failure(Outcome.REJECTED if isinstance(error, ImageError) else Outcome.FAILED, error)
+def _outcome(error: Exception) -> Outcome:
+    return Outcome.REJECTED if isinstance(error, ImageError) else Outcome.FAILED
 
 
-def _outcome(failure: _Failure | None) -> Outcome:
-    return Outcome.DETECTED if failure is None else failure.outcome
+def _detected(batch: Batch[Frame, Result], job: Job[Frame, Result]) -> Sequence[Result | Exception]:
+    """One result for each turn of `job`; raises ValueError if `batch` returns another number of them."""
+    results = batch.detect([(turn.pipeline, turn.frame) for turn in job.turns])
+    if len(results) != len(job.turns):
+        raise ValueError(
+            f"a batch of {len(job.turns)} frames returned {len(results)} results; expected one each"
+        )
+    return results
 
 
-def _report(slot: Slot[Frame, Result], failure: _Failure | None) -> None:
-    if failure is None:
-        slot.on_success()
-    else:
-        slot.on_failure(failure.outcome, failure.error)
+def _publish(turn: Turn[Frame, Result], result: Result | Exception) -> None:
+    try:
+        if isinstance(result, Exception):
+            raise result
+        turn.pipeline.publish(result)
+    except Exception as error:  # noqa: BLE001 - likewise
+        turn.fail(_outcome(error), error)
