@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from yolov5_lifecycle.checkpoints.allowed_folders import confined
-from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
+from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.selection import model_problems, selection
