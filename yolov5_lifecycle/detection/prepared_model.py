@@ -7,13 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from yolov5_lifecycle.checkpoints.allowed_folders import confined
-from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
+from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.selection import model_problems, selection
+from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.package_path import resolve_package
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.registry import load_runtime
