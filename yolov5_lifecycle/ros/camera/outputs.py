@@ -1,4 +1,4 @@
-"""The camera's publishers: images, raw and compressed, camera info, and ground truth of the synthetic scene."""
+"""The camera's publishers: images, raw and compressed, camera info, ground truth of the synthetic scene."""
 
 from __future__ import annotations
 
