@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections import Counter
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import suppress
 from random import Random
 
@@ -17,8 +18,12 @@ from yolov5_lifecycle.streaming.pipeline import Pipeline
 from yolov5_lifecycle.streaming.worker import Worker
 
 CAMERAS = 4
-OFFERS = 1500
-CHANGES = 300
+THREADS = 2
+"""For each camera."""
+OFFERS = 400
+"""Of each thread."""
+SWITCH_S = 1e-5
+MOMENT_S = 1e-3
 HUNG = 6
 """At most so many frames hang, as each takes a thread."""
 
@@ -49,6 +54,7 @@ class RandomCamera:
         self.begun: list[int] = []
         self.published: list[int] = []
         self.reported: Counter[Outcome] = Counter()
+        self._ended = threading.Semaphore(0)
         self.feed = worker.feed(on_failure=self._fail, on_success=self._succeed)
         self._fate = fate
 
@@ -59,25 +65,28 @@ class RandomCamera:
     def publish(self, result: int) -> None:
         self.published.append(result)
 
-    def offer_many(self) -> None:
+    def use(self, random: Random) -> None:
+        """Offer frames, and now and then start or stop the feed; some threads close it in the end."""
         for number in range(1, OFFERS + 1):
             self.feed.offer(number)
-
-    def change_often(self, random: Random) -> None:
-        for _ in range(CHANGES):
-            if random.random() < 0.5:
+            chance = random.random()
+            if chance < 0.1:
                 with suppress(RuntimeError):  # it is closed
                     self.feed.start(self, max_rate_hz=random.choice([0.0, 0.0, 1e4]))
-            else:
-                self.feed.stop(0.0)
-        if random.random() < 0.5:
+            elif chance < 0.13:
+                self.feed.stop(random.choice([0.0, MOMENT_S]))
+            elif chance < 0.5:
+                self._ended.acquire(timeout=MOMENT_S)
+        if random.random() < 0.2:
             self.feed.close()
 
     def _fail(self, outcome: Outcome, error: Exception) -> None:
         self.reported[outcome] += 1
+        self._ended.release()
 
     def _succeed(self) -> None:
         self.reported[Outcome.DETECTED] += 1
+        self._ended.release()
 
 
 class Together:
@@ -111,6 +120,16 @@ def inference_threads() -> set[threading.Thread]:
     return {thread for thread in threading.enumerate() if thread.name == "inference"}
 
 
+@pytest.fixture
+def _many_switches() -> Iterator[None]:
+    """Threads take turns so often that none is ever alone."""
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    yield
+    sys.setswitchinterval(before_s)
+
+
+@pytest.mark.usefixtures("_many_switches")
 @pytest.mark.parametrize("is_batched", [False, True], ids=["alone", "in batches"])
 @pytest.mark.parametrize("seed", range(4))
 def test_every_frame_is_counted_once(seed: int, is_batched: bool) -> None:
@@ -120,10 +139,10 @@ def test_every_frame_is_counted_once(seed: int, is_batched: bool) -> None:
     worker.batch = Together() if is_batched else None
     cameras = [RandomCamera(worker, fate) for _ in range(CAMERAS)]
     run_all(
-        [threading.Thread(target=camera.offer_many) for camera in cameras]
-        + [
-            threading.Thread(target=camera.change_often, args=(Random(f"{seed} {index}"),))
+        [
+            threading.Thread(target=camera.use, args=(Random(f"{seed} {index} {thread}"),))
             for index, camera in enumerate(cameras)
+            for thread in range(THREADS)
         ]
     )
     worker.stop(0.0)
@@ -133,7 +152,7 @@ def test_every_frame_is_counted_once(seed: int, is_batched: bool) -> None:
         thread.join(PATIENCE_S)
     for camera in cameras:
         balance = camera.feed.balance()
-        assert balance.received == OFFERS
+        assert balance.received == THREADS * OFFERS
         assert balance.pending == 0
         assert balance[Outcome.DETECTED] == len(camera.published) == camera.reported[Outcome.DETECTED]
         assert balance[Outcome.REJECTED] == camera.reported[Outcome.REJECTED]

@@ -23,7 +23,7 @@ WITHOUT_KEY = 1000
 
 
 class Together:
-    """Frames with the same last digit may run together; each result is its frame, unless `results` differs."""
+    """Frames with the same last digit may run together; a result is its frame, unless `results` differs."""
 
     def __init__(self, max_size: int = 8) -> None:
         self.max_size = max_size
