@@ -12,7 +12,7 @@ from support.runtime_names import COMPILED_RUNTIMES
 
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Detect, Network, fuse
-from yolov5_lifecycle.runtimes.compiler import Engine
+from yolov5_lifecycle.runtimes.compiled_runtime import Engine
 from yolov5_lifecycle.runtimes.networks_by_size import denormals_as_zero
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime

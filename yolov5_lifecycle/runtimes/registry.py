@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.fingerprint import installed_build
+from yolov5_lifecycle.runtimes.cache import installed_build
 from yolov5_lifecycle.runtimes.runtime import Runtime
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 

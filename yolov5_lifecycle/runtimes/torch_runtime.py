@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import cv2
 import numpy as np
@@ -14,12 +16,15 @@ from torch import Tensor, nn
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network, fuse
-from yolov5_lifecycle.runtimes.cuda_graph import RecordedNetwork
 from yolov5_lifecycle.runtimes.networks_by_size import NetworksBySize
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
 
 _PRECISIONS = {torch.float32: "fp32", torch.float16: "fp16"}
+_WARM_UPS = 3  # libraries select algorithms and allocate memory, which is not allowed during capture
+_CAPTURE_PATIENCE_S = 10.0
+_ONE_AT_A_TIME = threading.Lock()
+_HAS_FAILED = threading.Event()
 
 Forward = Callable[[Tensor], Tensor]
 """A frame (h, w, 3) RGB -> all predictions (N, 5 + C), which the next frame may overwrite."""
@@ -117,6 +122,63 @@ def _forward(
         problem = _first_line(error.__context__ or error)  # the latter may only mention an earlier error
     _log.warning("The network is run step by step, as CUDA could not record it: %s", problem)
     return eager
+
+
+class RecordedNetwork:
+    """A CUDA graph of `forward` for uint8 RGB frames (h, w, 3): one launch instead of one per kernel.
+
+    Raises RuntimeError when `forward` fails or cannot be captured.
+    """
+
+    def __init__(
+        self, forward: Callable[[Tensor], Tensor], size_hw: tuple[int, int], device: torch.device
+    ) -> None:
+        self._frame = torch.zeros((*size_hw, 3), dtype=torch.uint8, device=device)
+        with _alone(), torch.cuda.device(device):
+            self._graph = torch.cuda.CUDAGraph()
+            # torch's default capture stream belongs to the first GPU that captured, and stays the current
+            # stream after a failed capture.
+            stream = torch.cuda.Stream()
+            stream.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(stream):
+                for _ in range(_WARM_UPS):
+                    forward(self._frame)
+                # thread_local, as other threads may allocate GPU memory meanwhile, e.g. to load a model.
+                recording = torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local")
+                with _last_if_it_fails(), recording:
+                    self._predictions = forward(self._frame)
+            torch.cuda.current_stream().wait_stream(stream)
+
+    def __call__(self, frame: Tensor) -> Tensor:
+        """The output of `forward`, in memory that the next frame overwrites."""
+        self._frame.copy_(frame)
+        self._graph.replay()
+        return self._predictions
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Allow one capture at a time per process, as torch requires, and none after a failed one."""
+    if not _ONE_AT_A_TIME.acquire(timeout=_CAPTURE_PATIENCE_S):
+        raise RuntimeError(f"Another recording has not ended within {_CAPTURE_PATIENCE_S:g} s.")
+    try:
+        if _HAS_FAILED.is_set():
+            raise RuntimeError("An earlier recording of this process has failed.")
+        yield
+    finally:
+        _ONE_AT_A_TIME.release()
+
+
+@contextmanager
+def _last_if_it_fails() -> Iterator[None]:
+    """Disable capture after a failure, which corrupts the allocator state (pytorch/pytorch#180395)."""
+    try:
+        yield
+    except torch.OutOfMemoryError:  # leaves the allocator intact
+        raise
+    except RuntimeError:
+        _HAS_FAILED.set()
+        raise
 
 
 def _likely(raw: Tensor, min_objectness: float) -> NDArray[np.float32]:
