@@ -43,7 +43,7 @@ class ModelLoader:
 
     def begin(self, settings: Settings) -> Preparation:
         """Queue the preparation of the model for `settings`."""
-        return self._background.submit(lambda: self._prepare(settings, self._last_image.size_hw))
+        return self._background.submit(lambda: self._prepare(settings, [self._last_image.size_hw]))
 
     async def load(self, wanted: Callable[[], Settings | None]) -> Preparation | None:
         """Prepare the model for `wanted()`, repeated if other settings are wanted once it is done.
