@@ -7,14 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from yolov5_lifecycle.checkpoints.allowed_folders import confined
-from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
+from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
 from yolov5_lifecycle.detection.batch_choice import choose_batches
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.selection import model_problems, selection
+from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.package_path import resolve_package
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT
@@ -73,13 +72,11 @@ Prepare = Callable[[Settings, Sequence[tuple[int, int]]], PreparedModel]
 """See `prepare_model`."""
 
 
-def prepare_model(
-    settings: Settings, sizes_hw: Sequence[tuple[int, int]], *, max_batch: int = 1
-) -> PreparedModel:
+def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
     """Find, load and build the model that `settings` select, and warm it up.
 
-    `sizes_hw`: height and width of the images of each camera, equal ones repeated. With a `max_batch` above 1
-    it is measured which batches are faster, see `choose_batches`.
+    `sizes_hw`: height and width of the images of each camera, equal ones repeated. With the setting
+    `max_batch` above 1 it is measured which batches are faster, see `choose_batches`.
 
     Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
     """
@@ -100,8 +97,8 @@ def prepare_model(
     )
     try:
         detector.warm_up(sizes_hw)
-        if max_batch > 1:
-            detector.batches = choose_batches(detector, sizes_hw, max_batch=max_batch)
+        if settings.max_batch > 1:
+            detector.batches = choose_batches(detector, sizes_hw, max_batch=settings.max_batch)
     except BaseException:  # its traceback keeps the detector alive
         detector.close()
         raise
