@@ -41,12 +41,8 @@ def tiny(tmp_path: Path) -> Settings:
     return Settings(weights=str(path), image_size=64, runtime="torch", device="cpu")
 
 
-def with_batches(settings: Settings) -> Settings:
-    return settings.model_copy(update={"max_batch": 8})
-
-
 def test_batches_are_measured_for_several_cameras_and_told(tiny: Settings) -> None:
-    model = prepare_model(with_batches(tiny), [(64, 64)] * 3)
+    model = prepare_model(tiny.model_copy(update={"max_batch": 8}), [(64, 64)] * 3)
     assert set(model.detector.batch_sizes) <= {2, 3}
     told = model.facts["batches"]
     assert re.fullmatch(r"(none|of [23]( or 3)?): single .* ms an image, .*", told)
@@ -54,7 +50,8 @@ def test_batches_are_measured_for_several_cameras_and_told(tiny: Settings) -> No
 
 
 def test_one_camera_or_no_batches_are_not_measured(tiny: Settings) -> None:
-    assert prepare_model(with_batches(tiny), [(64, 64)]).facts["batches"] == "none: there is only one camera"
+    batched = tiny.model_copy(update={"max_batch": 8})
+    assert prepare_model(batched, [(64, 64)]).facts["batches"] == "none: there is only one camera"
     model = prepare_model(tiny, [(64, 64)] * 3)
     assert "batches" not in model.facts
     assert model.detector.batch_sizes == ()

@@ -75,8 +75,8 @@ Prepare = Callable[[Settings, Sequence[tuple[int, int]]], PreparedModel]
 def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
     """Find, load and build the model that `settings` select, and warm it up.
 
-    `sizes_hw`: height and width of the images of each camera, equal ones repeated. With a `max_batch` above 1
-    it is measured which batches are faster, see `choose_batches`.
+    `sizes_hw`: height and width of the images of each camera, equal ones repeated. With the setting
+    `max_batch` above 1 it is measured which batches are faster, see `choose_batches`.
 
     Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
     """
