@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.ros.declaration import Source, declare
 from yolov5_lifecycle.ros.parameter_values import coerced, plain_values, ros_value
-from yolov5_lifecycle.settings.schema import Change, Problem, SettingsError
+from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, Settings, validated
 
 Rule = Callable[[Settings], list[Problem]]
@@ -23,7 +23,7 @@ MAX_SUGGESTIONS = 3
 """Max number of unknown names per request for which a similar name is suggested."""
 MAX_REASON_LENGTH = 2000
 """Max length of the refusal of one change, in characters."""
-_BY_EFFORT = (Change.RELOAD, Change.RESUBSCRIBE, Change.LIVE)
+_BY_EFFORT = (Change.RELOAD, Change.CAMERAS, Change.RESUBSCRIBE, Change.LIVE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +132,11 @@ class SettingsParameters:
         """Value of one setting, valid by itself even if the values contradict each other."""
         return self._current.values[name]
 
+    def value_for(self, camera: str, name: str) -> Any:
+        """Value of a setting for a camera in `cameras`; see `value`."""
+        own = self._current.values.get(f"{camera}{SEPARATOR}{name}")
+        return self.value(name) if own is None else own
+
     def propose(self, asked: Sequence[Parameter], *, suggestions: int = MAX_SUGGESTIONS) -> Proposal:
         """Validate a service request, except for the checks that need the model; changes nothing.
 
@@ -140,7 +145,9 @@ class SettingsParameters:
         withdrawn = tuple(parameter.name for parameter in asked if self._is_withdrawn(parameter))
         rest = [parameter for parameter in asked if parameter.name not in withdrawn]
         unknown = tuple(p.name for p in rest if not self._node.has_parameter(p.name))
-        problems = [SCHEMA.unknown(name, suggest=index < suggestions) for index, name in enumerate(unknown)]
+        problems = [
+            SCHEMA.unknown(name, may_suggest=index < suggestions) for index, name in enumerate(unknown)
+        ]
         wanted = [coerced(parameter, SETTINGS_BY_NAME) for parameter in rest]
         proposal = self._proposal([parameter for parameter in wanted if not self._stays(parameter)])
         return replace(

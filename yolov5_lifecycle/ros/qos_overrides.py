@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Literal
 
 from rclpy.node import Node
@@ -31,7 +30,10 @@ _REMEDY = "Correct it and restart the node."
 
 
 def qos_problems(node: Node, cameras: Sequence[str]) -> list[Problem]:
-    """QoS overrides that are invalid or match no topic of `node` with these `cameras`; a restart fixes them."""
+    """QoS overrides that are invalid or match no topic of `node` with these `cameras`.
+
+    Fixing them needs a restart.
+    """
     topics: dict[Kind, list[str]] = {"publisher": published(cameras), "subscription": subscribed(cameras)}
     policy_of = {
         _name(node, topic, kind, policy): policy
@@ -50,12 +52,8 @@ def qos_problems(node: Node, cameras: Sequence[str]) -> list[Problem]:
     return problems
 
 
-def qos_rules(node: Node) -> list[Callable[[Settings], list[Problem]]]:
-    """The rule that no QoS override conflicts with or duplicates a value of `image_reliability`."""
-    return [partial(_reliability_problems, node)]
-
-
-def _reliability_problems(node: Node, settings: Settings) -> list[Problem]:
+def reliability_problems(node: Node, settings: Settings) -> list[Problem]:
+    """QoS overrides that conflict with or duplicate a value of `image_reliability` of a camera."""
     overrides = parameter_overrides(node)
     problems = []
     for camera in settings.camera_names:

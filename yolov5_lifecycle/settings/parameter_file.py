@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.regular_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.settings.parameter_yaml import (
     MAX_FILE_BYTES,
     Entry,

@@ -10,7 +10,6 @@ from rclpy.node import Node
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.camera.transport import Transport
 from yolov5_lifecycle.ros.declaration import declare
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.parameter_file import QOS_PREFIX
@@ -18,6 +17,8 @@ from yolov5_lifecycle.settings.schema import Change, Problem, Schema, SettingsEr
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 from yolov5_lifecycle.sources.calibration import Calibration, CalibrationError, read_calibration
 from yolov5_lifecycle.sources.source import SYNTHETIC
+
+Transport = Literal["raw", "compressed", "both"]
 
 
 class CameraSettings(BaseModel):

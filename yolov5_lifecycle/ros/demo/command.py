@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 
-from yolov5_lifecycle.commands.command_parser import CommandParser
+from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.ros.demo.child_process import ProcessError, entry_point
 from yolov5_lifecycle.ros.demo.demonstration import Demonstration, Phase
 from yolov5_lifecycle.ros.demo.driven_detector import DETECTOR

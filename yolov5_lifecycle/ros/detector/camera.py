@@ -11,11 +11,12 @@ from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.ros.detector.frame_failures import CameraFailures, FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
+from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, Transport
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage
 from yolov5_lifecycle.ros.detector.stream import Stream
 from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.frame_statistics import FrameBalance
 from yolov5_lifecycle.streaming.worker import Worker
 
 
@@ -54,7 +55,7 @@ class Camera:
             )
 
     def detect(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
-        """Start to detect, or change to these settings of the camera and this detector from the next frame on.
+        """Start to detect; or change to these settings and this detector from the next frame on.
 
         `is_active`: whether the node is active already, so that rclpy does not activate the publishers.
         """
@@ -82,29 +83,38 @@ class Camera:
         if self._stream is not None:
             self._stream.follow_subscribers()
 
-    def rest(self) -> bool:
-        """Stop to detect; return False if the frame hangs and the inference thread was abandoned."""
-        stream, self._stream = self._stream, None
-        return stream is None or stream.close()
+    def unsubscribe(self) -> None:
+        """End the stream; the caller stops its feed, alone or with those of all cameras."""
+        if self._stream is not None:
+            self._stream.unsubscribe()
+            self._stream = None
 
     def release(self) -> None:
-        """Destroy the publishers; call after `rest`."""
+        """Destroy the publishers; call when no frame is in progress."""
         if self._outputs is not None:
             self._outputs.close()
             self._outputs = None
 
-    def close(self) -> bool:
-        """Release everything; return False like `rest`. Frames that are offered later are not counted."""
-        rested = self.rest()
-        self.release()
+    def close(self, timeout_s: float) -> bool:
+        """End with a closed balance; False if the frame in progress hung and its thread was abandoned."""
+        self.unsubscribe()
+        rested = self._feed.stop(timeout_s)
         self._feed.close()
+        self.release()
         return rested
 
-    def status(self, settings: Settings) -> CameraStatus:
-        """Snapshot; updates the subscription to what the publishers offer. `settings` of this camera."""
+    def balance(self) -> FrameBalance:
+        """Counts of the frames since the camera was named in `cameras`."""
+        return self._feed.balance()
+
+    def status(self, transport: Transport) -> CameraStatus:
+        """Snapshot; updates the subscription to what the publishers offer.
+
+        `transport` is the setting `image_transport` of this camera.
+        """
         stream = self._stream
         if stream is None:
-            self._topic.follow(settings.image_transport)
+            self._topic.follow(transport)
         topic = self._topic.look()
         image_input = stream.look(topic) if stream else None
         return CameraStatus(

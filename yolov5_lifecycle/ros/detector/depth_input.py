@@ -25,8 +25,8 @@ _QUEUE = 2
 class DepthInput:
     """Owns both subscriptions while depth is needed, and what places detections with their messages.
 
-    `camera`: see `of_camera`. `slop_s` is the setting `depth_slop_s`. `clock` returns monotonic seconds. A subscription that cannot be
-    created is logged and retried by every `look`; detections in the image go on.
+    `camera`: see `of_camera`. `slop_s` is the setting `depth_slop_s`. `clock` returns monotonic seconds. A
+    subscription that cannot be created is logged and retried by every `look`; detections in the image go on.
     """
 
     def __init__(

@@ -56,8 +56,8 @@ class FrameFailures:
 class CameraFailures:
     """Logs what goes wrong with the frames of one camera, throttled, and keeps the last problem.
 
-    `camera` is its name in `cameras`, "" if it has none. Keeps strings only: an exception would keep the model
-    alive through its traceback.
+    `camera` is its name in `cameras`, "" if it has none. Keeps strings only: an exception would keep the
+    model alive through its traceback.
     """
 
     def __init__(self, node: Node, camera: str, failures: FrameFailures) -> None:

@@ -39,23 +39,25 @@ _LEFT = "the node left the active state while the new model was loading; nothing
 _SUPERSEDED = "superseded by a later request that loads another model; nothing was changed."
 
 
-class Active(Protocol):
-    """What a change applies to: `detection` while the node is active, else None."""
+class Changeable(Protocol):
+    """What a change applies to; `detection` is None unless the node is active."""
 
     @property
     def detection(self) -> Detection | None: ...
+
+    def apply(self, settings: Settings, preparation: Preparation | None = None) -> None: ...
 
 
 class Reconfiguration:
     """Handlers of the services that set parameters."""
 
     def __init__(
-        self, node: Node, *, parameters: SettingsParameters, loader: ModelLoader, active: Active
+        self, node: Node, *, parameters: SettingsParameters, loader: ModelLoader, resources: Changeable
     ) -> None:
         self._node = node
         self._parameters = parameters
         self._loader = loader
-        self._active = active
+        self._resources = resources
         self._turns = ReloadTurns(node)
 
     def handlers(self) -> dict[str, Handler]:
@@ -91,7 +93,7 @@ class Reconfiguration:
         """Apply the whole proposal or nothing."""
         if proposal.problems:
             return refusal(proposal.problems)
-        detection = self._active.detection
+        detection = self._resources.detection
         if detection is not None and proposal.kind is Change.RELOAD:
             return await self._reload(detection, proposal)
         if detection is not None and (problems := _broken_by(proposal, detection.model)):
@@ -109,7 +111,7 @@ class Reconfiguration:
     async def _reload_now(self, detection: Detection, asked: Proposal) -> SetParametersResult:
         def wanted() -> Settings | None:
             proposal = self._parameters.renewed(asked)
-            is_wanted = self._active.detection is detection and not proposal.problems
+            is_wanted = self._resources.detection is detection and not proposal.problems
             return proposal.after.settings if is_wanted else None
 
         preparation = await self._loader.load(wanted)
@@ -143,28 +145,27 @@ class Reconfiguration:
 
     def _commit(self, proposal: Proposal, preparation: Preparation | None = None) -> SetParametersResult:
         """Store a valid proposal and make it take effect; roll back on an exception."""
-        detection, previous = self._active.detection, self._parameters.present(proposal.parameters)
+        detection, previous = self._resources.detection, self._parameters.present(proposal.parameters)
+        running = detection.preparation if detection is not None else None
         result = self._parameters.store(proposal)
         before, after = proposal.base.settings, proposal.after.settings
-        if not result.successful or detection is None or before is None or after is None or before is after:
+        if not result.successful or before is None or after is None or before is after:
             return result
-        running = detection.preparation
         try:
-            detection.apply(before, after, preparation or running)
+            self._resources.apply(after, preparation)
         except Exception:
             self._parameters.store(self._parameters.propose(previous))
-            detection.apply(after, before, running)
+            self._resources.apply(before, running)
             raise
         return result
 
     def take_effect(self, before: Settings, after: Settings) -> None:
         """Apply settings that a program set through the methods of the node."""
-        if (detection := self._active.detection) is not None:
-            detection.apply(before, after, detection.preparation)
+        self._resources.apply(after)
 
     def review(self, candidate: Settings) -> list[Problem]:
         """Problems of `candidate` with the running model."""
-        if (detection := self._active.detection) is None:
+        if (detection := self._resources.detection) is None:
             return []
         model = detection.model
         if not model.serves(candidate):

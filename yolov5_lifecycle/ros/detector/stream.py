@@ -25,15 +25,12 @@ from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracke
 
 Made = TypeVar("Made")
 
-REST_TIMEOUT_S = 3.0
-"""Max wait for the frame in progress; launch escalates its stop signal after 5 s."""
-
 
 class Stream:
     """Owns a camera's subscriptions, tracker and statistics; gives its frames to the inference thread.
 
     `camera`: see `of_camera`. `settings` are those of the camera. `track_ids` numbers the tracks of all
-    cameras. Detects with `detector` from construction to `close`.
+    cameras. Detects with `detector` from construction on.
 
     If the subscription cannot be created, this is logged and stays in `problem`; every `look` retries.
     """
@@ -85,7 +82,7 @@ class Stream:
         return self._trying(lambda: present.look(topic))
 
     def apply(self, settings: Settings, detector: Detector) -> None:
-        """Change to `settings` and `detector` from the next frame on; without a difference, nothing happens."""
+        """Change to `settings` and `detector` from the next frame on; do nothing if both are the same."""
         if settings == self._settings and detector is self._detector:
             return
         before, self._settings = self._settings, settings
@@ -98,7 +95,7 @@ class Stream:
         self._start()
         is_resubscribed = bool(before.differing(settings, Change.RESUBSCRIBE))
         if is_resubscribed:
-            self._unsubscribe()
+            self.unsubscribe()
             self._topic.follow(settings.image_transport)
         if is_other_camera:
             self.losses.stop()
@@ -113,16 +110,11 @@ class Stream:
         if wanted and self._input is None:
             self._input = self._trying(self._subscribed)
         elif not wanted:
-            self._unsubscribe()
+            self.unsubscribe()
             self.losses.stop()
         if self.depth is not None and wanted:
             viewers = subscribers_3d + self._outputs.image_subscribers
             self.depth.follow(is_needed=not is_lazy or viewers > 0)
-
-    def close(self) -> bool:
-        """Unsubscribe and stop; return False if a hung thread was abandoned."""
-        self._unsubscribe()
-        return self._feed.stop(REST_TIMEOUT_S)
 
     def _subscribed(self) -> ImageInput:
         return ImageInput(
@@ -176,7 +168,8 @@ class Stream:
             self.depth.follow(is_needed=False)
         self.depth = None if slop_s is None else DepthInput(self._node, camera=self._camera, slop_s=slop_s)
 
-    def _unsubscribe(self) -> None:
+    def unsubscribe(self) -> None:
+        """Receive no more images; the feed is to be stopped by the caller."""
         if self.depth is not None:
             self.depth.follow(is_needed=False)
         if self._input is not None:
