@@ -61,14 +61,18 @@ class CameraRecord:
         return bool(self._truths and self._true_places)
 
     def frames_since(self, begin_ns: int) -> list[JudgedFrame]:
-        """What was found in images stamped later than this, in the order of their stamps."""
+        """What was found in images stamped later than this, in the order of their stamps.
+
+        Images after the last one with places are left out: theirs may be on the way.
+        """
         known = self._found.keys() & self._truths.keys() & self._true_places.keys()
+        end_ns = max(self._places, default=begin_ns)
         return [
             JudgedFrame(
                 self._truths[stamp], self._true_places[stamp], self._found[stamp], self._places.get(stamp, {})
             )
             for stamp in sorted(known)
-            if stamp > begin_ns
+            if begin_ns < stamp <= end_ns
         ]
 
     def show_images(self) -> None:

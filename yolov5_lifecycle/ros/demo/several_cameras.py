@@ -80,7 +80,7 @@ def demonstrate_cameras(frames: int, report: Callable[[str], None]) -> Outcome:
         lambda observer, detector: CamerasDemonstration(observer, detector, report=report).run(frames),
         report=report,
     )
-    problems = _problems(found)
+    problems = problems_of(found)
     path = _written(found, problems)
     watched = sum(one.frames for one in found.values())
     summary = f"{watched} frames of {len(found)} cameras compared, figures in {path}"
@@ -127,7 +127,7 @@ class CamerasDemonstration:
 
         self._observer.wait_for(
             lambda: all(len(frames) >= count for frames in seen().values()),
-            f"{count} messages of each camera on {DETECTOR}/CAMERA/detections",
+            f"{count} images of each camera on {DETECTOR}/CAMERA/detections and detections_3d",
             timeout_s=PATIENCE_S + count,
         )
         return {name: figures(frames) for name, frames in seen().items()}
@@ -153,7 +153,8 @@ def _picture_path() -> Path:
     return OUTPUT / "cameras.png"
 
 
-def _problems(found: Mapping[str, CameraFigures]) -> list[str]:
+def problems_of(found: Mapping[str, CameraFigures]) -> list[str]:
+    """What is out of bounds, of each camera and of all together."""
     problems = [f"{name}: {problem}" for name, one in found.items() for problem in one.problems()]
     for camera in CAMERAS:
         rate_hz = found[camera.name].rate_hz
@@ -198,6 +199,6 @@ def _row(name: str, found: CameraFigures) -> list[str]:
         str(len(found.ids)),
         str(found.switches),
         f"{found.placed:.1%}",
-        f"{found.median_error_percent:.2f} %",
+        "" if found.median_error_percent is None else f"{found.median_error_percent:.2f} %",
         f"{found.median_latency_ms:.1f}",
     ]
