@@ -20,7 +20,8 @@ from rclpy.parameter import Parameter
 from support.served_node import CLASS_NAMES, Preparations, ServedNode
 
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
-from yolov5_lifecycle.ros.parameters import MAX_REASON_LENGTH, MAX_SUGGESTIONS, SettingsParameters
+from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters
+from yolov5_lifecycle.ros.refusal import MAX_REASON_LENGTH
 from yolov5_lifecycle.ros.services import MAX_ITEMS, MAX_RESULTS
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
 

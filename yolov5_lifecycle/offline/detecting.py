@@ -88,7 +88,7 @@ class OfflineDetector:
     def __init__(self, settings: Settings, watch: Watch, *, prepare: Prepare = prepare_model) -> None:
         self.settings = settings
         self._watch = watch
-        self._detector = prepare(settings, [USUAL_SOURCE_HW]).detector
+        self._detector = prepare(settings, (USUAL_SOURCE_HW,)).detector
         self.class_names = self._detector.class_names
         if problems := model_problems(settings, self.class_names):
             raise SettingsError(problems)

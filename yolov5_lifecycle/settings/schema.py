@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
@@ -156,6 +156,11 @@ class Schema(Generic[Model]):
     def find(self, name: str) -> Setting | None:
         """The setting called `name`, or None."""
         return self.by_name.get(name) or (self._override(name) if SEPARATOR in name else None)
+
+    def found(self, names: Iterable[str]) -> dict[str, Setting]:
+        """The settings among `names`, by name."""
+        found = {name: self.find(name) for name in names}
+        return {name: setting for name, setting in found.items() if setting is not None}
 
     def validated(self, values: Mapping[str, object]) -> Model:
         """Settings from values by name, with defaults for the rest; SettingsError with every problem."""

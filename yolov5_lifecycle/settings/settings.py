@@ -207,7 +207,7 @@ class Settings(OverridableSettings):
     @field_validator("cameras")
     @classmethod
     def _are_camera_names(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if rule := camera_names_rule(value, cls.model_fields):
+        if value and (rule := camera_names_rule(value, cls.model_fields)):
             raise violation(rule)
         return value
 

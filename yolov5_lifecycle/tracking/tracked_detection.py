@@ -27,8 +27,15 @@ class TrackedDetection:
 
         Raises InferenceError like `Detector.detect`.
         """
+        return self.follow(detector.detect(image, self.wider(selection)), selection, stamp_s)
+
+    def wider(self, selection: Selection) -> Selection:
+        """`selection` and, besides, what may continue a track."""
         lowest = min(selection.confidence_threshold, self.settings.track_low_threshold)
-        found = detector.detect(image, replace(selection, confidence_threshold=lowest))
+        return replace(selection, confidence_threshold=lowest)
+
+    def follow(self, found: Detections, selection: Selection, stamp_s: float) -> Detections:
+        """What `selection` admits of what was `found` with the wider one, and `track_ids`."""
         ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings)
         return published(found, ids, selection.confidence_threshold)
 

@@ -10,12 +10,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
-from yolov5_lifecycle.detection.selection import MODEL_DEPENDENT, model_problems
+from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.reload_turns import ReloadTurns
 from yolov5_lifecycle.ros.detector.session import Detection
 from yolov5_lifecycle.ros.parameter_values import read_parameters
-from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, Proposal, SettingsParameters, refusal
+from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters
+from yolov5_lifecycle.ros.proposal import Proposal
+from yolov5_lifecycle.ros.refusal import refusal
 from yolov5_lifecycle.ros.services import Handler
 from yolov5_lifecycle.settings.schema import Change, Problem
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
@@ -62,7 +64,11 @@ class Reconfiguration:
 
     def handlers(self) -> dict[str, Handler]:
         """Service callbacks by the last component of the service name."""
-        return {"set_parameters": self._set_one_by_one, "set_parameters_atomically": self._set_together}
+        return {
+            "describe_parameters": self._parameters.describe,
+            "set_parameters": self._set_one_by_one,
+            "set_parameters_atomically": self._set_together,
+        }
 
     async def _set_one_by_one(self, request: Any, response: Any) -> Any:
         asked = read_parameters(request.parameters)
@@ -196,13 +202,11 @@ def _remark(proposal: Proposal, whole: Proposal) -> str:
     """Hint appended to the refusal of one parameter of a request."""
     if proposal.problems:
         return "" if whole.problems else _TOGETHER
-    if proposal.kind is Change.RELOAD or not any(map(_depends_on_model, proposal.asked)):
+    if proposal.kind is Change.RELOAD or not any(
+        depends_on_model(parameter.name) for parameter in proposal.asked
+    ):
         return ""
     return _NEW_CLASSES if any(map(_needs_reload, whole.asked)) else ""
-
-
-def _depends_on_model(parameter: Parameter) -> bool:
-    return parameter.name in MODEL_DEPENDENT
 
 
 def _needs_reload(parameter: Parameter) -> bool:

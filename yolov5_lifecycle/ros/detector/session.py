@@ -10,6 +10,7 @@ from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems
 from yolov5_lifecycle.ros import messages
+from yolov5_lifecycle.ros.detector.batch_detection import BatchDetection
 from yolov5_lifecycle.ros.detector.camera import Camera
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import Preparation
@@ -88,10 +89,14 @@ class Detection:
         for camera in self._cameras.values():
             camera.unsubscribe()
         rested = self._worker.stop(REST_TIMEOUT_S)
+        self._worker.batch = None
         if self.preparation.exception() is None:
             self.model.close(is_at_rest=rested)
         return rested
 
     def _detect(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
+        self._worker.batch = None  # a batch must not mix frames for two detectors
         for name in settings.camera_names:
             self._cameras[name].detect(settings.for_camera(name), detector, is_active=is_active)
+        if len(settings.cameras) > 1 and detector.batch_sizes:
+            self._worker.batch = BatchDetection(detector)
