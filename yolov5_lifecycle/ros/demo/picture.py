@@ -20,7 +20,7 @@ _INK = (40, 40, 40)
 def saved(image: ColourImage, path: Path) -> Path:
     """Write `image` to `path`; raises OSError."""
     pixels = image.pixels if image.order == "bgr" else image.pixels[..., ::-1]
-    if not cv2.imwrite(str(path), pixels):
+    if not cv2.imwrite(str(path), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9]):
         raise OSError(f"{path} cannot be written")
     return path
 
