@@ -37,13 +37,11 @@ class BatchDetection:
 
     def detect(self, jobs: Sequence[FrameJob]) -> list[DetectedFrame | Exception]:
         """A result or error for each of `jobs`."""
-        images: dict[int, ColourImage] = {}
-        results: dict[int, DetectedFrame | Exception] = {}
-        for index, (pipeline, frame) in enumerate(jobs):
-            try:
-                images[index] = pipeline.read(frame)
-            except Exception as error:  # noqa: BLE001 - the result of this frame; the others go on
-                results[index] = error
+        read = [_image_or_error(pipeline, frame) for pipeline, frame in jobs]
+        images = {index: image for index, image in enumerate(read) if isinstance(image, ColourImage)}
+        results: dict[int, DetectedFrame | Exception] = {
+            index: error for index, error in enumerate(read) if isinstance(error, Exception)
+        }
         for together in self._batches(images):
             wanted = [jobs[index][0].wanted for index in together]
             found = self._detector.detect_batch([images[index] for index in together], wanted)
@@ -65,3 +63,10 @@ class BatchDetection:
                 count = max((size for size in self._detector.batch_sizes if size <= len(rest)), default=1)
                 yield rest[:count]
                 del rest[:count]
+
+
+def _image_or_error(pipeline: Pipeline, frame: ReceivedFrame) -> ColourImage | Exception:
+    try:
+        return pipeline.read(frame)
+    except Exception as error:  # noqa: BLE001 - the result of this frame; the others go on
+        return error
