@@ -19,15 +19,19 @@ class BalanceWatch:
         self._counts: dict[str, dict[str, int]] = {}
 
     def take(self, statuses: Mapping[str, Mapping[str, str]]) -> None:
-        """Check the values in one message of diagnostics, by camera; one that is missing may begin anew."""
+        """Check the values in one message of diagnostics, by camera and of the node, whose name is "".
+
+        The counts of a camera that is missing may begin anew.
+        """
         self.told += 1
+        state = statuses[""]["state"]
         self._counts = {
-            camera: self._checked(camera, values)
+            camera: self._checked(camera, values, state)
             for camera, values in statuses.items()
             if "frames received" in values
         }
 
-    def _checked(self, camera: str, values: Mapping[str, str]) -> dict[str, int]:
+    def _checked(self, camera: str, values: Mapping[str, str], state: str) -> dict[str, int]:
         """The counts in `values`, which may only grow."""
         before = self._counts.get(camera, {})
         counts = {name: int(value) for name, value in values.items() if name.startswith("frames ")}
@@ -35,9 +39,9 @@ class BalanceWatch:
         for never_taken in ("frames lost", "frames overtaken"):  # only counted since activation
             counts.pop(never_taken, None)
         fallen = [name for name, count in counts.items() if count < before.get(name, 0)]
-        under_way = MAX_PENDING if values["state"] == "active" else 0
+        under_way = MAX_PENDING if state == "active" else 0
         if not is_balanced(values) or pending > under_way or fallen:
-            self.problems.append(f"{camera} {values}, fallen: {fallen}".lstrip())
+            self.problems.append(f"{camera} {state} {values}, fallen: {fallen}".lstrip())
         self.received += received - before.get("frames received", 0)
         return counts
 

@@ -139,13 +139,14 @@ def test_the_counts_of_a_camera_may_begin_anew_once_it_was_missing() -> None:
     def told(detected: int) -> dict[str, str]:
         others = dict.fromkeys((f"frames {end.value}" for end in Outcome), "0")
         counts = {"frames received": str(detected), "frames detected": str(detected), "frames pending": "0"}
-        return {"state": "active"} | others | counts
+        return others | counts
 
+    node = {"": {"state": "active"}}
     watch = BalanceWatch()
-    for statuses in ({"front": told(3)}, {}, {"front": told(1)}, {"front": told(2), "rear": told(5)}):
-        watch.take(statuses)
+    for cameras in ({"front": told(3)}, {}, {"front": told(1)}, {"front": told(2), "rear": told(5)}):
+        watch.take(node | cameras)
     assert (watch.problems, watch.received) == ([], 10)
-    watch.take({"front": told(1), "rear": told(5)})
+    watch.take(node | {"front": told(1), "rear": told(5)})
     assert len(watch.problems) == 1
 
 
