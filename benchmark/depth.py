@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from support.depth_scene import CAMERA, SHAPES, THIN, DepthScene, Difficulty, random_depth_scene
 
-from yolov5_lifecycle.spatial.box_samples import sampled
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.intrinsics import Intrinsics
 from yolov5_lifecycle.spatial.placement import place
-from yolov5_lifecycle.spatial.surface import surface_extents_m
+from yolov5_lifecycle.spatial.surface import sampled, surface_extents_m
 
 SCENES = {
     "sloped background": Difficulty(),

@@ -22,8 +22,7 @@ from benchmark.track_recording import Detect, RecordedFrame, recorded, simulated
 from benchmark.track_scenes import SCENES, SIZE_HW
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
-from yolov5_lifecycle.tracking.tracker_settings import TrackerSettings
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 
 RATES_HZ = (5.0, 10.0, 30.0)
 SETTINGS = TrackerSettings()

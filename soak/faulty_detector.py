@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 
 from yolov5_lifecycle.process.environment import prepare_environment
 from yolov5_lifecycle.process.memory import prepare_heap
@@ -101,8 +102,8 @@ class FaultyRuntime:
         self._runtime.close()
 
 
-def prepare(settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
-    model = prepare_model(settings, source_hw)
+def prepare(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
+    model = prepare_model(settings, sizes_hw)
     model.detector.runtime = FaultyRuntime(model.detector.runtime)
     return model
 

@@ -30,7 +30,7 @@ ROS_MODULES = (
 )
 # A folder may import folders of lower rows; the first row holds the modules that lie beside the folders.
 RANKS = (
-    ("printable", "package_path", "regular_file", "unfinished"),
+    ("printable", "input_file", "unfinished"),
     ("atomic_file", "process"),
     ("images", "models"),
     ("settings", "checkpoints", "runtimes", "streaming", "sources", "spatial"),

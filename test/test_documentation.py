@@ -40,7 +40,7 @@ from yolov5_lifecycle.offline.detect_bag import command_parser, wanted_settings
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.parameter_values import coerced
-from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED
+from yolov5_lifecycle.ros.topics import published, subscribed
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAME, validated
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
@@ -152,7 +152,7 @@ def test_the_encodings_of_the_page_are_those_that_are_understood() -> None:
 
 def test_the_topics_whose_qos_may_be_overridden_are_those_of_the_page() -> None:
     page = " ".join(IMAGES.read_text().split())
-    for kind, topics in (("subscription", SUBSCRIBED), ("publisher", PUBLISHED)):
+    for kind, topics in (("subscription", subscribed(("",))), ("publisher", published(("",)))):
         clause = re.search(rf"`{kind}` has ([^;.]+)", page)
         assert clause is not None
         assert re.findall(r"`(~[^`]+)`", clause[1]) == list(topics)
@@ -243,7 +243,7 @@ def test_the_values_of_the_diagnostics_are_those_of_the_reference() -> None:
     preparation = (REPOSITORY / "yolov5_lifecycle" / "detection" / "prepared_model.py").read_text()
     of_model = re.findall(r'^ {12}"([a-z0-9 ]+)": ', preparation, re.MULTILINE)
     shown = [name for row in table(REFERENCE, "Diagnostics") for name in re.findall(r"`([^`]+)`", row[0])]
-    assert sorted(shown) == sorted([*GOOD.values(), *of_model])
+    assert sorted(shown) == sorted([*GOOD.of_node.values, *of_model])
 
 
 def test_the_exit_codes_of_the_detector_alone_are_those_of_the_reference() -> None:

@@ -27,6 +27,6 @@ def test_a_model_that_cannot_predict_is_freed_even_while_its_error_is_kept(tmp_p
     write_safetensors(model, path)
     before = networks()
     with pytest.raises(InferenceError, match="not finite") as failure:
-        prepare_model(Settings(weights=str(path), image_size=64, runtime="torch"), (64, 64))
+        prepare_model(Settings(weights=str(path), image_size=64, runtime="torch"), [(64, 64)])
     assert failure.value.__traceback__ is not None
     assert networks() == before

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -47,6 +48,17 @@ def test_images_become_lines_and_annotated_images(tmp_path: Path, capsys: pytest
     assert "images    4: 2 detected, 2 rejected, 0 failed\n" in error
     assert sorted(file.name for file in drawn.iterdir()) == ["0.png", "2.png"]
     assert cv2.imread(str(drawn / "0.png")).shape == (*SIZE_HW, 3)
+
+
+def test_images_need_no_rosbags(tmp_path: Path) -> None:
+    program = (
+        "import sys; sys.modules['rosbags'] = None; "
+        "from yolov5_lifecycle.offline.detect_bag import main; sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", program, str(images(tmp_path / "shots")), *SET_MODEL]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert len(run.stdout.splitlines()) == COUNT
 
 
 def test_the_command_ends_quietly_when_nobody_reads_its_lines(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from support.recorded_scene import (
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.offline.recorded_types import TYPES
+from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth

@@ -23,9 +23,8 @@ from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.messages import image_of_message
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
-from yolov5_lifecycle.tracking.tracker_settings import TrackerSettings
 
 SETTINGS = Settings.model_validate(MODEL)
 every_spelling = pytest.mark.parametrize(

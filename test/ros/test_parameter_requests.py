@@ -20,7 +20,8 @@ from rclpy.parameter import Parameter
 from support.served_node import CLASS_NAMES, Preparations, ServedNode
 
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
-from yolov5_lifecycle.ros.parameters import MAX_REASON_LENGTH, MAX_SUGGESTIONS, SettingsParameters
+from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters
+from yolov5_lifecycle.ros.refusal import MAX_REASON_LENGTH
 from yolov5_lifecycle.ros.services import MAX_ITEMS, MAX_RESULTS
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
 
@@ -185,15 +186,18 @@ class FailingDetection:
         self.preparation = None
         self.settings = Settings()
 
-    def apply(self, before: Settings, after: Settings, preparation: Any) -> None:
-        if after.confidence_threshold > 0.5:
+    def apply(self, settings: Settings, preparation: Any = None) -> None:
+        if settings.confidence_threshold > 0.5:
             raise RuntimeError("the subscription failed")
-        self.settings = after
+        self.settings = settings
 
 
 class AlwaysActive:
+    """Stands in for resources of which only the detection changes."""
+
     def __init__(self, detection: Any) -> None:
         self.detection = detection
+        self.apply = detection.apply
 
 
 class ClassesOnly:
@@ -214,7 +218,7 @@ def test_a_change_that_cannot_take_effect_leaves_nothing_behind(ros_domain: int)
     nothing: Any = None
     parameters = SettingsParameters(node, review=nothing, commit=nothing)
     reconfiguration = Reconfiguration(
-        node, parameters=parameters, loader=nothing, active=AlwaysActive(detection)
+        node, parameters=parameters, loader=nothing, resources=AlwaysActive(detection)
     )
     set_one_by_one = reconfiguration.handlers()["set_parameters"]
     request = SetParameters.Request(parameters=messages(confidence_threshold=0.75))

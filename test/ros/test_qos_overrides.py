@@ -23,7 +23,7 @@ from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.qos_overrides import qos_problems
-from yolov5_lifecycle.ros.topics import PUBLISHED, SUBSCRIBED, full_name
+from yolov5_lifecycle.ros.topics import full_name, published, subscribed
 
 PAGE = REPOSITORY / "docs" / "images.md"
 CAMERA = "/camera/image_raw"
@@ -109,7 +109,7 @@ def test_a_wrong_override_is_named_with_the_remedy(
     ros_domain: int, name: str, value: object, reason: str
 ) -> None:
     with started(*assignment(name, value)) as node:
-        (problem,) = qos_problems(node)
+        (problem,) = qos_problems(node, ("",))
         assert problem.setting == f"qos_overrides.{name}"
         assert re.search(reason, problem.message)
         assert problem.message.endswith("Correct it and restart the node.")
@@ -120,8 +120,8 @@ def test_every_topic_may_be_overridden_in_history_depth_and_reliability(
     ros_domain: int, reliability: str
 ) -> None:
     with started() as node:
-        names = [f"{full_name(node, topic)}.publisher" for topic in PUBLISHED]
-        names += [f"{full_name(node, topic)}.subscription" for topic in SUBSCRIBED]
+        names = [f"{full_name(node, topic)}.publisher" for topic in published(("",))]
+        names += [f"{full_name(node, topic)}.subscription" for topic in subscribed(("",))]
     policies = {"history": "keep_all", "depth": 7, "reliability": reliability}
     words = [
         word
@@ -130,7 +130,7 @@ def test_every_topic_may_be_overridden_in_history_depth_and_reliability(
         for word in assignment(f"{name}.{policy}", value)
     ]
     with started(*words) as node:
-        assert qos_problems(node) == []
+        assert qos_problems(node, ("",)) == []
         outputs = Outputs(node, on_subscribers_changed=lambda: None)
         topics = [ImageTopic(node, "raw"), ImageTopic(node, "compressed")]
         inputs = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rclpy.qos import ReliabilityPolicy
 
+from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.ros.detector.depth_placing import PlacingCounts
 from yolov5_lifecycle.ros.detector.depth_status import DepthStatus, SourceStatus
 from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
@@ -22,13 +23,13 @@ GOOD_INPUT = InputStatus(
     recent=RecentImages(window_s=5.0, received=150, lost=1, max_bytes=LARGE),
 )
 SOURCE = SourceStatus("/yolov5/depth/image_raw", publishers=1, missing_s=0.0)
-GOOD = Status(
-    state="active",
+GOOD_CAMERA = CameraStatus(
+    camera="",
     problem="",
+    last_problem="",
+    recent_failure="",
     balance=FrameCounter().balance(),
-    settings=Settings(),
     topic=TOPIC,
-    model=None,
     input=GOOD_INPUT,
     lost=3,
     overtaken=7,
@@ -40,7 +41,13 @@ GOOD = Status(
     ),
     subscribers_3d=1,
     busy_s=0.02,
-    recently_rejected="",
+)
+GOOD = Status(
+    state="active",
+    problem="",
+    settings=Settings(),
+    model=None,
+    cameras=(GOOD_CAMERA,),
     abandoned_threads=0,
     resident_mb=350.4,
 )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from yolov5_lifecycle.offline.recorded_types import TYPES
+from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.sources.scene import Scene, Truth
 
 IMAGE = "sensor_msgs/msg/Image"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,11 +43,11 @@ FAULTS = {"lose_device": lose_device, "hang": hang, "hang_at_most_never": hang}
 PREPARATIONS = Preparations()
 
 
-def prepare(settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
+def prepare(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
     fault = sys.argv[1]
     if fault == "load_slowly" or (fault == "reload_slowly" and PREPARATIONS.runtimes):
         return prepare_slowly()
-    model = PREPARATIONS(settings, source_hw)
+    model = PREPARATIONS(settings, sizes_hw)
     PREPARATIONS.running.on_close = tell_of_closing
     PREPARATIONS.running.run = FAULTS.get(fault, PREPARATIONS.running.run)
     return model

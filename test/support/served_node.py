@@ -75,12 +75,12 @@ class Preparations:
         self.gate = threading.Event()
         self.gate.set()
         self.begun = threading.Semaphore(0)
-        self.sources_hw: list[tuple[int, int]] = []
+        self.sources_hw: list[Sequence[tuple[int, int]]] = []
         self.class_names = CLASS_NAMES
         self.runtimes: list[ScriptedRuntime] = []
 
-    def __call__(self, settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
-        self.sources_hw.append(source_hw)
+    def __call__(self, settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
+        self.sources_hw.append(sizes_hw)
         self.begun.release()
         assert self.gate.wait(PATIENCE_S)
         if refusal := self.refusal:
@@ -281,13 +281,17 @@ class ServedNode:
 
     def status(self) -> Any:
         """The next diagnostic status of the node, made after this call."""
+        return self.statuses()["detection"]
+
+    def statuses(self) -> dict[str, Any]:
+        """The next diagnostic statuses, of the node and its cameras, by name."""
         asked = self.client.get_clock().now()
 
         def is_answered() -> bool:
             return bool(self.diagnostics) and Time.from_msg(self.diagnostics[-1].header.stamp) > asked
 
         self.wait_for(is_answered, "diagnostics")
-        return self.diagnostics[-1].status[0]
+        return {status.name.rpartition(": ")[2]: status for status in self.diagnostics[-1].status}
 
     def values(self) -> dict[str, str]:
         """The values of the next diagnostic status."""
@@ -295,10 +299,15 @@ class ServedNode:
 
     def counts(self) -> dict[str, int]:
         """Frames by what became of them, from the next diagnostic status."""
+        return self.counts_of(self.values())
+
+    @staticmethod
+    def counts_of(values: dict[str, str]) -> dict[str, int]:
+        """Frames by what became of them, from the values of a diagnostic status."""
         prefix = "frames "
         return {
             key.removeprefix(prefix): int(value)
-            for key, value in self.values().items()
+            for key, value in values.items()
             if key.startswith(prefix) and key not in ("frames lost", "frames overtaken")
         }
 

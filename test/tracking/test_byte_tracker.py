@@ -15,9 +15,7 @@ from support.colcon_workspace import REPOSITORY
 from support.pages import blocks, table
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.tracking.association import MAX_DETECTIONS
-from yolov5_lifecycle.tracking.byte_tracker import MAX_TRACKS, ByteTracker
-from yolov5_lifecycle.tracking.tracker_settings import TrackerSettings
+from yolov5_lifecycle.tracking.byte_tracker import MAX_DETECTIONS, MAX_TRACKS, ByteTracker, TrackerSettings
 
 SETTINGS = TrackerSettings()
 START_S = 1.7e9

@@ -4,26 +4,37 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.nms import Selection, select
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracker_settings
-from yolov5_lifecycle.tracking.tracker_settings import TrackerSettings
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, published, tracker_settings
 
 IMAGE = ColourImage(np.zeros((64, 64, 3), np.uint8), "rgb")
 scores = st.sampled_from((0.06, 0.15, 0.2, 0.3, 0.6, 0.9))
 rows = st.tuples(*[st.integers(8, 56)] * 2, *[st.integers(2, 30)] * 2, scores, scores)
+LOW = 0.1
+levels = st.sampled_from([0.0, 0.06, 0.125, 0.25, 0.3, 0.5, 0.75, 1.0])
+raw_rows = st.tuples(*[st.integers(0, 40)] * 2, *[st.integers(1, 30)] * 2, levels, levels, levels)
+selections = st.builds(
+    Selection,
+    confidence_threshold=st.sampled_from([0.11, 0.25, 0.5, 1.0]),
+    iou_threshold=st.sampled_from([0.0, 0.2501237, 0.4501237, 1.0]),
+    max_detections=st.integers(1, 8),
+    agnostic_nms=st.booleans(),
+)
 
 
 def detector_of(images: Sequence[NDArray[np.float32]]) -> Detector:
@@ -107,3 +118,26 @@ def test_every_setting_of_the_tracker_is_one_of_the_node() -> None:
         "track_across_classes": True,
     }
     assert tracker_settings(Settings.model_validate(chosen)) == TrackerSettings(**chosen)  # type: ignore[arg-type]
+
+
+@hypothesis_settings(deadline=None)
+@given(listed=st.lists(raw_rows, max_size=15), selection=selections)
+def test_the_published_detections_are_those_of_their_threshold(
+    listed: list[tuple[float, ...]], selection: Selection
+) -> None:
+    raw = np.array(listed, np.float32).reshape(-1, 7)
+    tracked = select(raw, replace(selection, confidence_threshold=LOW))
+    ids = [str(row) for row in range(len(tracked))]
+    found = published(tracked, ids, selection.confidence_threshold)
+    expected = select(raw, selection)
+    np.testing.assert_array_equal(found.boxes_xyxy, expected.boxes_xyxy)
+    np.testing.assert_array_equal(found.scores, expected.scores)
+    np.testing.assert_array_equal(found.class_ids, expected.class_ids)
+    assert found.best_missed == expected.best_missed
+    assert found.track_ids == tuple(ids[: len(found)])
+
+
+def test_a_missed_score_that_is_noise_is_not_told() -> None:
+    noise = Detections(np.zeros((1, 4), np.float32), np.array([0.03], np.float32), np.zeros(1, np.int64))
+    found = published(noise, [""], 0.25)
+    assert (len(found), found.best_missed, found.track_ids) == (0, 0.0, ())

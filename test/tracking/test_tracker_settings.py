@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from yolov5_lifecycle.tracking.tracker_settings import MAX_TIMEOUT_S, TrackerSettings
+from yolov5_lifecycle.tracking.byte_tracker import MAX_TIMEOUT_S, TrackerSettings
 
 NAN = float("nan")
 

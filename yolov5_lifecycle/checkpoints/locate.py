@@ -1,7 +1,8 @@
-"""Finding and loading weights files."""
+"""Finding weights files, in allowed folders only, and loading them."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -11,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from yolov5_lifecycle.checkpoints.allowed_folders import confined
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
 from yolov5_lifecycle.models.model import Model, UncheckedError, WeightsError, shown
@@ -23,8 +23,6 @@ _READERS: dict[str, Callable[[bytes], Model]] = {
     ".pt": read_checkpoint,
     ".pth": read_checkpoint,
 }
-
-
 _EXPORTS = {
     ".onnx": "an ONNX export",
     ".torchscript": "a TorchScript export",
@@ -67,6 +65,22 @@ def find_weights(
         f"no weights for model_size '{model_size}': neither {tried[0]} nor {tried[1]} is there. "
         f"`fetch_weights {model_size} --dir {shlex.quote(str(folder))}` downloads the official ones; "
         "in a workspace with `ros2 run yolov5_lifecycle` before it. Or set the parameter `weights` to a path."
+    )
+
+
+def confined(path: Path, folders: Sequence[Path]) -> Path:
+    """`path` with links and `..` resolved, if the result is in or is one of `folders`.
+
+    Expands a leading ~. Raises WeightsError, with the same message whether the file exists or not.
+    """
+    with contextlib.suppress(RuntimeError, ValueError):  # unknown home folder, NUL character
+        # abspath removes `..` lexically: following a link outside the folders would reveal that it exists.
+        real = Path(os.path.realpath(os.path.abspath(path.expanduser())))  # noqa: PTH100
+        if any(real.is_relative_to(os.path.realpath(folder.expanduser())) for folder in folders):
+            return real
+    raise WeightsError(
+        f"{path}: it does not lie in a folder that weights may come from: {', '.join(map(str, folders))}. "
+        "Move it there, or start the process with another `weights_dirs`."
     )
 
 

@@ -10,7 +10,7 @@ import torch
 
 from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
-from yolov5_lifecycle.commands.command_parser import CommandParser
+from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.models.model import Model, WeightsError
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line

@@ -1,4 +1,7 @@
-"""Entry points of the commands other than the nodes: prepare the process, then import and run the command."""
+"""Entry points of the commands: prepare the process before numpy, torch or rclpy are imported, then run.
+
+Those of the nodes prepare it in `ros/process_start.py`.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,17 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NoReturn
 
-from yolov5_lifecycle.commands.process_start import EXIT_UNABLE, prepare_process
+from yolov5_lifecycle.commands.command_line import version_line
+from yolov5_lifecycle.process.environment import compute_threads, prepare_environment, thread_problem
 from yolov5_lifecycle.process.missing_package import import_problem
-from yolov5_lifecycle.process.standard_streams import EXIT_NOBODY_READS, complain, flush_output
-from yolov5_lifecycle.process.termination import on_termination
+from yolov5_lifecycle.process.standard_streams import (
+    EXIT_NOBODY_READS,
+    complain,
+    flush_output,
+    open_standard_streams,
+    write_output,
+)
+from yolov5_lifecycle.process.termination import end_at_once, on_termination
 
 MODULES: Mapping[str, str] = MappingProxyType(
     {
@@ -23,6 +33,8 @@ MODULES: Mapping[str, str] = MappingProxyType(
     }
 )
 """The module of each command; its `main` takes the arguments and returns the exit code."""
+EXIT_UNABLE = 1
+"""Exit code if the machine or its Python lacks what the command needs."""
 _EXIT_INTERRUPTED = 128 + signal.SIGINT
 
 
@@ -40,6 +52,23 @@ def detect_bag() -> NoReturn:
 
 def fetch_weights() -> NoReturn:
     _run("fetch_weights")
+
+
+def prepare_process(command: str, *, signal_code: int | None = None, further_threads: int = 0) -> None:
+    """Prepare standard streams, signals and environment; from now on a signal ends the process at once.
+
+    Its exit code is then `signal_code`, or 128 plus the number of the signal. Prints `--version` and exits
+    first, so that it works even where the imports fail. Exits with EXIT_UNABLE if too few threads can be
+    started: those of the numerical libraries and `further_threads`.
+    """
+    open_standard_streams()
+    end_at_once(signal_code)
+    prepare_environment()
+    if sys.argv[1:] == ["--version"]:
+        sys.exit(write_output(command, f"{version_line(command)}\n"))
+    if problem := thread_problem(further_threads + 2 * compute_threads()):
+        complain(command, problem)
+        sys.exit(EXIT_UNABLE)
 
 
 def _run(command: str) -> NoReturn:

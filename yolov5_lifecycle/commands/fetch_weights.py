@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, WeightsFile, expanded, load_weights
-from yolov5_lifecycle.commands.command_parser import CommandParser
+from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.commands.convert import convert, report
 from yolov5_lifecycle.commands.download import DownloadError, Progress, download
 from yolov5_lifecycle.models.architecture import SIZES

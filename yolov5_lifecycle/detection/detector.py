@@ -41,6 +41,7 @@ class Detector:
         self.image_size = image_size
         self.stride = stride
         self.selection = Selection()
+        self.batch_sizes: tuple[int, ...] = ()
 
     def __call__(self, pixels: NDArray[np.uint8], *, order: Order = "bgr") -> Detections:
         """Detections in an image (H, W, 3) of dtype uint8, as cv2.imread returns it; see `detect`.

@@ -7,13 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from yolov5_lifecycle.checkpoints.allowed_folders import confined
-from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
+from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.selection import model_problems, selection
+from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.package_path import resolve_package
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.registry import load_runtime
@@ -64,12 +63,12 @@ class PreparedModel:
             release_unused_memory()
 
 
-Prepare = Callable[[Settings, tuple[int, int]], PreparedModel]
+Prepare = Callable[[Settings, Sequence[tuple[int, int]]], PreparedModel]
 """See `prepare_model`."""
 
 
-def prepare_model(settings: Settings, source_hw: tuple[int, int]) -> PreparedModel:
-    """Find, load and build the model that `settings` select, and warm it up at image size `source_hw`.
+def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
+    """Find, load and build the model that `settings` select, and warm it up at image sizes `sizes_hw`.
 
     Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
     """
@@ -88,7 +87,8 @@ def prepare_model(settings: Settings, source_hw: tuple[int, int]) -> PreparedMod
         image_size=settings.image_size,
     )
     try:
-        detector.warm_up(source_hw)
+        for size_hw in dict.fromkeys(sizes_hw):
+            detector.warm_up(size_hw)
     except BaseException:  # its traceback keeps the detector alive
         detector.close()
         raise
@@ -157,7 +157,7 @@ def load_model(
         "agnostic_nms": agnostic_nms,
     }
     settings = validated({name: SETTINGS_BY_NAME[name].coerced(value) for name, value in values.items()})
-    model = prepare_model(settings, USUAL_SOURCE_HW)
+    model = prepare_model(settings, [USUAL_SOURCE_HW])
     if problems := model_problems(settings, model.detector.class_names):
         model.close()
         raise SettingsError(problems)

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.settings.schema import Problem
+from yolov5_lifecycle.settings.schema import SEPARATOR, Problem
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 
-MODEL_DEPENDENT = frozenset({"classes"})
-"""The settings whose validity depends on the loaded model."""
+_MODEL_DEPENDENT = frozenset({"classes"})
 MAX_EXPLAINED = 3
 """Number of unknown entries that are explained; the rest are only counted."""
 _MAX_INDEX_DIGITS = 9
@@ -21,12 +20,26 @@ _MAX_SHOWN = 60
 
 
 def model_problems(settings: Settings, class_names: tuple[str, ...]) -> list[Problem]:
-    """Problems of `settings` with a loaded model that has `class_names`."""
+    """Problems of `settings` and of the overrides for cameras with a loaded model that has `class_names`."""
+    filters = {"classes": settings.classes}
+    for camera in settings.camera_names:
+        if (own := settings.for_camera(camera).classes) != settings.classes:
+            filters[f"{camera}{SEPARATOR}classes"] = own
+    reasons = {name: _class_problem(entries, class_names) for name, entries in filters.items()}
+    return [Problem(name, reason) for name, reason in reasons.items() if reason]
+
+
+def _class_problem(entries: Sequence[str], class_names: Sequence[str]) -> str:
     try:
-        class_ids(settings.classes, class_names)
+        class_ids(entries, class_names)
     except ClassFilterError as error:
-        return [Problem("classes", str(error))]
-    return []
+        return str(error)
+    return ""
+
+
+def depends_on_model(name: str) -> bool:
+    """Whether the loaded model decides if a value of `name`, a setting or an override of one, is valid."""
+    return name.rpartition(SEPARATOR)[2] in _MODEL_DEPENDENT
 
 
 def selection(settings: Settings, class_names: tuple[str, ...]) -> Selection:

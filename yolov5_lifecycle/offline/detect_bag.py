@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from yolov5_lifecycle.commands.command_parser import CommandParser
+from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_files import detect_files
 from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineDetector

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
-from yolov5_lifecycle.atomic_file import whole_output
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.atomic_file import OutputError, whole_output
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import annotate
+from yolov5_lifecycle.images.encodings import encoded
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.annotated_files import VideoOutput, detection_line, write_image
 from yolov5_lifecycle.offline.detecting import Account, LoadDetector, OfflineDetector
 from yolov5_lifecycle.offline.image_files import (
     ImageFile,
@@ -21,6 +26,8 @@ from yolov5_lifecycle.offline.image_files import (
     has_still_images,
     image_files,
 )
+
+_CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 
 
 def detect_files(source: Path, output: Path | None, *, annotated: Path | None, load: LoadDetector) -> Account:
@@ -74,3 +81,64 @@ def _drawn(image: ColourImage, detections: Detections, detector: OfflineDetector
 def _text(path: Path) -> Iterator[TextIO]:
     with whole_output(path) as unfinished, unfinished.open("w", encoding="utf-8") as file:
         yield file
+
+
+def write_image(path: Path, drawn: ColourImage) -> None:
+    """Write one image in the format given by the file extension; raises OutputError."""
+    try:
+        is_written = cv2.imwrite(str(path), encoded(drawn, "bgr8"))
+    except cv2.error as error:
+        raise OutputError(f"{path.name}: OpenCV cannot write this image: {error.err}.") from None
+    if not is_written:
+        raise OutputError(f"{path.name}: this image cannot be written; is the disk full?")
+
+
+class VideoOutput:
+    """A video file written frame by frame at `rate_hz`; each frame is resized to the size of the first.
+
+    Raises OutputError on construction for an unknown format.
+    """
+
+    def __init__(self, path: Path, rate_hz: float) -> None:
+        if path.suffix.lower() not in _CODECS:
+            raise OutputError(f"{path.name}: expected a video that ends in {' or '.join(_CODECS)}.")
+        self._path = path
+        self._rate_hz = rate_hz
+        self._writer: Any = None
+        self._size_hw = (0, 0)
+
+    def add(self, drawn: ColourImage) -> None:
+        """Append a frame; raises OutputError if this OpenCV cannot write the format."""
+        frame: NDArray[np.uint8] = encoded(drawn, "bgr8")
+        if self._writer is None:
+            self._writer = self._opened(drawn.size_hw)
+            self._size_hw = drawn.size_hw
+        if frame.shape[:2] != self._size_hw:  # OpenCV silently drops frames of another size
+            frame = np.asarray(cv2.resize(frame, self._size_hw[::-1], interpolation=cv2.INTER_AREA), np.uint8)
+        self._writer.write(np.ascontiguousarray(frame))
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.release()
+
+    def _opened(self, size_hw: tuple[int, int]) -> Any:
+        codec = cv2.VideoWriter.fourcc(*_CODECS[self._path.suffix.lower()])
+        writer = cv2.VideoWriter(str(self._path), codec, self._rate_hz, size_hw[::-1])
+        if not writer.isOpened():
+            others = " or ".join(suffix for suffix in _CODECS if suffix != self._path.suffix.lower())
+            raise OutputError(f"{self._path.name}: this OpenCV cannot write such a video; try {others}.")
+        return writer
+
+
+def detection_line(
+    identity: Mapping[str, str | int], image: ColourImage, detections: Detections, class_names: Sequence[str]
+) -> str:
+    """A line of JSON with the `identity` of an image, its size and its detections, boxes in image pixels."""
+    height, width = image.size_hw
+    found: list[dict[str, object]] = [
+        {"class_name": one.class_name, "score": one.score, "box_xyxy": one.box_xyxy}
+        for one in detections.objects(class_names)
+    ]
+    for one, track_id in zip(found, detections.track_ids, strict=False):  # none without a tracker
+        one["id"] = track_id
+    return json.dumps({**identity, "width": width, "height": height, "detections": found}) + "\n"

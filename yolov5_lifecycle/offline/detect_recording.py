@@ -1,17 +1,33 @@
-"""Detection in a rosbag2 recording of images, with a recording of detections as output."""
+"""Detection in a rosbag2 recording of images, written as a recording of what the node would publish."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import Writer
 
 from yolov5_lifecycle.atomic_file import whole_output
+from yolov5_lifecycle.detection.detections import Detections, FoundObject
+from yolov5_lifecycle.detection.draw import annotate
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detecting import Account, LoadDetector
-from yolov5_lifecycle.offline.detection_bag import DetectionBag
-from yolov5_lifecycle.offline.recording import ImageTopic, RecordedImage, RecordingError, open_recording
+from yolov5_lifecycle.offline.recording import (
+    TYPES,
+    ImageTopic,
+    RecordedImage,
+    RecordingError,
+    open_recording,
+)
+
+_DETECTIONS = "vision_msgs/msg/Detection2DArray"
+_LABELS = "vision_msgs/msg/LabelInfo"
+_IMAGE = "sensor_msgs/msg/Image"
 
 
 def detect_recording(
@@ -46,3 +62,123 @@ def _not_empty(source: Path, topic: ImageTopic, images: Iterator[RecordedImage])
             "Did the camera publish while it was recorded? `ros2 bag info` shows the counts."
         )
     return chain([first], images)
+
+
+class DetectionBag:
+    """Adds detections, labels and, with `images`, annotated images to the recording of `writer`.
+
+    Topics and QoS are those of the node named `node`.
+    """
+
+    def __init__(
+        self, writer: Writer, *, node: str, class_names: Sequence[str], threshold: float, images: bool
+    ) -> None:
+        self._writer = writer
+        self._class_names = class_names
+        self._threshold = threshold
+        self._is_labelled = False
+        self._labels = self._topic(f"{node}/label_info", _LABELS, depth=1, durability=_LATCHED)
+        self._detections = self._topic(f"{node}/detections", _DETECTIONS, depth=10)
+        self._images = self._topic(f"{node}/image", _IMAGE, depth=1) if images else None
+
+    def write(self, recorded: RecordedImage, image: ColourImage, detections: Detections) -> None:
+        """Write the node's messages for `recorded`, with its header and at the time of its recording."""
+        timestamp_ns, header = recorded.timestamp_ns, recorded.message.header
+        if not self._is_labelled:
+            labels = _label_info(self._class_names, self._threshold, header.stamp)
+            self._add(self._labels, timestamp_ns, labels)
+            self._is_labelled = True
+        found = detections.objects(self._class_names)
+        self._add(self._detections, timestamp_ns, detection_array(found, header))
+        if self._images is not None:
+            drawn = annotate(image, detections, self._class_names)
+            self._add(self._images, timestamp_ns, _image(drawn, f"{image.order}8", header))
+
+    def _topic(
+        self, name: str, type_name: str, *, depth: int, durability: QosDurability = QosDurability.VOLATILE
+    ) -> Any:
+        return self._writer.add_connection(
+            name, type_name, typestore=TYPES, offered_qos_profiles=[_qos(depth, durability)]
+        )
+
+    def _add(self, connection: Any, timestamp_ns: int, message: Any) -> None:
+        data = TYPES.serialize_cdr(message, connection.msgtype)
+        self._writer.write(connection, timestamp_ns, data)
+
+
+def detection_array(found: Sequence[FoundObject], header: Any) -> Any:
+    """A vision_msgs/Detection2DArray as a rosbags object, with the header of the image."""
+    return _new(_DETECTIONS, header=header, detections=[_detection(one, header) for one in found])
+
+
+def _detection(found: FoundObject, header: Any) -> Any:
+    position = _new("vision_msgs/msg/Point2D", x=found.centre_xy[0], y=found.centre_xy[1])
+    centre = _new("vision_msgs/msg/Pose2D", position=position, theta=0.0)
+    hypothesis = _new("vision_msgs/msg/ObjectHypothesis", class_id=found.class_name, score=found.score)
+    return _new(
+        "vision_msgs/msg/Detection2D",
+        header=header,
+        results=[_new("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=_no_pose())],
+        bbox=_new(
+            "vision_msgs/msg/BoundingBox2D", center=centre, size_x=found.size_xy[0], size_y=found.size_xy[1]
+        ),
+        id=found.track_id,
+    )
+
+
+def _no_pose() -> Any:
+    """A pose with ROS's default values."""
+    pose = _new(
+        "geometry_msgs/msg/Pose",
+        position=_new("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
+        orientation=_new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+    return _new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
+
+
+def _label_info(class_names: Sequence[str], threshold: float, stamp: Any) -> Any:
+    return _new(
+        _LABELS,
+        header=_new("std_msgs/msg/Header", stamp=stamp, frame_id=""),
+        class_map=[
+            _new("vision_msgs/msg/VisionClass", class_id=index, class_name=name)
+            for index, name in enumerate(class_names)
+        ],
+        threshold=threshold,
+    )
+
+
+def _image(pixels: NDArray[np.uint8], encoding: str, header: Any) -> Any:
+    height, width, channels = pixels.shape
+    return _new(
+        _IMAGE,
+        header=header,
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=width * channels,
+        data=np.ascontiguousarray(pixels).reshape(-1),
+    )
+
+
+def _new(type_name: str, **fields: Any) -> Any:
+    return TYPES.types[type_name](**fields)
+
+
+_LATCHED = QosDurability.TRANSIENT_LOCAL
+_ANY_TIME = QosTime(0, 0)
+
+
+def _qos(depth: int, durability: QosDurability) -> Qos:
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=depth,
+        reliability=QosReliability.RELIABLE,
+        durability=durability,
+        deadline=_ANY_TIME,
+        lifespan=_ANY_TIME,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_ANY_TIME,
+        avoid_ros_namespace_conventions=False,
+    )

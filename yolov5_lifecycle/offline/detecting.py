@@ -13,13 +13,28 @@ from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.offline.recording import StoredImage
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracker_settings
+
+
+class StoredImage(Protocol):
+    """An image of a recording, a folder or a video, loaded on demand."""
+
+    @property
+    def label(self) -> str:
+        """Its name in messages: a time stamp, a file, a frame number."""
+
+    @property
+    def stamp_s(self) -> float | None:
+        """When it was taken, in seconds since any epoch; None if unknown. Raises ImageError."""
+
+    def load(self) -> ColourImage:
+        """Load the pixels; raises ImageError."""
+
 
 Stored = TypeVar("Stored", bound=StoredImage)
 
@@ -73,7 +88,7 @@ class OfflineDetector:
     def __init__(self, settings: Settings, watch: Watch, *, prepare: Prepare = prepare_model) -> None:
         self.settings = settings
         self._watch = watch
-        self._detector = prepare(settings, USUAL_SOURCE_HW).detector
+        self._detector = prepare(settings, (USUAL_SOURCE_HW,)).detector
         self.class_names = self._detector.class_names
         if problems := model_problems(settings, self.class_names):
             raise SettingsError(problems)

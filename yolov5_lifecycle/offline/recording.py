@@ -1,4 +1,4 @@
-"""Images in rosbag2 recordings."""
+"""Images in rosbag2 recordings, and the message types to read and write them without ROS."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2.reader import DirectoryReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from yolov5_lifecycle.images.compressed import compressed_image
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.offline.recorded_types import TYPES
 from yolov5_lifecycle.offline.recording_limits import (
     bounded_reading,
     check_chunks,
@@ -27,6 +28,33 @@ from yolov5_lifecycle.printable import in_one_line
 
 _RAW = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
+
+_VISION_MSGS = {
+    "Point2D": "float64 x\nfloat64 y",
+    "Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
+    "BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y",
+    "ObjectHypothesis": "string class_id\nfloat64 score",
+    "ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis\n"
+    "geometry_msgs/PoseWithCovariance pose",
+    "Detection2D": "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+    "vision_msgs/BoundingBox2D bbox\nstring id",
+    "Detection2DArray": "std_msgs/Header header\nvision_msgs/Detection2D[] detections",
+    "VisionClass": "uint16 class_id\nstring class_name",
+    "LabelInfo": "std_msgs/Header header\nvision_msgs/VisionClass[] class_map\nfloat32 threshold",
+}
+"""Definitions by name, copied from interfaces/vision_msgs, which is not installed with this package."""
+
+
+def _typestore() -> Typestore:
+    """Built-in types only: rosbags turns type definitions of a recording into code, which is not executed."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, definition in _VISION_MSGS.items():
+        store.register(get_types_from_msg(definition, f"vision_msgs/msg/{name}"))
+    return store
+
+
+TYPES = _typestore()
+"""Those of Jazzy and vision_msgs."""
 
 
 class RecordingError(ValueError):
@@ -184,18 +212,3 @@ def _readable(path: Path) -> Iterator[None]:
             f"{path}: the recording cannot be read: {reason.removesuffix('.')}. "
             "If its end is missing, `ros2 bag reindex` or `mcap recover` may repair it."
         ) from error
-
-
-class StoredImage(Protocol):
-    """An image of a recording, a folder or a video, loaded on demand."""
-
-    @property
-    def label(self) -> str:
-        """Its name in messages: a time stamp, a file, a frame number."""
-
-    @property
-    def stamp_s(self) -> float | None:
-        """When it was taken, in seconds since any epoch; None if unknown. Raises ImageError."""
-
-    def load(self) -> ColourImage:
-        """Load the pixels; raises ImageError."""

@@ -1,9 +1,11 @@
-"""Environment variables that libraries read once, on import."""
+"""What libraries need of the process before they are imported: environment variables, and enough threads."""
 
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from types import MappingProxyType
 
 WAITING: Mapping[str, str] = MappingProxyType(
@@ -46,3 +48,30 @@ def disable_telemetry() -> None:
     """Set only the unset variables that disable telemetry."""
     for name, value in TELEMETRY.items():
         os.environ.setdefault(name, value)
+
+
+def thread_problem(count: int) -> str:
+    """Why `count` additional threads cannot run at the same time; "" if they can.
+
+    Beyond the limit, C++ libraries abort the process.
+    """
+    release, threads = threading.Event(), list[threading.Thread]()
+    with suppress(RuntimeError):  # the thread limit is reached
+        for _ in range(count):
+            thread = threading.Thread(target=release.wait, daemon=True)
+            thread.start()
+            threads.append(thread)
+    release.set()
+    for thread in threads:
+        thread.join()
+    if len(threads) == count:
+        return ""
+    return (
+        f"{count} threads are needed, {len(threads)} can be started: raise the limit of processes "
+        "(`ulimit -u`, TasksMax= of systemd, --pids-limit of Docker), or end other processes of this user."
+    )
+
+
+def compute_threads() -> int:
+    """Number of threads that the numerical libraries start for each of their pools."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from yolov5_lifecycle.commands.command_parser import EXIT_USAGE
-from yolov5_lifecycle.commands.version import version_line
+from yolov5_lifecycle.commands.command_line import EXIT_USAGE, version_line
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 from yolov5_lifecycle.settings.schema import Setting

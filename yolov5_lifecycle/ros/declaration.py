@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from yolov5_lifecycle.ros.parameter_values import TYPES, coerced, plain_values, ros_value
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.parameter_file import FOREIGN_PREFIXES
-from yolov5_lifecycle.settings.schema import Change, Problem, Schema, Setting, SettingsError
+from yolov5_lifecycle.settings.schema import Change, Problem, Schema, Setting
 
 
 class Source(Enum):
@@ -31,13 +31,14 @@ class Source(Enum):
 class Declaration:
     """What a node started with: the value and source of each setting, and the overrides it cannot use.
 
-    A setting whose override is `invalid` has its default. `unknown`: names that are no setting.
+    A setting whose override is `invalid` has its default; for a camera, that of the node. `unknown`: those
+    whose names are no setting, by name.
     """
 
     values: Mapping[str, object]
     sources: Mapping[str, Source]
     invalid: Mapping[str, Problem]
-    unknown: tuple[str, ...]
+    unknown: Mapping[str, Parameter]
 
 
 def declare(node: Node, schema: Schema[Any], *, arguments: Sequence[str] = ()) -> Declaration:
@@ -60,7 +61,18 @@ def declare(node: Node, schema: Schema[Any], *, arguments: Sequence[str] = ()) -
                 parameter = wanted
         _declare(node, setting, parameter)
     values = plain_values(map(node.get_parameter, schema.by_name), schema.by_name)
-    unknown = tuple(name for name in overrides if not name.startswith(FOREIGN_PREFIXES))
+    for name in [name for name in overrides if schema.is_known(name, values)]:
+        settings = schema.found([name])
+        wanted = coerced(overrides[name], settings, may_be_unset=True)
+        if problem := _problem(wanted, schema):
+            invalid[name] = problem
+        else:
+            declare_unset(node, settings[name])
+            node.set_parameters([wanted])
+            sources[name] = _source(overrides[name], on_command_line)
+            values |= plain_values([wanted], settings)
+        del overrides[name]
+    unknown = {name: given for name, given in overrides.items() if not name.startswith(FOREIGN_PREFIXES)}
     return Declaration(values, sources, invalid, unknown)
 
 
@@ -78,11 +90,8 @@ def _names_on_command_line(arguments: Sequence[str]) -> set[str]:
 
 def _problem(parameter: Parameter, schema: Schema[Any]) -> Problem | None:
     """Why `parameter` alone is invalid, or None."""
-    try:
-        schema.validated(plain_values([parameter], schema.by_name))
-    except SettingsError as error:
-        return next((problem for problem in error.problems if problem.setting == parameter.name), None)
-    return None
+    (value,) = plain_values([parameter], schema.found([parameter.name])).values()
+    return schema.problem(parameter.name, value)
 
 
 def _declare(node: Node, setting: Setting, parameter: Parameter) -> None:
@@ -96,6 +105,21 @@ def _declare(node: Node, setting: Setting, parameter: Parameter) -> None:
     node.set_parameters([parameter])
     described.type = parameter.type_.value
     node.set_descriptor(setting.name, described)
+
+
+def declare_unset(node: Node, setting: Setting) -> None:
+    """Declare a parameter that has no value yet and may be deleted: the override of a setting for a camera.
+
+    rclpy lets only parameters of dynamic type be without a value.
+    """
+    node.declare_parameter(setting.name, None, unset_descriptor(setting), ignore_override=True)
+
+
+def unset_descriptor(setting: Setting) -> ParameterDescriptor:
+    """Descriptor of a parameter that may be without a value."""
+    described = descriptor(setting)
+    described.name, described.type, described.dynamic_typing = setting.name, TYPES[setting.type].value, True
+    return described
 
 
 def descriptor(setting: Setting) -> ParameterDescriptor:

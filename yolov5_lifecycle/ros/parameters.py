@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from yolov5_lifecycle.ros.camera_overrides import (
+    declare_missing,
+    deletion,
+    describe,
+    undeclare_unset,
+    without_cameras,
+    without_unset,
+)
 from yolov5_lifecycle.ros.declaration import Source, declare
 from yolov5_lifecycle.ros.parameter_values import coerced, plain_values, ros_value
-from yolov5_lifecycle.settings.schema import Change, Problem, SettingsError
-from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, Settings, validated
+from yolov5_lifecycle.ros.proposal import Configuration, Proposal
+from yolov5_lifecycle.ros.refusal import refusal
+from yolov5_lifecycle.ros.unusable_overrides import UnusableOverrides
+from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
+from yolov5_lifecycle.settings.settings import SCHEMA, Settings, validated
 
 Rule = Callable[[Settings], list[Problem]]
 Validate = Callable[[Mapping[str, object]], Settings]
@@ -21,59 +33,12 @@ Validate = Callable[[Mapping[str, object]], Settings]
 
 MAX_SUGGESTIONS = 3
 """Max number of unknown names per request for which a similar name is suggested."""
-MAX_REASON_LENGTH = 2000
-"""Max length of the refusal of one change, in characters."""
-_BY_EFFORT = (Change.RELOAD, Change.RESUBSCRIBE, Change.LIVE)
+_BY_EFFORT = (Change.RELOAD, Change.CAMERAS, Change.RESUBSCRIBE, Change.LIVE)
 
 
-@dataclass(frozen=True, eq=False)
-class Configuration:
-    """Values of all settings, with the resulting settings or problems. Compared by identity."""
-
-    values: Mapping[str, object]
-    settings: Settings | None
-    """None if there are problems."""
-    problems: tuple[Problem, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """Changes that one request makes to `base`, the configuration it was validated against.
-
-    It may be stored if `base` is still the current configuration and it has no `problems`.
-    """
-
-    base: Configuration
-    after: Configuration
-    """`base` itself if no setting changes."""
-    asked: tuple[Parameter, ...]
-    """Parameters as requested."""
-    parameters: tuple[Parameter, ...]
-    """Parameters to set: coerced to the types of their settings, without those that need no change."""
-    withdrawn: tuple[str, ...] = ()
-    """Overrides with unknown names that the request deletes."""
-    unknown: tuple[str, ...] = ()
-    """Requested names that are not parameters."""
-    problems: tuple[Problem, ...] = ()
-    """Why the request must be refused; excludes problems that `base` already has."""
-    is_direct: bool = False
-    """Whether the request was made in-process, through the methods of the rclpy node."""
-
-    @property
-    def kind(self) -> Change | None:
-        """The most expensive kind of change; None if no setting changes or the settings are invalid."""
-        before, after = self.base.settings, self.after.settings
-        if before is None or after is None:
-            return None
-        return next((kind for kind in _BY_EFFORT if before.differing(after, kind)), None)
-
-    def is_about(self, parameters: Sequence[Parameter], current: Configuration) -> bool:
-        """Whether it sets exactly these `parameters` (by identity) in the `current` configuration."""
-        return (
-            self.base is current
-            and len(parameters) == len(self.parameters)
-            and all(one is other for one, other in zip(parameters, self.parameters, strict=True))
-        )
+def has_overrides(names: Iterable[str]) -> bool:
+    """Whether some of `names` override a setting for one camera."""
+    return any(SEPARATOR in name for name in names)
 
 
 class SettingsParameters:
@@ -109,18 +74,18 @@ class SettingsParameters:
         self._validate = validate
         declaration = declare(node, SCHEMA, arguments=arguments)
         self._sources = dict(declaration.sources)
-        self._invalid = dict(declaration.invalid)
-        self._unknown = list(declaration.unknown)
+        self._unusable = UnusableOverrides(declaration.invalid, declaration.unknown).without(())
         self._current = self._configuration(declaration.values)
         self._accepted: Proposal | None = None
-        node.add_pre_set_parameters_callback(lambda parameters: [*self._proposal_of(parameters).parameters])
+        node.add_pre_set_parameters_callback(self._declared)
         node.add_on_set_parameters_callback(self._answer)
         node.add_post_set_parameters_callback(self._stored)
 
     def problems(self) -> list[Problem]:
         """Problems of the current values and of the overrides."""
-        unknown = (self._unknown_override(name) for name in self._unknown)
-        return [*self._invalid.values(), *unknown, *self._start_problems, *self._current.problems]
+        unusable, values = self._unusable, self._current.values
+        of_start = unusable.problems(values, self._node.get_fully_qualified_name()) if unusable else []
+        return [*of_start, *self._start_problems, *self._current.problems]
 
     def settings(self) -> Settings:
         """The current settings; raises SettingsError if the values contradict each other."""
@@ -132,6 +97,15 @@ class SettingsParameters:
         """Value of one setting, valid by itself even if the values contradict each other."""
         return self._current.values[name]
 
+    def describe(self, request: DescribeParameters.Request, response: Any) -> Any:
+        """Callback of the service `describe_parameters`; also describes overrides that are not set."""
+        return describe(self._node, self._current.values, request, response)
+
+    def value_for(self, camera: str, name: str) -> Any:
+        """Value of a setting for a camera in `cameras`; see `value`."""
+        own = self._current.values.get(f"{camera}{SEPARATOR}{name}")
+        return self.value(name) if own is None else own
+
     def propose(self, asked: Sequence[Parameter], *, suggestions: int = MAX_SUGGESTIONS) -> Proposal:
         """Validate a service request, except for the checks that need the model; changes nothing.
 
@@ -139,10 +113,16 @@ class SettingsParameters:
         """
         withdrawn = tuple(parameter.name for parameter in asked if self._is_withdrawn(parameter))
         rest = [parameter for parameter in asked if parameter.name not in withdrawn]
-        unknown = tuple(p.name for p in rest if not self._node.has_parameter(p.name))
-        problems = [SCHEMA.unknown(name, suggest=index < suggestions) for index, name in enumerate(unknown)]
-        wanted = [coerced(parameter, SETTINGS_BY_NAME) for parameter in rest]
-        proposal = self._proposal([parameter for parameter in wanted if not self._stays(parameter)])
+        settings = SCHEMA.found(parameter.name for parameter in rest)
+        wanted = [coerced(parameter, settings) for parameter in rest]
+        values = {**self._current.values, **plain_values(wanted, settings)}
+        unknown = tuple(p.name for p in wanted if not self._is_parameter(p.name, values))
+        problems = [
+            SCHEMA.unknown(name, values, may_suggest=index < suggestions)
+            for index, name in enumerate(unknown)
+        ]
+        known = (parameter for parameter in wanted if parameter.name not in unknown)
+        proposal = self._proposal([p for p in known if not self._stays(p)], withdrawn)
         return replace(
             proposal,
             asked=tuple(asked),
@@ -161,34 +141,58 @@ class SettingsParameters:
             self._accepted = proposal
             result = self._node.set_parameters_atomically([*proposal.parameters])
             if not result.successful:
+                undeclare_unset(self._node, proposal.parameters)
                 return result
-        self._unknown = [name for name in self._unknown if name not in proposal.withdrawn]
+        if self._unusable is not None:
+            self._unusable = self._unusable.without(proposal.withdrawn)
         return SetParametersResult(successful=True)
 
     def present(self, parameters: Sequence[Parameter]) -> list[Parameter]:
-        """Current values of these declared parameters."""
-        return [self._node.get_parameter(parameter.name) for parameter in parameters]
+        """Current values of these parameters; those that are not declared are unset."""
+        return [self._node.get_parameter_or(p.name, deletion(p.name)) for p in parameters]
 
     def table(self) -> str:
-        """Name, value and source of every setting, one per line."""
-        width = max(map(len, SETTINGS_BY_NAME))
+        """Name, value and source of every setting and override, one per line."""
+        width = max(map(len, self._sources))
         values = self._current.values
         return "\n".join(
             f"  {name:{width}}  {ros_value(values[name])!r:<28}  {source.value}"
             for name, source in self._sources.items()
         )
 
-    def _proposal(self, parameters: Sequence[Parameter]) -> Proposal:
+    def _proposal(self, parameters: Sequence[Parameter], withdrawn: Collection[str] = ()) -> Proposal:
         """Proposal for parameters that are already coerced."""
-        changed, base = plain_values(parameters, SETTINGS_BY_NAME), self._current
-        after = self._configuration({**base.values, **changed}) if changed else base
+        base, changed = self._current, self._changed(parameters)
+        values = {**base.values, **changed}
+        if self._unusable is not None or has_overrides(values):
+            parameters = [*parameters, *self._consequences(values, changed, withdrawn)]
+            changed = self._changed(parameters)
+            values = without_unset({**base.values, **changed})
+        after = self._configuration(values) if changed else base
         return Proposal(
             base=base,
             after=after,
+            kind=_kind(base.settings, after.settings),
             asked=tuple(parameters),
             parameters=tuple(parameters),
             problems=tuple(problem for problem in after.problems if problem not in base.problems),
         )
+
+    def _changed(self, parameters: Sequence[Parameter]) -> dict[str, object]:
+        """Values of those `parameters` that are settings or overrides; None for a deleted override."""
+        values = plain_values(parameters, SCHEMA.found(parameter.name for parameter in parameters))
+        present = self._current.values
+        return {name: value for name, value in values.items() if value is not None or name in present}
+
+    def _consequences(
+        self, values: Mapping[str, object], changed: Collection[str], withdrawn: Collection[str]
+    ) -> list[Parameter]:
+        """What else must be set with `values`: overrides that awaited a camera, deletion of orphaned ones."""
+        usable = self._unusable.usable_with(values) if self._unusable else []
+        return [
+            *(parameter for parameter in usable if parameter.name not in withdrawn),
+            *(deletion(name) for name in without_cameras(values, values) if name not in changed),
+        ]
 
     def _configuration(self, values: Mapping[str, object]) -> Configuration:
         try:
@@ -200,25 +204,27 @@ class SettingsParameters:
         return Configuration(values, settings)
 
     def _is_withdrawn(self, parameter: Parameter) -> bool:
-        """Whether `parameter` deletes an override with an unknown name."""
-        return parameter.type_ is Parameter.Type.NOT_SET and parameter.name in self._unknown
+        """Whether `parameter` deletes an unusable override."""
+        is_unset = parameter.type_ is Parameter.Type.NOT_SET
+        return is_unset and self._unusable is not None and self._unusable.may_be_deleted(parameter.name)
+
+    def _is_parameter(self, name: str, values: Mapping[str, object]) -> bool:
+        """Whether `name` may be set if the other values are `values`."""
+        is_override = SEPARATOR in name and SCHEMA.find(name) is not None
+        return SCHEMA.is_known(name, values) if is_override else self._node.has_parameter(name)
 
     def _stays(self, parameter: Parameter) -> bool:
-        """Whether `parameter` is read-only and already has this value.
+        """Whether `parameter` deletes an override that is not set, or is read-only and has this value.
 
-        rclpy would reject it, and with it `ros2 param load` of a dump of the node.
+        rclpy would reject both, the latter with `ros2 param load` of a dump of the node.
         """
         name = parameter.name
-        if not self._node.has_parameter(name) or not self._node.describe_parameter(name).read_only:
+        if not self._node.has_parameter(name):
+            return parameter.type_ is Parameter.Type.NOT_SET
+        if not self._node.describe_parameter(name).read_only:
             return False
         present = self._node.get_parameter(name)
         return (parameter.type_, parameter.value) == (present.type_, present.value)
-
-    def _unknown_override(self, name: str) -> Problem:
-        problem = SCHEMA.unknown(name)
-        remedy = "Set that one, or remove this one" if SCHEMA.meant(name) else "Remove it"
-        command = f"ros2 param delete {self._node.get_fully_qualified_name()} {problem.setting}"
-        return Problem(problem.setting, f"{problem.message} {remedy}: {command}")
 
     # rclpy's callbacks compare their parameters with the accepted proposal. Parameters without a proposal
     # were set in-process, through the node's methods.
@@ -226,13 +232,22 @@ class SettingsParameters:
     def _proposal_of(self, parameters: Sequence[Parameter]) -> Proposal:
         """The accepted proposal if it covers these parameters; else create and accept a direct one."""
         accepted = self._accepted
-        if accepted is None or not accepted.is_about(parameters, self._current):
+        if accepted is None or not _is_about(accepted, parameters, self._current):
             accepted = self._direct_proposal(parameters)
             self._accepted = accepted
         return accepted
 
+    def _declared(self, parameters: Sequence[Parameter]) -> list[Parameter]:
+        """What to set when `parameters` are asked for; overrides among it that are new have been declared."""
+        proposal = self._proposal_of(parameters)
+        if not proposal.problems and has_overrides(proposal.after.values):
+            declare_missing(self._node, proposal.parameters)
+            self._accepted = proposal
+        return [*proposal.parameters]
+
     def _direct_proposal(self, parameters: Sequence[Parameter]) -> Proposal:
-        wanted = [coerced(parameter, SETTINGS_BY_NAME) for parameter in parameters]
+        by_name = SCHEMA.found(parameter.name for parameter in parameters)
+        wanted = [coerced(parameter, by_name) for parameter in parameters]
         proposal = replace(self._proposal(wanted), is_direct=True)
         settings = proposal.after.settings
         if proposal.problems or settings is None or proposal.after is proposal.base:
@@ -247,19 +262,30 @@ class SettingsParameters:
         proposal = self._proposal_of(parameters)
         if proposal.after is proposal.base:
             return
-        self._current = proposal.after
+        self._current, values = proposal.after, proposal.after.values
         names = {parameter.name for parameter in parameters}
-        self._sources |= dict.fromkeys(names & self._sources.keys(), Source.RUN_TIME)
-        self._invalid = {name: problem for name, problem in self._invalid.items() if name not in names}
-        self._unknown = [name for name in self._unknown if SCHEMA.meant(name) not in names]
-        before, after = proposal.base.settings, proposal.after.settings
-        if proposal.is_direct and before is not None and after is not None:
-            self._commit(before, after)
+        self._sources |= dict.fromkeys(names & values.keys(), Source.RUN_TIME)
+        for name in self._sources.keys() - values.keys():
+            del self._sources[name]
+        if self._unusable is not None:
+            self._unusable = self._unusable.after_setting(names, values)
+        if has_overrides(proposal.base.values) and (removed := without_cameras(proposal.base.values, values)):
+            self._node.get_logger().info(f"removed with its camera: {', '.join(removed)}")
+        old, new = proposal.base.settings, proposal.after.settings
+        if proposal.is_direct and old is not None and new is not None:
+            self._commit(old, new)
 
 
-def refusal(problems: Sequence[Problem]) -> SetParametersResult:
-    """Result that rejects a change because of `problems`, truncated to MAX_REASON_LENGTH."""
-    reason = " ".join(map(str, problems))
-    if len(reason) > MAX_REASON_LENGTH:
-        reason = f"{reason[:MAX_REASON_LENGTH]}... ({len(problems)} problems)"
-    return SetParametersResult(successful=False, reason=reason)
+def _kind(before: Settings | None, after: Settings | None) -> Change | None:
+    if before is None or after is None:
+        return None
+    return next((kind for kind in _BY_EFFORT if before.differing(after, kind)), None)
+
+
+def _is_about(proposal: Proposal, parameters: Sequence[Parameter], current: Configuration) -> bool:
+    """Whether it sets exactly these `parameters` (by identity) in the `current` configuration."""
+    return (
+        proposal.base is current
+        and len(parameters) == len(proposal.parameters)
+        and all(one is other for one, other in zip(parameters, proposal.parameters, strict=True))
+    )

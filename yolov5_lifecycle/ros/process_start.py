@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import NoReturn
 
-from yolov5_lifecycle.commands.process_start import EXIT_UNABLE, prepare_process
+from yolov5_lifecycle.commands.entry_points import EXIT_UNABLE, prepare_process
 from yolov5_lifecycle.process.memory import prepare_heap
 from yolov5_lifecycle.process.missing_package import import_problem
 from yolov5_lifecycle.process.standard_streams import complain

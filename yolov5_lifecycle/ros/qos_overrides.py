@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Sequence
+from typing import Literal
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -11,11 +11,13 @@ from rclpy.qos import HistoryPolicy, QoSPolicyKind, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
-from yolov5_lifecycle.ros.topics import COLOUR_IMAGES, PUBLISHED, SUBSCRIBED, full_name
+from yolov5_lifecycle.ros.topics import COLOUR_IMAGES, full_name, of_camera, published, subscribed
 from yolov5_lifecycle.settings.parameter_file import QOS_PREFIX
 from yolov5_lifecycle.settings.schema import Problem
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.settings.suggestion import did_you_mean
+
+Kind = Literal["publisher", "subscription"]
 
 MAX_DEPTH = 10_000
 
@@ -27,10 +29,18 @@ _POLICIES = (*_CHOICES, "depth")
 _REMEDY = "Correct it and restart the node."
 
 
-def qos_problems(node: Node) -> list[Problem]:
-    """QoS overrides that are invalid or match no topic of `node`; fixing them needs a restart."""
-    topics = (*PUBLISHED, *SUBSCRIBED)
-    policy_of = {_name(node, topic, policy): policy for topic in topics for policy in _POLICIES}
+def qos_problems(node: Node, cameras: Sequence[str]) -> list[Problem]:
+    """QoS overrides that are invalid or match no topic of `node` with these `cameras`.
+
+    Fixing them needs a restart.
+    """
+    topics: dict[Kind, list[str]] = {"publisher": published(cameras), "subscription": subscribed(cameras)}
+    policy_of = {
+        _name(node, topic, kind, policy): policy
+        for kind in topics
+        for topic in topics[kind]
+        for policy in _POLICIES
+    }
     problems = []
     for name, override in parameter_overrides(node).items():
         if name not in policy_of and name.startswith(QOS_PREFIX):
@@ -42,39 +52,44 @@ def qos_problems(node: Node) -> list[Problem]:
     return problems
 
 
-def qos_rules(node: Node) -> list[Callable[[Settings], list[Problem]]]:
-    """One rule per QoS override that conflicts with or duplicates a value of `image_reliability`."""
+def reliability_problems(node: Node, settings: Settings) -> list[Problem]:
+    """QoS overrides that conflict with or duplicate a value of `image_reliability` of a camera."""
     overrides = parameter_overrides(node)
-    names = [_name(node, topic, "reliability") for topic in COLOUR_IMAGES]
-    return [partial(_reliability_problems, name) for name in names if name in overrides]
-
-
-def _reliability_problems(override: str, settings: Settings) -> list[Problem]:
-    if settings.image_reliability == "auto":
-        return []
-    reason = f"{settings.image_reliability!r} and {override} both set the reliability of the subscription."
-    return [Problem("image_reliability", f"{reason} Use 'auto', or start without the override.")]
+    problems = []
+    for camera in settings.camera_names:
+        reliability = settings.for_camera(camera).image_reliability
+        topics = [of_camera(topic, camera) for topic in COLOUR_IMAGES]
+        names = [_name(node, topic, "subscription", "reliability") for topic in topics]
+        if reliability != "auto" and (given := [name for name in names if name in overrides]):
+            reason = f"{reliability!r} and {given[0]} both set the reliability of the subscription."
+            is_inherited = reliability == settings.image_reliability
+            name = "image_reliability" if is_inherited else f"{camera}.image_reliability"
+            problems.append(Problem(name, f"{reason} Use 'auto', or start without the override."))
+    return problems
 
 
 def overridden_reliability(node: Node, topic: str) -> ReliabilityPolicy | None:
     """Reliability that an override sets for the subscription to `topic`, None without an override."""
-    override = parameter_overrides(node).get(_name(node, topic, "reliability"))
+    override = parameter_overrides(node).get(_name(node, topic, "subscription", "reliability"))
     return None if override is None else ReliabilityPolicy[override.value.upper()]
 
 
-def overriding_options(node: Node, topic: str) -> QoSOverridingOptions:
+def overriding_options(node: Node, topic: str, kind: Kind) -> QoSOverridingOptions:
     """Options for the endpoint of `topic`, limited to the policies that have an override."""
     # rclpy fixes every policy listed here to its first value: without an override, the reliability of the
     # image subscription could no longer follow the camera.
     overrides = parameter_overrides(node)
     return QoSOverridingOptions(
-        [QoSPolicyKind[policy.upper()] for policy in _POLICIES if _name(node, topic, policy) in overrides]
+        [
+            QoSPolicyKind[policy.upper()]
+            for policy in _POLICIES
+            if _name(node, topic, kind, policy) in overrides
+        ]
     )
 
 
-def _name(node: Node, topic: str, policy: str) -> str:
+def _name(node: Node, topic: str, kind: Kind, policy: str) -> str:
     """Name of the parameter that overrides `policy` of the endpoint of `topic`."""
-    kind = "publisher" if topic in PUBLISHED else "subscription"
     return f"{QOS_PREFIX}{full_name(node, topic)}.{kind}.{policy}"
 
 

@@ -1,8 +1,13 @@
-"""The node's topics and their remapped names."""
+"""The node's topics, for each camera, and their remapped names."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rclpy.node import Node
+
+from yolov5_lifecycle.settings.schema import Problem
+from yolov5_lifecycle.settings.settings import Settings
 
 DETECTIONS = "~/detections"
 DETECTIONS_3D = "~/detections_3d"
@@ -14,12 +19,33 @@ COMPRESSED_IMAGE_RAW = "~/image_raw/compressed"
 DEPTH_IMAGE_RAW = "~/depth/image_raw"
 DEPTH_CAMERA_INFO = "~/depth/camera_info"
 
-PUBLISHED = (DETECTIONS, DETECTIONS_3D, IMAGE, COMPRESSED_IMAGE, LABEL_INFO)
 COLOUR_IMAGES = (IMAGE_RAW, COMPRESSED_IMAGE_RAW)
-SUBSCRIBED = (*COLOUR_IMAGES, DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)
+_PUBLISHED = (DETECTIONS, DETECTIONS_3D, IMAGE, COMPRESSED_IMAGE)
+_SUBSCRIBED = (*COLOUR_IMAGES, DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)
 _OTHERS = ("/diagnostics", "/rosout", "/parameter_events")
 
 _COMPRESSED = "/compressed"
+
+
+def of_camera(topic: str, camera: str) -> str:
+    """`topic` of a camera in `cameras`: `~/front/image_raw` for `~/image_raw`; "": the one without a name."""
+    return topic.replace("~/", f"~/{camera}/", 1) if camera else topic
+
+
+def published(cameras: Sequence[str]) -> list[str]:
+    """Topics that the node publishes with these `cameras`."""
+    return [of_camera(topic, camera) for camera in cameras for topic in _PUBLISHED] + [LABEL_INFO]
+
+
+def subscribed(cameras: Sequence[str]) -> list[str]:
+    """Topics that the node may subscribe to with these `cameras`."""
+    return [of_camera(topic, camera) for camera in cameras for topic in _SUBSCRIBED]
+
+
+def used_otherwise(camera: str, cameras: Sequence[str]) -> list[str]:
+    """Topics of the node with these `cameras` that are not the images of `camera`."""
+    images = [of_camera(topic, camera) for topic in COLOUR_IMAGES]
+    return [topic for topic in (*published(cameras), *subscribed(cameras)) if topic not in images]
 
 
 def endpoint_name(node: Node, topic: str) -> str:
@@ -32,18 +58,24 @@ def endpoint_name(node: Node, topic: str) -> str:
     return str(node.resolve_topic_name(topic.removesuffix(_COMPRESSED))) + _COMPRESSED
 
 
-def remapping_problems(node: Node) -> list[str]:
-    """One problem per name to which several topics of `node` are remapped."""
+def camera_topic_problems(node: Node, settings: Settings) -> list[Problem]:
+    """Why `settings.cameras` cannot have their topics: they are remapped to the same names."""
+    problems = remapping_problems(node, settings.cameras) if settings.cameras else []
+    return [Problem("cameras", problem) for problem in problems]
+
+
+def remapping_problems(node: Node, cameras: Sequence[str] = ("",)) -> list[str]:
+    """One problem per name to which several topics of `node` with these `cameras` are remapped."""
     return [
         f"{' and '.join(topics)} are remapped to the same topic, {name}: restart the node with "
         "different remappings"
-        for name, topics in _shared_topics(node).items()
+        for name, topics in _shared_topics(node, cameras).items()
     ]
 
 
-def _shared_topics(node: Node) -> dict[str, list[str]]:
+def _shared_topics(node: Node, cameras: Sequence[str]) -> dict[str, list[str]]:
     by_name: dict[str, list[str]] = {}
-    for topic in (*PUBLISHED, *SUBSCRIBED, *_OTHERS):
+    for topic in (*published(cameras), *subscribed(cameras), *_OTHERS):
         by_name.setdefault(full_name(node, topic), []).append(topic)
     return {name: topics for name, topics in by_name.items() if len(topics) > 1}
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.regular_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.settings.parameter_yaml import (
     MAX_FILE_BYTES,
     Entry,
@@ -15,7 +15,7 @@ from yolov5_lifecycle.settings.parameter_yaml import (
     parameter_entries,
     parameter_value,
 )
-from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
+from yolov5_lifecycle.settings.settings import SCHEMA
 
 QOS_PREFIX = "qos_overrides."
 FOREIGN_PREFIXES = ("use_sim_time", QOS_PREFIX, "start_type_description_service")
@@ -103,7 +103,8 @@ def assigned_value(assignment: str) -> tuple[str, object]:
 
 def _coerced(name: str, value: object) -> object:
     """`value` converted by the setting `name`; unchanged if there is no such setting."""
-    return SETTINGS_BY_NAME[name].coerced(value) if name in SETTINGS_BY_NAME else value
+    setting = SCHEMA.find(name)
+    return value if setting is None else setting.coerced(value)
 
 
 def _add(nodes: dict[str, dict[str, Value]], entry: Entry) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
@@ -22,6 +22,8 @@ Model = TypeVar("Model", bound=BaseModel)
 _MAX_SHOWN = 100
 """Max characters of a value or an unknown name shown in a message."""
 _NONE: Mapping[str, str] = MappingProxyType({})
+SEPARATOR = "."
+"""Between a camera and the setting that is overridden for it, as in `front.max_rate`."""
 
 
 class Change(Enum):
@@ -29,8 +31,15 @@ class Change(Enum):
 
     LIVE = "live: takes effect with the next frame"
     RELOAD = "reload: the new model is loaded beside the running one and replaces it between two frames"
+    CAMERAS = "cameras: added cameras start, removed ones end, the others go on"
     RESUBSCRIBE = "resubscribe: the image subscription is recreated"
     READ_ONLY = "read-only: set when the node starts"
+
+
+class Scope(Enum):
+    """What a setting is about, if it is not about the whole node."""
+
+    CAMERA = "camera: may be overridden for one camera"
 
 
 @dataclass(frozen=True)
@@ -50,6 +59,8 @@ class Setting:
     """Characters of a string, entries of a list."""
     max_length: int | None
     choices: tuple[str, ...]
+    per_camera: bool
+    """Whether it may be overridden for one camera."""
 
     @property
     def allowed(self) -> str:
@@ -142,38 +153,73 @@ class Schema(Generic[Model]):
         self.settings = tuple(_described(name, field) for name, field in model.model_fields.items())
         self.by_name: Mapping[str, Setting] = {setting.name: setting for setting in self.settings}
 
+    def find(self, name: str) -> Setting | None:
+        """The setting called `name`, or None."""
+        return self.by_name.get(name) or (self._override(name) if SEPARATOR in name else None)
+
+    def found(self, names: Iterable[str]) -> dict[str, Setting]:
+        """The settings among `names`, by name."""
+        found = {name: self.find(name) for name in names}
+        return {name: setting for name, setting in found.items() if setting is not None}
+
     def validated(self, values: Mapping[str, object]) -> Model:
         """Settings from values by name, with defaults for the rest; SettingsError with every problem."""
         prepared = {
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
-        try:
-            return self._model.model_validate(prepared)
-        except ValidationError as error:
-            found = error.errors(include_url=False, include_input=False)
-            problems = [problem for details in found for problem in self._problems(details, prepared)]
-        raise SettingsError(list(dict.fromkeys(problems)))  # one per list, however many entries are wrong
+        has_overrides = any(SEPARATOR in name for name in prepared)
+        return self._with_overrides(prepared) if has_overrides else self._validated(prepared)
 
-    def meant(self, name: str) -> str | None:
-        """The setting that was probably meant by `name`, or None."""
+    def problem(self, name: str, value: object) -> Problem | None:
+        """Why `value` of the setting `name` is invalid by itself, or None."""
+        try:
+            self.validated({name: value})
+        except SettingsError as error:
+            return next((problem for problem in error.problems if problem.setting == name), None)
+        return None
+
+    def is_known(self, name: str, values: Mapping[str, object]) -> bool:
+        """Whether `name` is a setting, or an override of one for a camera in `values`."""
+        return name in self.by_name
+
+    def meant(self, name: str, values: Mapping[str, object] = _NONE) -> str | None:
+        """The setting that was probably meant by `name`, or None; `values` are the present ones."""
         if name in self._not_settings:
             return None
         return self._synonyms.get(name) or nearest(name, self.by_name)
 
-    def unknown(self, name: str, *, suggest: bool = True) -> Problem:
-        """The problem for an unknown name, with the setting that was probably meant if `suggest`."""
+    def unknown(
+        self, name: str, values: Mapping[str, object] = _NONE, *, may_suggest: bool = True
+    ) -> Problem:
+        """The problem for an unknown name, with the setting that was probably meant if `may_suggest`."""
         shown = in_one_line(name[:_MAX_SHOWN])
         if name in self._not_settings:
             return Problem(shown, f"there is no such parameter: {self._not_settings[name]}")
-        meant = self.meant(name) if suggest else None
+        meant = self.meant(name, values) if may_suggest else None
         return Problem(shown, "there is no such parameter." + (f" Did you mean '{meant}'?" if meant else ""))
+
+    def _override(self, name: str) -> Setting | None:
+        """The setting that the dotted `name` overrides for one camera, or None."""
+        return None
+
+    def _with_overrides(self, values: Mapping[str, object]) -> Model:
+        """Like `_validated`, of values with dotted names."""
+        return self._validated(values)
+
+    def _validated(self, values: Mapping[str, object]) -> Model:
+        try:
+            return self._model.model_validate(dict(values))
+        except ValidationError as error:
+            found = error.errors(include_url=False, include_input=False)
+            problems = [problem for details in found for problem in self._problems(details, values)]
+        raise SettingsError(list(dict.fromkeys(problems)))  # one per list, however many entries are wrong
 
     def _problems(self, details: ErrorDetails, values: Mapping[str, object]) -> list[Problem]:
         if details["type"] == "contradiction":
             return list(details["ctx"]["problems"])
         name = str(details["loc"][0])
         if details["type"] == "extra_forbidden":
-            return [self.unknown(name)]
+            return [self.unknown(name, values)]
         setting = self.by_name[name]
         reason = _reason(setting, values[name], details)
         if setting.change is Change.READ_ONLY:
@@ -198,6 +244,7 @@ def _described(name: str, field: FieldInfo) -> Setting:
         min_length=limits[MinLen].min_length if MinLen in limits else 0,
         max_length=limits[MaxLen].max_length if MaxLen in limits else None,
         choices=choices,
+        per_camera=Scope.CAMERA in field.metadata,
     )
 
 

@@ -6,16 +6,18 @@ import hashlib
 import json
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from yolov5_lifecycle.models.architecture import SIZES, Size, image_size_problem
 from yolov5_lifecycle.process.missing_package import absence_of
-from yolov5_lifecycle.settings.schema import Change, Problem, Schema, contradiction, violation
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, camera_names_rule
+from yolov5_lifecycle.settings.camera_overrides import OverridableSchema, OverridableSettings
+from yolov5_lifecycle.settings.schema import Change, Problem, Scope, contradiction, violation
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
 
 
-class Settings(BaseModel):
+class Settings(OverridableSettings):
     """A valid configuration of the detector. To change it, pass all values to `validated` again."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -61,56 +63,56 @@ class Settings(BaseModel):
         multiple_of=32,
         description="Longer side of the network input in pixels; a multiple of the model's largest stride.",
     )
-    confidence_threshold: Annotated[float, Change.LIVE] = Field(
+    confidence_threshold: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
         0.25, ge=0, le=1, description="Detections with a lower score are dropped."
     )
-    iou_threshold: Annotated[float, Change.LIVE] = Field(
+    iou_threshold: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
         0.45,
         ge=0,
         le=1,
         description="IoU threshold of NMS: of two boxes that overlap more, the one with the lower score is "
         "dropped.",
     )
-    max_detections: Annotated[int, Change.LIVE] = Field(
+    max_detections: Annotated[int, Change.LIVE, Scope.CAMERA] = Field(
         1000, ge=1, le=30_000, description="Maximum number of detections per frame; the best ones are kept."
     )
-    classes: Annotated[tuple[str, ...], Change.LIVE] = Field(
+    classes: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA] = Field(
         (), max_length=10_000, description="Names or indices of the classes to detect. Empty: all."
     )
-    agnostic_nms: Annotated[bool, Change.LIVE] = Field(
+    agnostic_nms: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
         False, description="Class-agnostic NMS: boxes of different classes suppress each other."
     )
-    max_rate: Annotated[float, Change.LIVE] = Field(
+    max_rate: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
         0.0, ge=0, le=1000, description="Maximum rate of inference in frames per second. 0: no limit."
     )
-    tracker: Annotated[Literal["none", "bytetrack"], Change.LIVE] = Field(
+    tracker: Annotated[Literal["none", "bytetrack"], Change.LIVE, Scope.CAMERA] = Field(
         "none",
         description="bytetrack: give the same object the same Detection2D.id in every image; requires scipy. "
         "none: ids are empty.",
     )
-    track_high_threshold: Annotated[float, Change.LIVE] = Field(
+    track_high_threshold: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
         0.25, ge=0, le=1, description="Minimum score of a detection that may begin a track."
     )
-    track_low_threshold: Annotated[float, Change.LIVE] = Field(
+    track_low_threshold: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
         0.1,
         ge=0,
         le=1,
         description="Minimum score of a detection that may continue a track, published or not; at most "
         "track_high_threshold.",
     )
-    track_match_threshold: Annotated[float, Change.LIVE] = Field(
+    track_match_threshold: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
         0.2,
         ge=0.01,
         le=1,
         description="Minimum IoU of a detection and the predicted box of the track that it continues.",
     )
-    track_timeout: Annotated[float, Change.LIVE] = Field(
+    track_timeout: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
         1.5, ge=0.01, le=60, description="Seconds for which a track is kept without a detection."
     )
-    track_across_classes: Annotated[bool, Change.LIVE] = Field(
+    track_across_classes: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
         False, description="Whether a track may continue with a detection of another class."
     )
-    lazy: Annotated[bool, Change.LIVE] = Field(
+    lazy: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
         True,
         description="Subscribe to images only while detections or annotated images have subscribers.",
     )
@@ -120,18 +122,33 @@ class Settings(BaseModel):
         le=10_000,
         description="Number of consecutive failed frames after which the node deactivates itself.",
     )
-    image_transport: Annotated[Literal["raw", "compressed"], Change.RESUBSCRIBE] = Field(
+    cameras: Annotated[tuple[str, ...], Change.CAMERAS] = Field(
+        (),
+        max_length=MAX_CAMERAS,
+        description="Names of several cameras that share the model: ~/NAME/image_raw is detected as "
+        "~/NAME/detections, and NAME.max_rate overrides max_rate for one of them. Empty: ~/image_raw alone.",
+    )
+    max_batch: Annotated[int, Change.RELOAD] = Field(
+        1,
+        ge=1,
+        le=64,
+        description="Maximum number of frames of several cameras, of one network input size, that run as one "
+        "batch where that was measured to be faster per frame.",
+    )
+    image_transport: Annotated[Literal["raw", "compressed"], Change.RESUBSCRIBE, Scope.CAMERA] = Field(
         "raw", description="raw: ~/image_raw (Image). compressed: ~/image_raw/compressed (CompressedImage)."
     )
-    image_reliability: Annotated[Literal["auto", "best_effort", "reliable"], Change.RESUBSCRIBE] = Field(
+    image_reliability: Annotated[
+        Literal["auto", "best_effort", "reliable"], Change.RESUBSCRIBE, Scope.CAMERA
+    ] = Field(
         "auto", description="QoS reliability of the image subscription. auto: what the publishers offer."
     )
-    depth: Annotated[bool, Change.RESUBSCRIBE] = Field(
+    depth: Annotated[bool, Change.RESUBSCRIBE, Scope.CAMERA] = Field(
         False,
         description="Publish ~/detections_3d: where detections are in space, from ~/depth/image_raw and "
         "~/depth/camera_info.",
     )
-    depth_slop_s: Annotated[float, Change.RESUBSCRIBE] = Field(
+    depth_slop_s: Annotated[float, Change.RESUBSCRIBE, Scope.CAMERA] = Field(
         0.05,
         ge=0,
         le=10,
@@ -149,7 +166,7 @@ class Settings(BaseModel):
         "bond. 0: no bond.",
     )
 
-    @field_validator("weights_dirs", "classes", mode="before")
+    @field_validator("weights_dirs", "classes", "cameras", mode="before")
     @classmethod
     def _are_strings(cls, value: object) -> object:
         """Report one problem per list, however many of its entries are wrong."""
@@ -187,18 +204,45 @@ class Settings(BaseModel):
         )
         raise violation(f"must be auto, cpu, cuda, cuda:N, N or mps.{hint}")
 
+    @field_validator("cameras")
+    @classmethod
+    def _are_camera_names(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        if value and (rule := camera_names_rule(value, cls.model_fields)):
+            raise violation(rule)
+        return value
+
     @model_validator(mode="after")
     def _agrees(self) -> Settings:
         if problems := _contradictions(self):
             raise contradiction(problems)
         return self
 
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of the cameras; one empty name without `cameras`."""
+        return self.cameras or ("",)
+
+    def for_camera(self, name: str) -> Settings:
+        """Settings of one of `camera_names`, as of a node with this camera alone; KeyError for others."""
+        if name not in self.camera_names:
+            raise KeyError(f"expected a camera of {self.camera_names}, found {name!r}")
+        if not self.cameras:
+            return self
+        return self._overridden[name] if name in self._overridden else self.without_cameras()
+
     def differing(self, other: Settings, change: Change) -> list[str]:
-        """Names of the settings whose `Change` is `change` and whose values differ."""
-        return [
+        """Names of the settings whose `Change` is `change` and whose values differ, also of overrides."""
+        names = [
             setting.name
             for setting in SETTINGS
             if setting.change is change and getattr(self, setting.name) != getattr(other, setting.name)
+        ]
+        if self._overrides == other._overrides:
+            return names
+        return names + [
+            name
+            for name in {**self._overrides, **other._overrides}
+            if self._overrides.get(name) != other._overrides.get(name) and _change_of(name) is change
         ]
 
     def digest(self) -> str:
@@ -206,10 +250,16 @@ class Settings(BaseModel):
         return hashlib.sha256(json.dumps(self.model_dump(), sort_keys=True).encode()).hexdigest()[:12]
 
 
-SCHEMA = Schema(Settings, synonyms=SYNONYMS, not_settings=NOT_SETTINGS)
+SCHEMA = OverridableSchema(Settings, synonyms=SYNONYMS, not_settings=NOT_SETTINGS)
 SETTINGS = SCHEMA.settings
 SETTINGS_BY_NAME = SCHEMA.by_name
 validated = SCHEMA.validated
+
+
+def _change_of(override: str) -> Change:
+    setting = SCHEMA.find(override)
+    assert setting is not None
+    return setting.change
 
 
 def _contradictions(settings: Settings) -> list[Problem]:

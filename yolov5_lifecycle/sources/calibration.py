@@ -11,9 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic_core import PydanticCustomError
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
-from yolov5_lifecycle.package_path import resolve_package
+from yolov5_lifecycle.input_file import RegularFileError, read_regular_file, resolve_package
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.regular_file import RegularFileError, read_regular_file
 
 MAX_FILE_BYTES = 64 * 1024
 _COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}

@@ -9,10 +9,9 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.spatial.box_samples import sampled
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.intrinsics import Intrinsics
-from yolov5_lifecycle.spatial.surface import surface_extents_m
+from yolov5_lifecycle.spatial.surface import sampled, surface_extents_m
 
 MAX_BOXES_AT_ONCE = 64
 """More are placed in turns, so that the arrays stay small whatever the number of boxes."""

@@ -41,6 +41,12 @@ class FrameBalance:
     def __getitem__(self, outcome: Outcome) -> int:
         return self.outcomes[outcome]
 
+    def __str__(self) -> str:
+        counted = ", ".join(f"{count} {outcome.value}" for outcome, count in self.outcomes.items() if count)
+        return f"{self.received} frames received, {self.pending} pending" + (
+            f", {counted}" if counted else ""
+        )
+
 
 class FrameCounter:
     """Counts received and finished frames; not thread-safe, the owner holds a lock."""

@@ -1,4 +1,4 @@
-"""ByteTrack: identities for the detections of one camera.
+"""ByteTrack: identities for the detections of one camera, its settings and its stages.
 
 Zhang et al., "ByteTrack: Multi-Object Tracking by Associating Every Detection Box" (ECCV 2022), with time in
 seconds instead of frames.
@@ -8,19 +8,57 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.tracking.assignment import Indices, load_solver
-from yolov5_lifecycle.tracking.association import MAX_DETECTIONS, associated, without
-from yolov5_lifecycle.tracking.tracker_settings import TrackerSettings
+from yolov5_lifecycle.tracking.assignment import Indices, Solver, best_pairs, iou_matrix, load_solver
 from yolov5_lifecycle.tracking.tracks import UNCONFIRMED, Tracks
 
+MAX_DETECTIONS = 1000
+"""Detections of an image that are tracked, highest scores first; it bounds the time of an image."""
 MAX_TRACKS = 2 * MAX_DETECTIONS
 """Tracks that are kept, those seen last; it bounds time and memory."""
 STEP_WITHOUT_TIME_S = 1 / 30
 """Time between two images of equal stamps: some cameras give none."""
+MAX_TIMEOUT_S = 60.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerSettings:
+    """What a user may choose; any of it may change between two frames without losing tracks.
+
+    Raises ValueError on construction when a value is out of range.
+    """
+
+    track_high_threshold: float = 0.25
+    """Minimum score, in [0, 1], of a detection that may begin a track and that is associated first."""
+    track_low_threshold: float = 0.1
+    """Minimum score, in [0, track_high_threshold], of a detection that may continue a track."""
+    track_match_threshold: float = 0.2
+    """Minimum IoU, in (0, 1], of a detection and the predicted box of its track, each with its margin."""
+    track_timeout: float = 1.5
+    """Seconds, in (0, MAX_TIMEOUT_S], for which a track is kept without a detection."""
+    track_across_classes: bool = False
+    """Whether a track may continue with a detection of another class."""
+
+    def __post_init__(self) -> None:
+        high, low = self.track_high_threshold, self.track_low_threshold
+        if not 0 <= high <= 1:
+            raise ValueError(f"track_high_threshold must be in [0, 1], found {high}.")
+        if not 0 <= low <= high:
+            raise ValueError(
+                f"track_low_threshold must be from 0 to track_high_threshold ({high}), found {low}."
+            )
+        if not 0 < self.track_match_threshold <= 1:
+            raise ValueError(f"track_match_threshold must be in (0, 1], found {self.track_match_threshold}.")
+        if not 0 < self.track_timeout <= MAX_TIMEOUT_S:
+            raise ValueError(
+                f"track_timeout must be above 0 and at most {MAX_TIMEOUT_S:g} seconds, "
+                f"found {self.track_timeout}."
+            )
 
 
 class ByteTracker:
@@ -63,11 +101,11 @@ class ByteTracker:
             self.reset()
         step_s = stamp_s - self._stamp_s or STEP_WITHOUT_TIME_S
         tracks = self._tracks.later(step_s, settings.track_timeout)
-        rows, columns = associated(tracks, detections, settings, self._solver)
+        rows, columns = _associated(tracks, detections, settings, self._solver)
         numbers = np.full(len(detections), UNCONFIRMED, np.int64)
         numbers[columns] = [number or next(self._ids) for number in tracks.numbers[rows].tolist()]
         seen = tracks.at(rows).seen(detections, columns, numbers[columns], step_s)
-        lost = tracks.at(without(np.flatnonzero(tracks.is_confirmed), rows))
+        lost = tracks.at(_without(np.flatnonzero(tracks.is_confirmed), rows))
         self._tracks = _latest(seen.followed_by(self._begun(detections, columns, settings)).followed_by(lost))
         self._stamp_s = stamp_s
         return tuple(str(number) if number else "" for number in numbers.tolist())
@@ -75,7 +113,7 @@ class ByteTracker:
     def _begun(self, detections: Detections, taken: Indices, settings: TrackerSettings) -> Tracks:
         """Tracks of the detections of a high score that are not `taken`."""
         high = np.flatnonzero(detections.scores[:MAX_DETECTIONS] >= settings.track_high_threshold)
-        return Tracks.started(detections, without(high, taken))
+        return Tracks.started(detections, _without(high, taken))
 
 
 def _latest(tracks: Tracks) -> Tracks:
@@ -83,3 +121,45 @@ def _latest(tracks: Tracks) -> Tracks:
     if len(tracks) <= MAX_TRACKS:
         return tracks
     return tracks.at(np.sort(np.argsort(tracks.unseen_s, kind="stable")[:MAX_TRACKS]))
+
+
+def _associated(
+    tracks: Tracks, detections: Detections, settings: TrackerSettings, solver: Solver
+) -> tuple[Indices, Indices]:
+    """Rows of `tracks` and of the `detections` that continue them.
+
+    First the confirmed tracks, lost ones included, are matched with the detections of a high score, then the
+    rest of them with those of a low score; unconfirmed tracks are matched with the rest of the high ones.
+    """
+    scores = detections.scores[:MAX_DETECTIONS]
+    high = np.flatnonzero(scores >= settings.track_high_threshold)
+    low = np.flatnonzero((scores >= settings.track_low_threshold) & (scores < settings.track_high_threshold))
+    confirmed, unconfirmed = np.flatnonzero(tracks.is_confirmed), np.flatnonzero(~tracks.is_confirmed)
+    similarity = _similarity(tracks, detections, len(high) + len(low), settings)
+    threshold = settings.track_match_threshold
+
+    first = best_pairs(similarity, confirmed, high, threshold, solver)
+    second = best_pairs(similarity, _without(confirmed, first[0]), low, threshold, solver)
+    third = best_pairs(similarity, unconfirmed, _without(high, first[1]), threshold, solver)
+    rows, columns = zip(first, second, third, strict=True)
+    return np.concatenate(rows), np.concatenate(columns)
+
+
+def _without(indices: Indices, removed: Indices) -> Indices:
+    """`indices` that are not in `removed`."""
+    return indices[~np.isin(indices, removed)]
+
+
+def _similarity(
+    tracks: Tracks, detections: Detections, count: int, settings: TrackerSettings
+) -> NDArray[np.float64]:
+    """IoU (n, count) of the tracks with the first `count` detections; 0 where the classes differ.
+
+    Between two images of a slow camera an object may leave its predicted box, so boxes are compared with a
+    margin, as in C-BIoU (Yang et al. 2023): the uncertainty of the prediction, which is small at 30 Hz.
+    """
+    motion = tracks.motion
+    similarity = iou_matrix(motion.boxes_xyxy, detections.boxes_xyxy[:count], motion.margin_xy)
+    if not settings.track_across_classes:
+        similarity[tracks.class_ids[:, None] != detections.class_ids[:count]] = 0
+    return similarity

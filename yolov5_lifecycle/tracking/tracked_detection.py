@@ -1,17 +1,16 @@
-"""Detection with identities: a detector that reports what continues a track, too, and then the tracker."""
+"""Detection with identities: the detector reports what continues a track, too, the tracker tells which."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
-from yolov5_lifecycle.tracking.published import published
-from yolov5_lifecycle.tracking.tracker_settings import TrackerSettings
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 
 
 @dataclass(frozen=True)
@@ -28,10 +27,36 @@ class TrackedDetection:
 
         Raises InferenceError like `Detector.detect`.
         """
+        return self.follow(detector.detect(image, self.wider(selection)), selection, stamp_s)
+
+    def wider(self, selection: Selection) -> Selection:
+        """`selection` and, besides, what may continue a track."""
         lowest = min(selection.confidence_threshold, self.settings.track_low_threshold)
-        found = detector.detect(image, replace(selection, confidence_threshold=lowest))
+        return replace(selection, confidence_threshold=lowest)
+
+    def follow(self, found: Detections, selection: Selection, stamp_s: float) -> Detections:
+        """What `selection` admits of what was `found` with the wider one, and `track_ids`."""
         ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings)
         return published(found, ids, selection.confidence_threshold)
+
+
+def published(detections: Detections, ids: Sequence[str], confidence_threshold: float) -> Detections:
+    """The `detections` with a score above `confidence_threshold`, with their `ids`.
+
+    NMS lets no lower score remove a higher one, so these are what NMS with this threshold would give.
+    Without any, `best_missed` is the highest score that is worth telling, as it is there.
+    """
+    count = int((detections.scores > confidence_threshold).sum())
+    best_missed = detections.best_missed
+    if count == 0 and len(detections) and detections.scores[0] > WORTH_TELLING:
+        best_missed = float(detections.scores[0])
+    return Detections(
+        boxes_xyxy=detections.boxes_xyxy[:count],
+        scores=detections.scores[:count],
+        class_ids=detections.class_ids[:count],
+        best_missed=best_missed,
+        track_ids=tuple(ids[:count]),
+    )
 
 
 def tracker_settings(settings: Settings) -> TrackerSettings:

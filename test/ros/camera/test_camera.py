@@ -25,9 +25,8 @@ from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded
 from yolov5_lifecycle.images.image import ColourImage, Order
-from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
+from yolov5_lifecycle.ros.camera.outputs import IMAGE_FORMS, CameraOutputs, ImageForm, jpeg_message
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
-from yolov5_lifecycle.ros.camera.transport import IMAGE_FORMS, ImageForm, jpeg_message
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.messages import image_of_message

@@ -9,26 +9,32 @@ from typing import Any
 import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import ReliabilityPolicy
-from support.good_status import GOOD, GOOD_INPUT, LARGE
+from support.good_status import GOOD, GOOD_CAMERA, GOOD_INPUT, LARGE
 
 from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.detector.camera_status import EMPTY_S, SILENCE_S, SLOW_S
 from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.detector.image_input import RecentImages
 from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S, TopicStatus
-from yolov5_lifecycle.ros.detector.status import EMPTY_S, SILENCE_S, SLOW_S, Status
+from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameCounter, Outcome
 
 NO_CAMERA = TopicStatus(name="/yolov5/image_raw", missing_s=DISCOVERY_S + 1)
 SMALL = 230_400
 _IDLE = "idle (lazy): no subscribers to ~/detections or ~/image, so no images are received"
-BLIND = dataclasses.replace(
-    GOOD, empty=EmptyRun(0.9, frames=152, begun_s=5.0, ended_s=6.0 + EMPTY_S, best_missed=0.614)
-)
+
+
+def _with_camera(**changes: Any) -> Status:
+    return dataclasses.replace(GOOD, cameras=(dataclasses.replace(GOOD_CAMERA, **changes),))
+
+
+BLIND_RUN = EmptyRun(0.9, frames=152, begun_s=5.0, ended_s=6.0 + EMPTY_S, best_missed=0.614)
+BLIND = _with_camera(empty=BLIND_RUN)
 
 
 def _with_topic(topic: TopicStatus = NO_CAMERA, **changes: Any) -> Status:
-    return dataclasses.replace(GOOD, topic=dataclasses.replace(topic, **changes))
+    return _with_camera(topic=dataclasses.replace(topic, **changes))
 
 
 def _with_losses(received: int, lost: int, max_bytes: int = LARGE) -> Status:
@@ -36,14 +42,14 @@ def _with_losses(received: int, lost: int, max_bytes: int = LARGE) -> Status:
 
 
 def _with_input(**changes: Any) -> Status:
-    return dataclasses.replace(GOOD, input=dataclasses.replace(GOOD_INPUT, **changes))
+    return _with_camera(input=dataclasses.replace(GOOD_INPUT, **changes))
 
 
 @pytest.mark.parametrize(
     ("status", "hint"),
     [
         pytest.param(GOOD, "", id="all-is-well"),
-        pytest.param(dataclasses.replace(GOOD, input=None), "", id="lazy-is-no-trouble"),
+        pytest.param(_with_camera(input=None), "", id="lazy-is-no-trouble"),
         pytest.param(
             _with_losses(30, 10), "10 of 40 images were lost between the camera and this node", id="losses"
         ),
@@ -75,30 +81,30 @@ def _with_input(**changes: Any) -> Status:
             _with_input(silent_s=SILENCE_S + 5), "no image on /yolov5/image_raw for 7 s", id="silence"
         ),
         pytest.param(
-            dataclasses.replace(GOOD, busy_s=SLOW_S + 1),
+            _with_camera(busy_s=SLOW_S + 1),
             "inference of one image takes more than 2 s",
             id="hanging",
         ),
         pytest.param(
-            dataclasses.replace(GOOD, recently_rejected="Encoding 'x' is not supported"),
+            _with_camera(recent_failure="images are rejected: Encoding 'x' is not supported"),
             "images are rejected: Encoding 'x'",
             id="rejected",
         ),
         pytest.param(BLIND, "", id="nothing-to-see-is-no-trouble"),
-        pytest.param(dataclasses.replace(GOOD, state="inactive", input=None), "", id="not-active"),
+        pytest.param(dataclasses.replace(GOOD, state="inactive"), "", id="not-active"),
     ],
 )
 def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> None:
-    assert (hint in status.hint) if hint else (status.hint == "")
+    assert (hint in status.of_node.hint) if hint else (status.of_node.hint == "")
 
 
 @pytest.mark.parametrize(
     ("status", "message"),
     [
         pytest.param(GOOD, "detecting", id="detecting"),
-        pytest.param(dataclasses.replace(GOOD, input=None), _IDLE, id="lazy"),
+        pytest.param(_with_camera(input=None), _IDLE, id="lazy"),
         pytest.param(
-            dataclasses.replace(_with_topic(similar=("/front/image_raw",)), input=None),
+            _with_camera(topic=dataclasses.replace(NO_CAMERA, similar=("/front/image_raw",)), input=None),
             f"{_IDLE}; no publisher of images on /yolov5/image_raw: start the camera or remap the topic. "
             "Images are published on /front/image_raw: did you mean that?",
             id="lazy-and-remapped-wrongly",
@@ -115,7 +121,7 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
             id="below-threshold",
         ),
         pytest.param(
-            dataclasses.replace(BLIND, recently_rejected="too small"),
+            _with_camera(empty=BLIND_RUN, recent_failure="images are rejected: too small"),
             "images are rejected: too small",
             id="trouble-before-remark",
         ),
@@ -134,7 +140,7 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
     ],
 )
 def test_the_message_is_the_most_pressing_thing(status: Status, message: str) -> None:
-    assert status.message == message
+    assert status.of_node.message == message
 
 
 def test_the_values_hold_every_count_and_the_configuration() -> None:
@@ -143,19 +149,18 @@ def test_the_values_hold_every_count_and_the_configuration() -> None:
         counter.receive()
         counter.finish(outcome)
     counter.receive()
-    values = dataclasses.replace(GOOD, balance=counter.balance()).values()
+    values = _with_camera(balance=counter.balance()).of_node.values
     assert {values[f"frames {outcome.value}"] for outcome in Outcome} == {"1"}
     assert (values["frames received"], values["frames pending"]) == (str(len(Outcome) + 1), "1")
     assert (values["frames lost"], values["frames overtaken"]) == ("3", "7")
     assert values["configuration"] == Settings().digest()
     assert values["latency median ms"] == "21.0"
-    assert BLIND.values()["best score in them"] == "0.61"
+    assert BLIND.of_node.values["best score in them"] == "0.61"
 
 
 def test_scores_that_are_mere_noise_are_not_reported() -> None:
-    assert BLIND.empty is not None
-    noise = dataclasses.replace(BLIND, empty=dataclasses.replace(BLIND.empty, best_missed=0.0))
-    assert "152 frames, nothing even above 0.05: if objects were visible" in noise.remark
+    noise = _with_camera(empty=dataclasses.replace(BLIND_RUN, best_missed=0.0))
+    assert "152 frames, nothing even above 0.05: if objects were visible" in noise.of_node.remark
 
 
 def test_a_reason_is_logged_once_a_minute_whatever_its_numbers(ros_domain: int) -> None:

@@ -1,29 +1,60 @@
-"""The camera's publishers: images, camera info, and ground truth of the synthetic scene."""
+"""The camera's publishers: images, raw and compressed, camera info, ground truth of the synthetic scene."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.ros.camera.settings import CameraSettings
-from yolov5_lifecycle.ros.camera.transport import IMAGE_FORMS, ImageForm, Transport
-from yolov5_lifecycle.ros.messages import detection_array
+from yolov5_lifecycle.images.compressed import encode_jpeg
+from yolov5_lifecycle.images.encodings import encoded
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.ros.camera.settings import CameraSettings, Transport
+from yolov5_lifecycle.ros.messages import compressed_image_message, detection_array, image_message
 from yolov5_lifecycle.sources.calibration import Calibration
 from yolov5_lifecycle.sources.frames import SourceError, SourceFrame
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth
 
 _RELIABILITIES = {"reliable": ReliabilityPolicy.RELIABLE, "best_effort": ReliabilityPolicy.BEST_EFFORT}
+
+
+def raw_message(image: ColourImage, encoding: str, header: Header) -> Image:
+    """Image message of `image` in `encoding`."""
+    return image_message(encoded(image, encoding), encoding, header)
+
+
+def jpeg_message(image: ColourImage, encoding: str, header: Header) -> CompressedImage:
+    """JPEG message of `image`, which image_transport decompresses to `encoding`."""
+    jpeg = encode_jpeg(image, "mono8" if encoding == "mono8" else "bgr8")
+    return compressed_image_message(jpeg, encoding, header)
+
+
+class ImageForm(NamedTuple):
+    """Topic suffix, message type, and the function that creates the message."""
+
+    suffix: str
+    message_type: type
+    message: Callable[[ColourImage, str, Header], Any]
+
+
+_RAW = ImageForm("", Image, raw_message)
+_COMPRESSED = ImageForm("/compressed", CompressedImage, jpeg_message)
+
+IMAGE_FORMS: dict[Transport, list[ImageForm]] = {
+    "raw": [_RAW],
+    "compressed": [_COMPRESSED],
+    "both": [_RAW, _COMPRESSED],
+}
 
 
 class CameraOutputs:

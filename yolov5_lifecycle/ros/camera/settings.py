@@ -9,13 +9,14 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rclpy.node import Node
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
-from yolov5_lifecycle.ros.camera.transport import Transport
 from yolov5_lifecycle.ros.declaration import declare
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.parameter_file import QOS_PREFIX
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, SettingsError, contradiction
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 from yolov5_lifecycle.sources.calibration import Calibration, CalibrationError, read_calibration
+
+Transport = Literal["raw", "compressed", "both"]
 
 
 class CameraSettings(BaseModel):

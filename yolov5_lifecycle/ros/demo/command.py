@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 from ament_index_python.packages import get_package_share_directory
 
-from yolov5_lifecycle.commands.command_parser import CommandParser
+from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, ProcessError, entry_point
 from yolov5_lifecycle.ros.demo.demonstration import Demonstration, DemonstrationError, Phase

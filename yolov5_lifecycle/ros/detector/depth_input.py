@@ -17,7 +17,7 @@ from yolov5_lifecycle.ros.detector.depth_status import DepthStatus, SourceStatus
 from yolov5_lifecycle.ros.detector.frame_failures import RECENT_S
 from yolov5_lifecycle.ros.detector.image_input import common_reliability
 from yolov5_lifecycle.ros.qos_overrides import overridden_reliability, overriding_options
-from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name
+from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name, of_camera
 
 _QUEUE = 2
 
@@ -25,12 +25,15 @@ _QUEUE = 2
 class DepthInput:
     """Owns both subscriptions while depth is needed, and what places detections with their messages.
 
-    `slop_s` is the setting `depth_slop_s`. `clock` returns monotonic seconds. A subscription that cannot be
-    created is logged and retried by every `look`; detections in the image go on.
+    `camera`: see `of_camera`. `slop_s` is the setting `depth_slop_s`. `clock` returns monotonic seconds. A
+    subscription that cannot be created is logged and retried by every `look`; detections in the image go on.
     """
 
-    def __init__(self, node: Node, *, slop_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, node: Node, *, camera: str = "", slop_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._node = node
+        self._camera = camera
         self._clock = clock
         self.slop_s = slop_s
         self.placing = DepthPlacing(node, slop_s=slop_s, clock=clock)
@@ -40,20 +43,17 @@ class DepthInput:
         """Subscribe if depth is needed, else unsubscribe."""
         if is_needed and self._sources is None:
             self._sources = (
-                DepthSource(self._node, DEPTH_IMAGE_RAW, Image, self.placing.take_image, clock=self._clock),
-                DepthSource(
-                    self._node,
-                    DEPTH_CAMERA_INFO,
-                    CameraInfo,
-                    self.placing.take_camera_info,
-                    clock=self._clock,
-                ),
+                self._source(DEPTH_IMAGE_RAW, Image, self.placing.take_image),
+                self._source(DEPTH_CAMERA_INFO, CameraInfo, self.placing.take_camera_info),
             )
         elif not is_needed and self._sources is not None:
             for source in self._sources:
                 source.close()
             self._sources = None
             self.placing.forget()
+
+    def _source(self, topic: str, message_type: type, take: Callable[[Any], None]) -> DepthSource:
+        return DepthSource(self._node, of_camera(topic, self._camera), message_type, take, clock=self._clock)
 
     def look(self) -> DepthStatus:
         """Update the subscriptions to what the publishers offer; return the status."""
@@ -127,7 +127,7 @@ class DepthSource:
                 self._topic,
                 self._take,
                 QoSProfile(depth=_QUEUE, history=HistoryPolicy.KEEP_LAST, reliability=self._reliability),
-                qos_overriding_options=overriding_options(self._node, self._topic),
+                qos_overriding_options=overriding_options(self._node, self._topic, "subscription"),
             )
         except Exception as error:  # noqa: BLE001 - rclpy raises several types; reported and retried
             problem = f"cannot subscribe to {in_one_line(self._name)}: {in_one_line(str(error))}"

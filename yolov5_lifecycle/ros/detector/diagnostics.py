@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -12,7 +12,7 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from yolov5_lifecycle.printable import in_lines
-from yolov5_lifecycle.ros.detector.status import Status
+from yolov5_lifecycle.ros.detector.status import Status, Summary
 
 _MAX_VALUE = 5_000
 """Max characters of one value; a path has up to 4096."""
@@ -32,56 +32,74 @@ class Diagnostics:
         self._node = node
         self._status = status
         self._clock = clock
-        self._reason = ""
-        self._said_s: dict[str, float] = {}
+        self._reasons: dict[str, ReasonLog] = {}
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: simulated time may be paused (use_sim_time without /clock).
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:
-        """Publish the current status now and log its reason if it is new."""
+        """Publish the current status now and log its reasons if they are new."""
         status = self._status()
+        of_node, of_cameras = status.of_node, status.of_cameras
+        name = self._node.get_fully_qualified_name()
         self._publisher.publish(
             DiagnosticArray(
                 header=Header(stamp=self._node.get_clock().now().to_msg()),
-                status=[diagnostic_status(status, self._node.get_fully_qualified_name())],
+                status=[diagnostic_status(summary, name) for summary in (of_node, *of_cameras)],
             )
         )
-        self._say(status)
+        self._say(of_cameras or [of_node], is_active=status.state == "active")
 
-    def _say(self, status: Status) -> None:
-        """Log a reason once when it appears; ignore changed numbers and, for `_REPEAT_S`, recurrences."""
-        if status.state != "active":
-            self._reason, self._said_s = "", {}
-            return
-        told = status.hint or status.remark
+    def _say(self, summaries: Sequence[Summary], *, is_active: bool) -> None:
+        logs = {summary.name: self._reasons.get(summary.name) or ReasonLog() for summary in summaries}
+        self._reasons = logs if is_active else {}
+        for summary in summaries if is_active else ():
+            told = summary.hint or summary.remark
+            if not logs[summary.name].is_new(told, self._clock()):
+                continue
+            text = f"{summary.name}: {told}" if summary.is_of_camera else told
+            if summary.hint:
+                self._node.get_logger().warning(text)
+            else:
+                self._node.get_logger().info(text)
+
+
+class ReasonLog:
+    """Which reasons have been logged: each once when it appears.
+
+    Changed numbers make no new reason, nor does, for `_REPEAT_S`, a recurrence.
+    """
+
+    def __init__(self) -> None:
+        self._reason = ""
+        self._said_s: dict[str, float] = {}
+
+    def is_new(self, told: str, now_s: float) -> bool:
+        """Whether `told` is to be logged at `now_s` (monotonic seconds)."""
         reason, before = re.sub(r"[\d.]+", "", told), self._reason
-        self._reason, now_s = reason, self._clock()
+        self._reason = reason
         self._said_s = {said: when_s for said, when_s in self._said_s.items() if now_s - when_s < _REPEAT_S}
         if reason in ("", before) or reason in self._said_s:
-            return
+            return False
         self._said_s[reason] = now_s
-        if status.hint:
-            self._node.get_logger().warning(told)
-        else:
-            self._node.get_logger().info(told)
+        return True
 
 
-def diagnostic_status(status: Status, node_name: str) -> DiagnosticStatus:
-    """Convert `status` to a DiagnosticStatus: ERROR with a problem, WARN with a hint, else OK."""
+def diagnostic_status(summary: Summary, node_name: str) -> DiagnosticStatus:
+    """Convert `summary` to a DiagnosticStatus: ERROR with a problem, WARN with a hint, else OK."""
     level = (
         DiagnosticStatus.ERROR
-        if status.problem
+        if summary.problem
         else DiagnosticStatus.WARN
-        if status.hint
+        if summary.hint
         else DiagnosticStatus.OK
     )
     return DiagnosticStatus(
         level=level,
-        name=f"{node_name}: detection",
-        message=in_lines(status.message, _MAX_VALUE),
+        name=f"{node_name}: {summary.name}",
+        message=in_lines(summary.message, _MAX_VALUE),
         hardware_id=node_name,
         values=[
-            KeyValue(key=key, value=in_lines(value, _MAX_VALUE)) for key, value in status.values().items()
+            KeyValue(key=key, value=in_lines(value, _MAX_VALUE)) for key, value in summary.values.items()
         ],
     )

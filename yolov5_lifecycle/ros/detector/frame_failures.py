@@ -12,15 +12,14 @@ from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 RECENT_S = 2.0
-"""A rejection is reported in diagnostics for this long."""
+"""A rejection or failure is reported in diagnostics for this long."""
 
 
 class FrameFailures:
-    """Logs failures, throttled, and counts consecutive ones.
+    """Counts failed frames in a row, of all cameras together.
 
     Calls `on_too_many(reason)` once the count reaches `max_consecutive()`, and `on_device_lost(reason)` when
-    no further frame can succeed. Both run in the executor. Keeps strings only: an exception would keep the
-    model alive through its traceback.
+    no further frame can succeed. Both run in the executor.
     """
 
     def __init__(
@@ -36,23 +35,13 @@ class FrameFailures:
         self._on_too_many = on_too_many
         self._on_device_lost = on_device_lost
         self._consecutive = 0
-        self._rejection = ""
-        self._rejected_s = float("-inf")
 
     def succeeded(self) -> None:
         self._consecutive = 0
 
-    def failed(self, outcome: Outcome, error: Exception) -> None:
-        """Handle a frame without detections; called in the worker thread."""
-        if outcome is Outcome.REJECTED:
-            self._node.get_logger().warning(f"image rejected: {error}", throttle_duration_sec=5.0)
-            self._rejection, self._rejected_s = str(error), time.monotonic()
-            return
+    def failed(self, error: Exception, reason: str) -> None:
+        """Count a frame that failed with `error`; called in the worker thread."""
         self._consecutive += 1
-        reason = f"{type(error).__name__}: {error}"
-        # Runtimes and libraries raise RuntimeError; anything else is a bug here, so log the traceback.
-        told = reason if isinstance(error, RuntimeError) else "".join(traceback.format_exception(error))
-        self._node.get_logger().error(f"inference failed: {told}", throttle_duration_sec=5.0)
         if isinstance(error, DeviceLostError):
             self._tell(self._on_device_lost, reason)
         elif self._consecutive >= self._max_consecutive():
@@ -63,6 +52,42 @@ class FrameFailures:
         if (executor := self._node.executor) is not None:
             executor.create_task(what, reason)
 
-    def recent_rejection(self) -> str:
-        """Why the last image was rejected, "" if that was more than `RECENT_S` ago."""
-        return self._rejection if time.monotonic() - self._rejected_s < RECENT_S else ""
+
+class CameraFailures:
+    """Logs what goes wrong with the frames of one camera, throttled, and keeps the last problem.
+
+    `camera` is its name in `cameras`, "" if it has none. Keeps strings only: an exception would keep the
+    model alive through its traceback.
+    """
+
+    def __init__(self, node: Node, camera: str, failures: FrameFailures) -> None:
+        self._node = node
+        self._whose = f" of camera {camera}" if camera else ""
+        self._failures = failures
+        self.last_problem = ""
+        self._happened_s = float("-inf")
+
+    def succeeded(self) -> None:
+        self._failures.succeeded()
+
+    def failed(self, outcome: Outcome, error: Exception) -> None:
+        """Handle a frame without detections; called in the worker thread."""
+        if outcome is Outcome.REJECTED:
+            self._note(f"images are rejected: {error}")
+            self._node.get_logger().warning(
+                f"image{self._whose} rejected: {error}", throttle_duration_sec=5.0
+            )
+            return
+        reason = f"{type(error).__name__}: {error}"
+        self._note(f"inference fails: {reason}")
+        # Runtimes and libraries raise RuntimeError; anything else is a bug here, so log the traceback.
+        told = reason if isinstance(error, RuntimeError) else "".join(traceback.format_exception(error))
+        self._node.get_logger().error(f"inference{self._whose} failed: {told}", throttle_duration_sec=5.0)
+        self._failures.failed(error, reason)
+
+    def recent(self) -> str:
+        """The last problem, "" if it happened more than `RECENT_S` ago."""
+        return self.last_problem if time.monotonic() - self._happened_s < RECENT_S else ""
+
+    def _note(self, problem: str) -> None:
+        self.last_problem, self._happened_s = problem, time.monotonic()

@@ -80,7 +80,7 @@ class ImageInput:
         self._on_frame = on_frame
         self._losses = losses
         self._clock = clock
-        self._local_name, self._message_type = TOPICS[topic.transport]
+        self._local_name, self._message_type = topic.local_name, TOPICS[topic.transport][1]
         overridden = overridden_reliability(node, self._local_name)
         # Not `or`: system_default is 0, thus falsy.
         self._wanted = _POLICIES[reliability] if overridden is None else overridden
@@ -139,7 +139,7 @@ class ImageInput:
             self._take,
             qos,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._lose, matched=self._match),
-            qos_overriding_options=overriding_options(self._node, self._local_name),
+            qos_overriding_options=overriding_options(self._node, self._local_name, "subscription"),
         )
 
     def _match(self, event: QoSSubscriptionMatchedInfo) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,7 +13,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CompressedImage, Image
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE_RAW, DEPTH_IMAGE_RAW, IMAGE_RAW, PUBLISHED, full_name
+from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE_RAW, IMAGE_RAW, full_name, of_camera, used_otherwise
 from yolov5_lifecycle.settings.suggestion import most_similar
 
 Transport = Literal["raw", "compressed"]
@@ -53,27 +53,41 @@ class TopicStatus:
 
 
 class ImageTopic:
-    """Monitors the image topic, whether or not the node subscribes to it.
+    """Monitors the image topic of a camera, whether or not the node subscribes to it.
 
-    `clock` returns monotonic seconds.
+    `camera`: see `of_camera`. `cameras()` returns all cameras of the node, whose topics are not suggested for
+    this one. `clock` returns monotonic seconds.
     """
 
     def __init__(
-        self, node: Node, transport: Transport, *, clock: Callable[[], float] = time.monotonic
+        self,
+        node: Node,
+        transport: Transport,
+        *,
+        camera: str = "",
+        cameras: Callable[[], Sequence[str]] = lambda: ("",),
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._node = node
+        self._camera = camera
+        self._cameras = cameras
         self._clock = clock
         self.transport = transport
-        self.name = full_name(node, TOPICS[transport][0])
+        self.name = full_name(node, self.local_name)
         self._seen_s = clock()
         self._similar: tuple[str, ...] = ()
         self._searched_s = float("-inf")
+
+    @property
+    def local_name(self) -> str:
+        """Name before remapping, such as ~/image_raw."""
+        return of_camera(TOPICS[self.transport][0], self._camera)
 
     def follow(self, transport: Transport) -> None:
         """Switch to the topic of `transport`."""
         if transport != self.transport:
             self.transport = transport
-            self.name = full_name(self._node, TOPICS[transport][0])
+            self.name = full_name(self._node, self.local_name)
             self._seen_s, self._similar, self._searched_s = self._clock(), (), float("-inf")
 
     def look(self) -> TopicStatus:
@@ -101,7 +115,8 @@ class ImageTopic:
 
     def _search(self) -> tuple[str, ...]:
         """Other topics with an image publisher, most similar name first; queries a bounded number."""
-        own = {full_name(self._node, topic) for topic in (*PUBLISHED, DEPTH_IMAGE_RAW)} | {self.name}
+        elsewhere = used_otherwise(self._camera, self._cameras())
+        own = {full_name(self._node, topic) for topic in elsewhere} | {self.name}
         candidates = [
             name
             for name, types in self._node.get_topic_names_and_types()

@@ -1,29 +1,30 @@
-"""What the transitions create and release: publishers, model, subscription; and the threads behind them."""
+"""What the transitions create and release: cameras, publishers and model; and the threads behind them."""
 
 from __future__ import annotations
 
 import itertools
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from rclpy.lifecycle import LifecycleNode
 
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.process.memory import resident_mb
+from yolov5_lifecycle.ros.detector.camera import Camera
 from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
 from yolov5_lifecycle.ros.detector.model_loader import ModelLoader, Preparation
-from yolov5_lifecycle.ros.detector.outputs import Outputs
-from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage
+from yolov5_lifecycle.ros.detector.outputs import LabelInfoOutput
+from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.ros.parameters import SettingsParameters
+from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.worker import Worker
 
 
 class ManagedResources:
-    """Owns the publishers from `configure` to `release`, the detection from `activate` to `deactivate`.
+    """Owns the cameras, their publishers from `configure` to `release`, and the detection from `activate` to
+    `deactivate`.
 
     The inference thread and the model loader exist from construction to `close`. `on_too_many(reason)` and
     `on_device_lost(reason)` are called in the executor; see `FrameFailures`.
@@ -46,42 +47,47 @@ class ManagedResources:
             on_too_many=on_too_many,
             on_device_lost=on_device_lost,
         )
-        self._worker: Worker[ReceivedFrame, DetectedFrame] = Worker(
-            on_failure=self._failures.failed, on_success=self._failures.succeeded
-        )
-        self._topic = ImageTopic(node, "raw")
-        self._last_image = LastImage()
+        self._worker: Worker[ReceivedFrame, DetectedFrame] = Worker()
         self._track_ids = itertools.count(1)
-        self.loader = ModelLoader(node, prepare, last_image=self._last_image, on_device_lost=on_device_lost)
+        self._cameras: dict[str, Camera] = {}
+        self.loader = ModelLoader(
+            node,
+            prepare,
+            sizes_hw=lambda: [camera.last_image.size_hw for camera in self._cameras.values()],
+            on_device_lost=on_device_lost,
+        )
         self.detection: Detection | None = None
-        self._outputs: Outputs | None = None
-        self._loading_for: Outputs | None = None
+        self._label_info: LabelInfoOutput | None = None
+        self._loading_for: LabelInfoOutput | None = None
 
     def configure(self) -> None:
         """Create the publishers; raises rclpy's exception."""
-        self._outputs = Outputs(self._node, on_subscribers_changed=self._follow_subscribers)
+        self._label_info = LabelInfoOutput(self._node)
+        self._follow_names()
+        for camera in self._cameras.values():
+            camera.configure()
 
     async def load(self) -> bool:
         """Load the model while other callbacks are served; False if another transition came first.
 
         Then `detection` exists, and `activate` starts it or raises what loading raised.
         """
-        outputs = self._outputs
-        if self._loading_for is outputs:
+        label_info = self._label_info
+        if self._loading_for is label_info:
             self._node.get_logger().warning("activate refused: the model is already being loaded")
             return False
-        self._loading_for = outputs
+        self._loading_for = label_info
         preparation = await self.loader.load(
-            lambda: self._parameters.settings() if self._may_activate(outputs) else None
+            lambda: self._parameters.settings() if self._may_activate(label_info) else None
         )
-        if self._loading_for is outputs:
+        if self._loading_for is label_info:
             self._loading_for = None
-        if preparation is None or outputs is None:
+        if preparation is None or label_info is None:
             self._node.get_logger().warning(
                 "activate canceled: another transition came while the model was loading"
             )
             return False
-        self.detection = self._new_detection(outputs, preparation)
+        self.detection = self._new_detection(label_info, preparation)
         return True
 
     def activate(self) -> Detection:
@@ -89,13 +95,27 @@ class ManagedResources:
 
         Raises what loading the model raises, and SettingsError if the settings do not fit it.
         """
-        assert self._outputs is not None, "rclpy activates only what is configured"
+        assert self._label_info is not None, "rclpy activates only what is configured"
+        settings = self._parameters.settings()
         if self.detection is None:
-            preparation = self.loader.begin(self._parameters.settings())
-            self.detection = self._new_detection(self._outputs, preparation)
-        self.detection.start()
+            self.detection = self._new_detection(self._label_info, self.loader.begin(settings))
+        self.detection.start(settings)
         self._failures.succeeded()
         return self.detection
+
+    def apply(self, settings: Settings, preparation: Preparation | None = None) -> None:
+        """Change to `settings`, and while active from the next frame on to the model of `preparation`.
+
+        Added cameras start, the others lose no frame, removed ones end. If this raises, applying the previous
+        settings and preparation undoes what it has changed.
+        """
+        if self._label_info is None:
+            return
+        for name in settings.camera_names:
+            self._camera(name).configure()
+        if (detection := self.detection) is not None:
+            detection.apply(settings, preparation or detection.preparation)
+        self._close_all_but(settings.camera_names)
 
     def deactivate(self) -> bool:
         """Release the detection; False if its frame hangs and the thread was abandoned."""
@@ -104,9 +124,11 @@ class ManagedResources:
 
     def release(self) -> None:
         """Destroy the publishers; call after `deactivate`."""
-        if self._outputs is not None:
-            self._outputs.close()
-            self._outputs = None
+        for camera in self._cameras.values():
+            camera.release()
+        if self._label_info is not None:
+            self._label_info.close()
+            self._label_info = None
 
     def close(self) -> None:
         """End the threads; those that hang are abandoned and logged."""
@@ -122,48 +144,59 @@ class ManagedResources:
 
     def status(self, state: str, problem: str) -> Status:
         """Snapshot of the node in the lifecycle state `state`, with the last `problem` that was reported."""
-        detection = self.detection
-        if detection is None:
-            self._topic.follow(self._parameters.value("image_transport"))
-        topic = self._topic.look()
-        image_input = detection.look(topic) if detection else None
+        if self._label_info is None:
+            self._follow_names()
         return Status(
             state=state,
-            problem=problem or (detection.problem if detection else ""),
-            balance=self._worker.balance(),
-            topic=topic,
-            settings=self._parameters.settings() if self._outputs else None,
-            model=detection.model if detection else None,
-            input=image_input,
-            lost=detection.losses.lost if detection else None,
-            overtaken=detection.losses.overtaken if detection else None,
-            latency=detection.latencies.summary(time.monotonic()) if detection else None,
-            empty=detection.empty_frames.run if detection else None,
-            tracking=detection.tracker_values if detection else {},
-            depth_status=detection.depth.look() if detection and detection.depth else None,
-            subscribers_3d=self._outputs.subscribers_3d if self._outputs else 0,
-            busy_s=self._worker.busy_s(),
-            recently_rejected=self._failures.recent_rejection(),
+            problem=problem,
+            settings=self._parameters.settings() if self._label_info else None,
+            model=self.detection.model if self.detection else None,
+            cameras=tuple(
+                camera.status(self._parameters.value_for(name, "image_transport"))
+                for name, camera in self._cameras.items()
+            ),
             abandoned_threads=self._worker.abandoned_threads(),
             resident_mb=resident_mb(),
         )
 
-    def _may_activate(self, outputs: Outputs | None) -> bool:
-        """Whether the configuration with `outputs` still exists and is not active."""
-        return self._outputs is outputs and self.detection is None
+    def _names(self) -> tuple[str, ...]:
+        """The cameras that the parameters name; valid even if other settings are not."""
+        return self._parameters.value("cameras") or ("",)
 
-    def _new_detection(self, outputs: Outputs, preparation: Preparation) -> Detection:
+    def _follow_names(self) -> None:
+        """Add and remove cameras as the parameters name them; until configured, `apply` is not called."""
+        for name in self._names():
+            self._camera(name)
+        self._close_all_but(self._names())
+
+    def _camera(self, name: str) -> Camera:
+        if name not in self._cameras:
+            self._cameras[name] = Camera(
+                self._node,
+                name,
+                names=self._names,
+                worker=self._worker,
+                failures=self._failures,
+                track_ids=self._track_ids,
+            )
+        return self._cameras[name]
+
+    def _close_all_but(self, names: Sequence[str]) -> None:
+        for name in [name for name in self._cameras if name not in names]:
+            camera, log = self._cameras.pop(name), self._node.get_logger()
+            if not camera.close(REST_TIMEOUT_S):
+                log.error(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
+            log.info(f"camera {name or '(without a name)'} removed: {camera.balance()}")
+
+    def _may_activate(self, label_info: LabelInfoOutput | None) -> bool:
+        """Whether the configuration with `label_info` still exists and is not active."""
+        return self._label_info is label_info and self.detection is None
+
+    def _new_detection(self, label_info: LabelInfoOutput, preparation: Preparation) -> Detection:
         return Detection(
             self._node,
             preparation=preparation,
-            settings=self._parameters.settings,
-            topic=self._topic,
-            outputs=outputs,
+            cameras=self._cameras,
+            label_info=label_info,
             worker=self._worker,
-            last_image=self._last_image,
-            track_ids=self._track_ids,
         )
-
-    def _follow_subscribers(self) -> None:
-        if self.detection is not None:
-            self.detection.follow_subscribers()

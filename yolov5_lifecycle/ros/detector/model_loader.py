@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
 from rclpy.node import Node
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.ros.detector.background import Background
-from yolov5_lifecycle.ros.detector.pipeline import LastImage
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
@@ -23,8 +22,8 @@ REFUSALS = (ValueError, OSError, RuntimeError)
 class ModelLoader:
     """Prepares one model at a time in its own thread, from construction to `close`.
 
-    Models are warmed up with the size of the last image. `on_device_lost(reason)` is called when no further
-    model can be prepared.
+    Models are warmed up with `sizes_hw()`, the size of each camera's last image. `on_device_lost(reason)` is
+    called when no further model can be prepared.
     """
 
     def __init__(
@@ -32,18 +31,18 @@ class ModelLoader:
         node: Node,
         prepare: Prepare,
         *,
-        last_image: LastImage,
+        sizes_hw: Callable[[], Sequence[tuple[int, int]]],
         on_device_lost: Callable[[str], None],
     ) -> None:
         self._node = node
         self._prepare = prepare
-        self._last_image = last_image
+        self._sizes_hw = sizes_hw
         self._on_device_lost = on_device_lost
         self._background = Background(node)
 
     def begin(self, settings: Settings) -> Preparation:
         """Queue the preparation of the model for `settings`."""
-        return self._background.submit(lambda: self._prepare(settings, self._last_image.size_hw))
+        return self._background.submit(lambda: self._prepare(settings, self._sizes_hw()))
 
     async def load(self, wanted: Callable[[], Settings | None]) -> Preparation | None:
         """Prepare the model for `wanted()`, repeated if other settings are wanted once it is done.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
@@ -25,14 +26,15 @@ from yolov5_lifecycle.ros.detector.transitions import (
 )
 from yolov5_lifecycle.ros.parameters import SettingsParameters, Validate
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
-from yolov5_lifecycle.ros.qos_overrides import qos_problems, qos_rules
+from yolov5_lifecycle.ros.qos_overrides import qos_problems, reliability_problems
 from yolov5_lifecycle.ros.rclpy_internals import (
     available_transitions,
     destroy_state_machine,
     lifecycle_state,
 )
 from yolov5_lifecycle.ros.services import harden
-from yolov5_lifecycle.ros.topics import remapping_problems
+from yolov5_lifecycle.ros.topics import camera_topic_problems, remapping_problems
+from yolov5_lifecycle.settings.schema import Problem
 from yolov5_lifecycle.settings.settings import validated
 from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
@@ -76,7 +78,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
             on_device_lost=self._lose_device,
         )
         self._reconfiguration = Reconfiguration(
-            self, parameters=self._settings, loader=self._resources.loader, active=self._resources
+            self, parameters=self._settings, loader=self._resources.loader, resources=self._resources
         )
         self._diagnostics = Diagnostics(self, lambda: self._resources.status(self.state_label, self._problem))
         self._bond = Bond(self)
@@ -118,8 +120,8 @@ class DetectorNode(PrintableNode, LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         problems = [
             *map(in_one_line, self._start_problems),
-            *remapping_problems(self),
-            *(in_one_line(str(problem)) for problem in self._settings.problems()),
+            *([] if self._settings.value("cameras") else remapping_problems(self)),
+            *(in_one_line(str(problem)) for problem in self._problems()),
         ]
         if problems:
             self.report("\n  ".join([f"configure refused, {len(problems)} problem(s):", *problems]))
@@ -147,8 +149,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
         self._problem = ""
         self.get_logger().info(f"active with {detection.model.summary}")
         result = super().on_activate(state)
-        detection.publish_label_info()
-        detection.follow_subscribers()
+        detection.publish_first(self._settings.settings())
         self._bond.start(self._settings.settings().bond_timeout)
         return result
 
@@ -174,11 +175,14 @@ class DetectorNode(PrintableNode, LifecycleNode):
             self,
             review=lambda candidate: self._reconfiguration.review(candidate),
             commit=lambda before, after: self._reconfiguration.take_effect(before, after),
-            rules=qos_rules(self),
-            start_problems=qos_problems(self),
+            rules=[partial(reliability_problems, self), partial(camera_topic_problems, self)],
             arguments=arguments,
             validate=validate,
         )
+
+    def _problems(self) -> list[Problem]:
+        """Why configure must be refused."""
+        return [*self._settings.problems(), *qos_problems(self, self._settings.value("cameras") or ("",))]
 
     def _greet(self) -> None:
         if self._start_problems:

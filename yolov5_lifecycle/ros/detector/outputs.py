@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from lifecycle_msgs.msg import State
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
@@ -24,14 +25,33 @@ from yolov5_lifecycle.ros.topics import (
     IMAGE,
     LABEL_INFO,
     endpoint_name,
+    of_camera,
 )
+
+_ACTIVE = LifecycleState("active", State.PRIMARY_STATE_ACTIVE)
+
+
+class LabelInfoOutput:
+    """Owns the latched publisher of the class names, one for all cameras. Raises rclpy's exception."""
+
+    def __init__(self, node: LifecycleNode) -> None:
+        self._node = node
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._publisher = _created(node, LabelInfo, LABEL_INFO, latched)
+
+    def publish(self, message: LabelInfo) -> None:
+        self._publisher.publish(message)
+
+    def close(self) -> None:
+        # destroy_publisher would leave it in the list of managed entities.
+        self._node.destroy_lifecycle_publisher(self._publisher)
 
 
 class Outputs:
-    """Owns the publishers of detections, annotated images and labels.
+    """Owns the publishers of a camera's detections and annotated images.
 
-    `on_subscribers_changed()` is called in the executor when a subscriber joins or leaves. `encode`
-    compresses an image to JPEG and raises ImageError if it cannot.
+    `camera`: see `of_camera`. `on_subscribers_changed()` is called in the executor when a subscriber joins or
+    leaves. `encode` compresses an image to JPEG and raises ImageError if it cannot.
 
     Raises rclpy's exception if a publisher cannot be created, after destroying the others.
     """
@@ -40,10 +60,12 @@ class Outputs:
         self,
         node: LifecycleNode,
         *,
+        camera: str = "",
         on_subscribers_changed: Callable[[], None],
         encode: Callable[[ColourImage], NDArray[np.uint8]] = encode_jpeg,
     ) -> None:
         self._node = node
+        self._camera = camera
         self._encode = encode
         self._events = PublisherEventCallbacks(matched=lambda _: on_subscribers_changed())
         self._publishers: list[LifecyclePublisher] = []
@@ -52,9 +74,6 @@ class Outputs:
             self.detections_3d = self._publisher(Detection3DArray, DETECTIONS_3D, QoSProfile(depth=10))
             self._image = self._publisher(Image, IMAGE, _newest())
             self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, _newest())
-            self.label_info = self._publisher(
-                LabelInfo, LABEL_INFO, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            )
         except Exception:
             self.close()
             raise
@@ -86,27 +105,43 @@ class Outputs:
             except ImageError as error:
                 # The detections are published; only the compressed image is missing.
                 self._node.get_logger().warning(
-                    f"no image on {COMPRESSED_IMAGE}: {error}", throttle_duration_sec=5.0
+                    f"no image on {of_camera(COMPRESSED_IMAGE, self._camera)}: {error}",
+                    throttle_duration_sec=5.0,
                 )
                 return
             self._compressed_image.publish(compressed_image_message(jpeg, f"{image.order}8", header))
 
+    def activate(self) -> None:
+        """Let messages pass, as rclpy does for the publishers that exist when the node is activated."""
+        for publisher in self._publishers:
+            publisher.on_activate(_ACTIVE)
+
     def close(self) -> None:
         for publisher in self._publishers:
-            # destroy_publisher would leave it in the list of managed entities.
             self._node.destroy_lifecycle_publisher(publisher)
         self._publishers.clear()
 
     def _publisher(self, message_type: type, topic: str, qos: QoSProfile) -> LifecyclePublisher:
-        publisher = self._node.create_lifecycle_publisher(
-            message_type,
-            endpoint_name(self._node, topic),
-            qos,
-            event_callbacks=self._events,
-            qos_overriding_options=overriding_options(self._node, topic),
-        )
+        name = of_camera(topic, self._camera)
+        publisher = _created(self._node, message_type, name, qos, self._events)
         self._publishers.append(publisher)
         return publisher
+
+
+def _created(
+    node: LifecycleNode,
+    message_type: type,
+    topic: str,
+    qos: QoSProfile,
+    events: PublisherEventCallbacks | None = None,
+) -> LifecyclePublisher:
+    return node.create_lifecycle_publisher(
+        message_type,
+        endpoint_name(node, topic),
+        qos,
+        event_callbacks=events,
+        qos_overriding_options=overriding_options(node, topic, "publisher"),
+    )
 
 
 def _newest() -> QoSProfile:

@@ -56,16 +56,27 @@ class Pipeline:
 
     def detect(self, frame: ReceivedFrame) -> DetectedFrame:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
+        image = self.read(frame)
+        return self.detected(frame, image, self.detector.detect(image, self.wanted))
+
+    def read(self, frame: ReceivedFrame) -> ColourImage:
+        """The image of `frame`. Raises ImageError for an unreadable one."""
         image = messages.image_of_message(frame.message)
         self.last_image.size_hw = image.size_hw
         if self.placing is not None:
             self.placing.expect(frame.message.header.stamp)
-        if self.tracking is None:
-            detections = self.detector.detect(image, self.selection)
-        else:
-            stamp_s = messages.stamp_s(frame.message.header)
-            detections = self.tracking.detect(self.detector, image, self.selection, stamp_s)
-        return DetectedFrame(frame, image, detections)
+        return image
+
+    @property
+    def wanted(self) -> Selection:
+        """What the detector is to report: with a tracker, also what may continue a track."""
+        return self.selection if self.tracking is None else self.tracking.wider(self.selection)
+
+    def detected(self, frame: ReceivedFrame, image: ColourImage, found: Detections) -> DetectedFrame:
+        """The result for `frame`, given what was `found` in its image with `wanted`."""
+        if self.tracking is not None:
+            found = self.tracking.follow(found, self.selection, messages.stamp_s(frame.message.header))
+        return DetectedFrame(frame, image, found)
 
     def publish(self, result: DetectedFrame) -> None:
         """Publish the detections and, if they have subscribers, their places and the annotated image."""

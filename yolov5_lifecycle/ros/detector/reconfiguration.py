@@ -10,12 +10,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
-from yolov5_lifecycle.detection.selection import MODEL_DEPENDENT, model_problems
+from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.reload_turns import ReloadTurns
 from yolov5_lifecycle.ros.detector.session import Detection
 from yolov5_lifecycle.ros.parameter_values import read_parameters
-from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, Proposal, SettingsParameters, refusal
+from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters
+from yolov5_lifecycle.ros.proposal import Proposal
+from yolov5_lifecycle.ros.refusal import refusal
 from yolov5_lifecycle.ros.services import Handler
 from yolov5_lifecycle.settings.schema import Change, Problem
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
@@ -39,28 +41,34 @@ _LEFT = "the node left the active state while the new model was loading; nothing
 _SUPERSEDED = "superseded by a later request that loads another model; nothing was changed."
 
 
-class Active(Protocol):
-    """What a change applies to: `detection` while the node is active, else None."""
+class Changeable(Protocol):
+    """What a change applies to; `detection` is None unless the node is active."""
 
     @property
     def detection(self) -> Detection | None: ...
+
+    def apply(self, settings: Settings, preparation: Preparation | None = None) -> None: ...
 
 
 class Reconfiguration:
     """Handlers of the services that set parameters."""
 
     def __init__(
-        self, node: Node, *, parameters: SettingsParameters, loader: ModelLoader, active: Active
+        self, node: Node, *, parameters: SettingsParameters, loader: ModelLoader, resources: Changeable
     ) -> None:
         self._node = node
         self._parameters = parameters
         self._loader = loader
-        self._active = active
+        self._resources = resources
         self._turns = ReloadTurns(node)
 
     def handlers(self) -> dict[str, Handler]:
         """Service callbacks by the last component of the service name."""
-        return {"set_parameters": self._set_one_by_one, "set_parameters_atomically": self._set_together}
+        return {
+            "describe_parameters": self._parameters.describe,
+            "set_parameters": self._set_one_by_one,
+            "set_parameters_atomically": self._set_together,
+        }
 
     async def _set_one_by_one(self, request: Any, response: Any) -> Any:
         asked = read_parameters(request.parameters)
@@ -91,7 +99,7 @@ class Reconfiguration:
         """Apply the whole proposal or nothing."""
         if proposal.problems:
             return refusal(proposal.problems)
-        detection = self._active.detection
+        detection = self._resources.detection
         if detection is not None and proposal.kind is Change.RELOAD:
             return await self._reload(detection, proposal)
         if detection is not None and (problems := _broken_by(proposal, detection.model)):
@@ -109,7 +117,7 @@ class Reconfiguration:
     async def _reload_now(self, detection: Detection, asked: Proposal) -> SetParametersResult:
         def wanted() -> Settings | None:
             proposal = self._parameters.renewed(asked)
-            is_wanted = self._active.detection is detection and not proposal.problems
+            is_wanted = self._resources.detection is detection and not proposal.problems
             return proposal.after.settings if is_wanted else None
 
         preparation = await self._loader.load(wanted)
@@ -143,28 +151,27 @@ class Reconfiguration:
 
     def _commit(self, proposal: Proposal, preparation: Preparation | None = None) -> SetParametersResult:
         """Store a valid proposal and make it take effect; roll back on an exception."""
-        detection, previous = self._active.detection, self._parameters.present(proposal.parameters)
+        detection, previous = self._resources.detection, self._parameters.present(proposal.parameters)
+        running = detection.preparation if detection is not None else None
         result = self._parameters.store(proposal)
         before, after = proposal.base.settings, proposal.after.settings
-        if not result.successful or detection is None or before is None or after is None or before is after:
+        if not result.successful or before is None or after is None or before is after:
             return result
-        running = detection.preparation
         try:
-            detection.apply(before, after, preparation or running)
+            self._resources.apply(after, preparation)
         except Exception:
             self._parameters.store(self._parameters.propose(previous))
-            detection.apply(after, before, running)
+            self._resources.apply(before, running)
             raise
         return result
 
     def take_effect(self, before: Settings, after: Settings) -> None:
         """Apply settings that a program set through the methods of the node."""
-        if (detection := self._active.detection) is not None:
-            detection.apply(before, after, detection.preparation)
+        self._resources.apply(after)
 
     def review(self, candidate: Settings) -> list[Problem]:
         """Problems of `candidate` with the running model."""
-        if (detection := self._active.detection) is None:
+        if (detection := self._resources.detection) is None:
             return []
         model = detection.model
         if not model.serves(candidate):
@@ -195,13 +202,11 @@ def _remark(proposal: Proposal, whole: Proposal) -> str:
     """Hint appended to the refusal of one parameter of a request."""
     if proposal.problems:
         return "" if whole.problems else _TOGETHER
-    if proposal.kind is Change.RELOAD or not any(map(_depends_on_model, proposal.asked)):
+    if proposal.kind is Change.RELOAD or not any(
+        depends_on_model(parameter.name) for parameter in proposal.asked
+    ):
         return ""
     return _NEW_CLASSES if any(map(_needs_reload, whole.asked)) else ""
-
-
-def _depends_on_model(parameter: Parameter) -> bool:
-    return parameter.name in MODEL_DEPENDENT
 
 
 def _needs_reload(parameter: Parameter) -> bool:

@@ -1,32 +1,12 @@
-"""Status of the node, with hints on what is wrong."""
+"""Snapshot of the node with all its cameras, for diagnostics."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
-from rclpy.qos import ReliabilityPolicy
-
-from yolov5_lifecycle.detection.nms import WORTH_TELLING
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
-from yolov5_lifecycle.ros.detector.depth_status import DepthStatus
-from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
-from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S, TopicStatus
+from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameBalance, LatencySummary, Outcome
-
-MANY_LOST = 4
-"""More than one image lost per this many received is reported, given at least FEWEST_IMAGES."""
-FEWEST_IMAGES = 10
-"""Min number of images for a meaningful loss ratio."""
-DEFAULT_SEGMENT_BYTES = 512 * 1024
-"""Shared-memory segment that Fast DDS reserves per process without config/shm.xml."""
-SILENCE_S = 2.0
-"""A camera that publishes no image for longer than this is reported."""
-EMPTY_S = 10.0
-"""A run of frames without detections for longer than this is reported."""
-SLOW_S = 2.0
-"""Inference of one image that takes longer than this is reported."""
 
 _REMEDIES = {
     "unconfigured": ": configure and activate the node to detect",
@@ -35,160 +15,78 @@ _REMEDIES = {
 
 
 @dataclass(frozen=True)
-class Status:
-    """Snapshot of the node.
+class Summary:
+    """What is published as one DiagnosticStatus.
 
-    `settings`: from configure on; `model`, `input`, `lost`, `overtaken`, `latency`, `empty`: while active.
-    `depth_status`: while active with the setting `depth`. `subscribers_3d`: subscriptions to detections in
-    space.
-    `topic`: the expected image topic, in every state; `input`: the subscription to it, None without one.
-    `lost`, `overtaken`: images sent but not taken since activation, as counted by `ImageLosses`.
-    `tracking`: values of the tracker, empty without one.
-    `busy_s`: time that inference has spent on the current image, in seconds.
-    `abandoned_threads`: threads that hung during deactivate and are still running.
-    `resident_mb`: RAM of the process, None if unknown.
+    `problem` makes it an error, `hint` a warning; `remark` explains what is in order.
     """
 
-    state: str
+    name: str
     problem: str
-    balance: FrameBalance
-    topic: TopicStatus
-    settings: Settings | None
-    model: PreparedModel | None
-    input: InputStatus | None
-    lost: int | None
-    overtaken: int | None
-    latency: LatencySummary | None
-    empty: EmptyRun | None
-    tracking: Mapping[str, str]
-    depth_status: DepthStatus | None
-    subscribers_3d: int
-    busy_s: float
-    recently_rejected: str
-    abandoned_threads: int
-    resident_mb: float | None
-
-    @property
-    def hint(self) -> str:
-        """What is wrong when an active node has no output, "" if nothing is."""
-        if self.state != "active" or self.input is None:
-            return ""
-        if self.busy_s > SLOW_S:
-            return (
-                f"inference of one image takes more than {SLOW_S:g} s: the model is too slow for this "
-                "machine, or it hangs; deactivate ends that, then activate again"
-            )
-        if self.topic.publishers == 0:
-            return _missing(self.topic) if self.topic.missing_s > DISCOVERY_S else ""
-        if self.input.reliability is ReliabilityPolicy.RELIABLE and self._offers_best_effort:
-            return (
-                f"a best-effort publisher on {self.topic.name} does not match this reliable subscription: "
-                "set image_reliability to auto or best_effort"
-            )
-        if self.input.silent_s > SILENCE_S:
-            silent_s = f"{self.input.silent_s:.0f} s"
-            return f"no image on {self.topic.name} for {silent_s}, although the topic has a publisher"
-        if _has_many_lost(self.input.recent):
-            return _losses(self.input.recent)
-        if self.recently_rejected:
-            return f"images are rejected: {self.recently_rejected}"
-        return self.depth_status.hint if self.depth_status else ""
-
-    @property
-    def remark(self) -> str:
-        """Why the node has no output although nothing is wrong, "" if there is no reason."""
-        if self.state != "active":
-            return self.state + _REMEDIES.get(self.state, "")
-        if self.input is None and self.problem:
-            return ""
-        if self.subscribers_3d and self.depth_status is None:
-            return "~/detections_3d has a subscriber, but nothing is published on it: set depth to true"
-        if self.input is None:
-            idle = "idle (lazy): no subscribers to ~/detections or ~/image, so no images are received"
-            is_missing = self.topic.publishers == 0 and self.topic.missing_s > DISCOVERY_S
-            return f"{idle}; {_missing(self.topic)}" if is_missing else idle
-        if self.topic.publishers == 0:
-            return f"waiting for a publisher of images on {self.topic.name}"
-        if self.empty is not None and self.empty.duration_s > EMPTY_S:
-            missed = self.empty.best_missed
-            best = f"the best {missed:.2g}" if missed else f"nothing even above {WORTH_TELLING:g}"
-            return (
-                f"nothing scored above confidence_threshold {self.empty.threshold:g} in the last "
-                f"{self.empty.frames} frames, {best}: if objects were visible, lower it or clear classes"
-            )
-        return ""
-
-    @property
-    def _offers_best_effort(self) -> bool:
-        return ReliabilityPolicy.BEST_EFFORT in self.topic.reliabilities
+    hint: str
+    remark: str
+    values: dict[str, str]
+    is_of_camera: bool = False
 
     @property
     def message(self) -> str:
         """One-line human-readable summary."""
         return self.problem or self.hint or self.remark or "detecting"
 
-    def values(self) -> dict[str, str]:
-        """All values as strings, for diagnostics."""
-        values = {"state": self.state, "last problem": self.problem}
-        values |= {f"frames {outcome.value}": str(self.balance[outcome]) for outcome in Outcome}
-        values |= {"frames received": str(self.balance.received), "frames pending": str(self.balance.pending)}
+
+@dataclass(frozen=True)
+class Status:
+    """Snapshot of the node.
+
+    `problem`: the last one that was reported. `settings`: from configure on; `model`: while active.
+    `cameras`: at least one, "" its name if the node has no others.
+    `abandoned_threads`: threads that hung during deactivate and are still running.
+    `resident_mb`: RAM of the process, None if unknown.
+    """
+
+    state: str
+    problem: str
+    settings: Settings | None
+    model: PreparedModel | None
+    cameras: tuple[CameraStatus, ...]
+    abandoned_threads: int
+    resident_mb: float | None
+
+    @property
+    def of_node(self) -> Summary:
+        """The node, with its camera if that has no name; else in the words of the first with a problem."""
+        each = self.of_cameras
+        if not each:
+            one, problem = self._summary(self.cameras[0]), self.problem or self.cameras[0].problem
+            return Summary("detection", problem, one.hint, one.remark, self._values(problem) | one.values)
+        problems = [f"{camera.name}: {camera.problem}" for camera in each if camera.problem]
+        hints = [f"{camera.name}: {camera.hint}" for camera in each if camera.hint]
+        return Summary(
+            "detection",
+            problem=self.problem,
+            hint=next(iter(problems + hints), ""),
+            remark=self._inactivity,
+            values=self._values(self.problem) | {"cameras": ", ".join(camera.name for camera in each)},
+        )
+
+    @property
+    def of_cameras(self) -> list[Summary]:
+        """Each camera; none if the node has only the one without a name."""
+        return [self._summary(camera) for camera in self.cameras if camera.camera]
+
+    def _summary(self, camera: CameraStatus) -> Summary:
+        hint, remark = (camera.hint, camera.remark) if self.state == "active" else ("", self._inactivity)
+        return Summary(camera.camera, camera.problem, hint, remark, camera.values(), is_of_camera=True)
+
+    @property
+    def _inactivity(self) -> str:
+        return "" if self.state == "active" else self.state + _REMEDIES.get(self.state, "")
+
+    def _values(self, problem: str) -> dict[str, str]:
+        values = {"state": self.state, "last problem": problem}
         values["abandoned threads"] = str(self.abandoned_threads)
         if self.resident_mb is not None:
             values["resident memory MB"] = f"{self.resident_mb:.0f}"
         if self.settings is not None:
             values["configuration"] = self.settings.digest()
-        if self.model is not None:
-            values |= self.model.facts
-        values |= {"image topic": self.topic.name, "image publishers": str(self.topic.publishers)}
-        values["other topics with images"] = ", ".join(self.topic.similar)
-        if self.input is not None:
-            values["image reliability"] = self.input.reliability.name.lower()
-        if self.lost is not None:
-            values |= {"frames lost": str(self.lost), "frames overtaken": str(self.overtaken)}
-        if self.latency is not None:
-            values["rate Hz"] = f"{self.latency.rate_hz:.1f}"
-            values["latency median ms"] = f"{self.latency.median_ms:.1f}"
-            values["latency p95 ms"] = f"{self.latency.p95_ms:.1f}"
-        if self.empty is not None:
-            values["empty frames in a row"] = str(self.empty.frames)
-            values["best score in them"] = f"{self.empty.best_missed:.2g}"
-        return values | dict(self.tracking) | (self.depth_status.values() if self.depth_status else {})
-
-
-def _missing(topic: TopicStatus) -> str:
-    """Explain that `topic` has no publisher, and suggest a remedy."""
-    others = f" (but {', '.join(topic.other_types)})" if topic.other_types else ""
-    text = f"no publisher of images on {topic.name}{others}: start the camera or remap the topic"
-    if not topic.similar:
-        return text
-    similar = " and ".join(topic.similar)
-    return f"{text}. " + f"Images are published on {similar}: did you mean that?{_hint(topic)}"
-
-
-def _hint(topic: TopicStatus) -> str:
-    if f"{topic.name}/compressed" in topic.similar:
-        return " For compressed images, set image_transport to compressed"
-    if topic.name.removesuffix("/compressed") in topic.similar:
-        return " For raw images, set image_transport to raw"
-    return ""
-
-
-def _has_many_lost(recent: RecentImages) -> bool:
-    total = recent.received + recent.lost
-    return total >= FEWEST_IMAGES and recent.lost > recent.received / MANY_LOST
-
-
-def _losses(recent: RecentImages) -> str:
-    lost = (
-        f"{recent.lost} of {recent.received + recent.lost} images were lost between the camera and this node "
-        f"in the last {recent.window_s:.0f} s: "
-    )
-    if recent.max_bytes <= DEFAULT_SEGMENT_BYTES:
-        return (
-            lost + "the machine or the link is overloaded, lower the camera's rate or send compressed images"
-        )
-    return lost + (
-        f"images of {recent.max_bytes / 1e6:.1f} MB do not fit into the shared memory that Fast DDS reserves "
-        "by default. Start the camera's process with the profile config/shm.xml, if it runs on this machine "
-        "without it; else send compressed images, or lower the rate"
-    )
+        return values | (self.model.facts if self.model is not None else {})

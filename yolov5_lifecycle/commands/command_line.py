@@ -1,20 +1,28 @@
-"""Argument parser shared by all commands other than the nodes."""
+"""What every command line has: the version of this package, and usage errors in one line."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NoReturn
 
-from yolov5_lifecycle.commands.version import version_line
 from yolov5_lifecycle.process.standard_streams import complain
 
 EXIT_USAGE = 2
 """Exit code for invalid arguments."""
 
 
+def version_line(command: str) -> str:
+    """Output of `command --version`, without the line break."""
+    try:
+        return f"{command} {version('yolov5_lifecycle')} (yolov5_lifecycle)"
+    except PackageNotFoundError:
+        return f"{command}, of a yolov5_lifecycle that is not installed and so has no version"
+
+
 class CommandParser(argparse.ArgumentParser):
-    """ArgumentParser with `--version` that reports usage errors in one line."""
+    """Parser of the commands other than the nodes, with `--version` and usage errors in one line."""
 
     def __init__(self, command: str, **options: Any) -> None:
         super().__init__(prog=command, **options)

@@ -1,0 +1,267 @@
+"""Several cameras on one model: each with its own topics, settings, balance and troubles."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from support.camera_client import CameraClient
+from support.served_node import (
+    PATIENCE_S,
+    Preparations,
+    ServedNode,
+    class_ids_of,
+    image,
+    prediction,
+)
+
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
+from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
+
+CAMERAS = ("front", "rear")
+
+
+@pytest.fixture
+def served(prepare: Preparations) -> Iterator[ServedNode]:
+    """The node with two cameras."""
+    with ServedNode(prepare, parameters=["cameras:=[front, rear]"]) as served:
+        yield served
+    assert served.escaped == []
+
+
+@pytest.fixture
+def cameras(served: ServedNode) -> dict[str, CameraClient]:
+    return {name: CameraClient(served, name) for name in CAMERAS}
+
+
+def test_each_camera_has_its_own_topics(served: ServedNode, cameras: dict[str, CameraClient]) -> None:
+    served.bring_to("active")
+    for name, camera in cameras.items():
+        detections = camera.detect()
+        assert class_ids_of(detections) == ["cat"]
+        assert detections.header.frame_id == f"{name}_optical"
+    topics = {name for name, _ in served.node.get_topic_names_and_types()}
+    assert {f"/yolov5/{name}/image" for name in CAMERAS} < topics
+    assert not {"/yolov5/image_raw", "/yolov5/detections"} & set(served_topics(served))
+
+
+def served_topics(served: ServedNode) -> list[str]:
+    """Topics with an endpoint of the node."""
+    node = served.node
+    name, namespace = node.get_name(), node.get_namespace()
+    publishers = node.get_publisher_names_and_types_by_node(name, namespace)
+    subscribers = node.get_subscriber_names_and_types_by_node(name, namespace)
+    return [topic for topic, _ in (*publishers, *subscribers)]
+
+
+def test_a_camera_may_override_a_live_setting(served: ServedNode, cameras: dict[str, CameraClient]) -> None:
+    served.bring_to("active")
+    assert served.set(**{"front.confidence_threshold": 0.95}) == (True, "")
+    assert class_ids_of(cameras["front"].detect()) == []
+    assert class_ids_of(cameras["rear"].detect()) == ["cat"]
+    assert served.set(confidence_threshold=0.95) == (True, "")
+    assert served.set(**{"front.confidence_threshold": 0.5}) == (True, "")
+    assert class_ids_of(cameras["front"].detect()) == ["cat"]
+    assert class_ids_of(cameras["rear"].detect()) == []
+
+
+def test_each_camera_has_a_status_and_an_exact_balance(
+    served: ServedNode, cameras: dict[str, CameraClient]
+) -> None:
+    served.bring_to("active")
+    front = cameras["front"]
+    for _ in range(5):
+        front.detect()
+    served.wait_for(lambda: front.counts()["pending"] == 0, "the last frame")
+    statuses = served.statuses()
+    assert set(statuses) == {"detection", *CAMERAS}
+    assert {status.hardware_id for status in statuses.values()} == {"/yolov5"}
+    counts = front.counts()
+    assert counts["detected"] >= 5
+    assert counts.pop("received") == sum(counts.values())
+    assert cameras["rear"].counts()["received"] == 0
+    values = {item.key: item.value for item in statuses["detection"].values}
+    assert (values["cameras"], values["state"]) == ("front, rear", "active")
+    assert "frames received" not in values
+
+
+def test_a_camera_that_sends_garbage_is_told_apart_from_the_others(
+    served: ServedNode, cameras: dict[str, CameraClient]
+) -> None:
+    served.bring_to("active")
+    front, rear = cameras["front"], cameras["rear"]
+    rear.detect()
+
+    def is_rejected() -> bool:
+        front.send(image(encoding="nonsense"))
+        return "'nonsense' is not supported" in served.diagnostics[-1].status[1].message
+
+    served.statuses()
+    served.wait_for(is_rejected, "the rejection")
+    assert class_ids_of(rear.detect()) == ["cat"]
+    of_node, of_front, of_rear = served.diagnostics[-1].status
+    assert of_front.level == DiagnosticStatus.WARN
+    assert of_rear.level == DiagnosticStatus.OK
+    assert of_node.message.startswith("front: images are rejected")
+    assert "'nonsense' is not supported" in front.values()["last problem"]
+    served.wait_for_log("image of camera front rejected: ")
+
+
+def test_failures_of_one_camera_do_not_end_the_detection_of_another(
+    served: ServedNode, prepare: Preparations, cameras: dict[str, CameraClient]
+) -> None:
+    served.bring_to("active")
+    assert served.set(max_consecutive_failures=3) == (True, "")
+    wide = image(48, 128)
+
+    def fail_if_wide() -> np.ndarray:
+        (height, width, _), *_ = prepare.running.calls[-1]
+        if width > 2 * height:
+            raise RuntimeError("too wide")
+        return prediction("cat", 0.9)
+
+    prepare.running.run = fail_if_wide
+    front, rear = cameras["front"], cameras["rear"]
+    for failures in range(1, 6):
+        front.send(wide)
+        served.wait_for(lambda wanted=failures: front.counts()["failed"] >= wanted, "the failure")  # type: ignore[misc]
+        rear.detect()
+    assert served.state() == "active"
+    assert "too wide" in front.values()["last problem"]
+
+
+def test_only_the_camera_that_somebody_looks_at_is_subscribed_to(served: ServedNode) -> None:
+    front = CameraClient(served, "front")
+    rear = CameraClient(served, "rear", is_listening=False)
+    served.bring_to("active")
+    front.detect()
+    assert rear.images.get_subscription_count() == 0
+    assert "no subscribers to ~/rear/detections or ~/rear/image" in served.statuses()["rear"].message
+    rear.listen()
+    rear.detect()
+
+
+def test_an_added_camera_starts_and_the_others_lose_no_frame(
+    served: ServedNode, cameras: dict[str, CameraClient]
+) -> None:
+    served.bring_to("active")
+    front = cameras["front"]
+    front.detect()
+    before = front.counts()
+    left = CameraClient(served, "left")
+    assert served.set(cameras=["front", "rear", "left"]) == (True, "")
+    assert class_ids_of(left.detect()) == ["cat"]
+    front.detect()
+    after = front.counts()
+    assert after["inactive"] == after["flushed"] == 0
+    assert after["detected"] > before["detected"]
+    assert set(served.statuses()) == {"detection", "front", "rear", "left"}
+
+
+def test_a_removed_camera_ends_with_a_closed_balance(
+    served: ServedNode, cameras: dict[str, CameraClient]
+) -> None:
+    served.bring_to("active")
+    cameras["front"].detect()
+    cameras["rear"].detect()
+    assert served.set(cameras=["rear"]) == (True, "")
+    served.wait_for_log("camera front removed: ")
+    (told,) = [said for said in served.log if "camera front removed" in said]
+    assert "frames received, 0 pending" in told
+    assert not any("/front/" in topic for topic in served_topics(served))
+    assert class_ids_of(cameras["rear"].detect()) == ["cat"]
+    assert set(served.statuses()) == {"detection", "rear"}
+
+
+def test_a_node_changes_between_one_camera_without_a_name_and_several(
+    served: ServedNode, cameras: dict[str, CameraClient]
+) -> None:
+    served.bring_to("active")
+    cameras["rear"].detect()
+    assert served.set(cameras=[]) == (True, "")
+    assert class_ids_of(served.detect()) == ["cat"]
+    assert set(served.statuses()) == {"detection"}
+    assert served.set(cameras=["rear"]) == (True, "")
+    assert class_ids_of(cameras["rear"].detect()) == ["cat"]
+
+
+@pytest.mark.parametrize("state", ["unconfigured", "inactive"])
+def test_cameras_may_be_named_in_any_state(
+    served: ServedNode, cameras: dict[str, CameraClient], state: str
+) -> None:
+    served.bring_to(state)
+    assert served.set(cameras=["rear", "left"]) == (True, "")
+    assert set(served.statuses()) == {"detection", "rear", "left"}
+    for label in {"unconfigured": ["configure", "activate"], "inactive": ["activate"]}[state]:
+        assert served.transition(label)
+    assert class_ids_of(CameraClient(served, "left").detect()) == ["cat"]
+
+
+def test_cameras_whose_topics_are_remapped_to_one_name_are_refused(prepare: Preparations) -> None:
+    remappings = ["--ros-args", "-r", "~/left/image:=/seen", "-r", "~/right/image:=/seen"]
+    with ServedNode(prepare, parameters=["cameras:=[front]"], arguments=remappings) as served:
+        front = CameraClient(served, "front")
+        served.bring_to("active")
+        done, reason = served.set(cameras=["left", "right"])
+        assert not done
+        assert "~/left/image and ~/right/image are remapped to the same topic, /seen" in reason
+        assert class_ids_of(front.detect()) == ["cat"]
+
+
+def test_an_added_camera_that_cannot_start_changes_nothing(
+    served: ServedNode, cameras: dict[str, CameraClient]
+) -> None:
+    served.bring_to("active")
+    done, reason = served.set(cameras=["front", "rear", "left"], **{"left.classes": ["horse"]})
+    assert not done
+    assert "left.classes: 'horse' is not a class of the model" in reason
+    assert served.get("cameras") == [*CAMERAS]
+    assert set(served.statuses()) == {"detection", *CAMERAS}
+    assert class_ids_of(cameras["front"].detect()) == ["cat"]
+
+
+def test_a_new_model_serves_all_cameras_and_is_warmed_up_for_the_size_of_each(
+    served: ServedNode, prepare: Preparations, cameras: dict[str, CameraClient]
+) -> None:
+    served.bring_to("active")
+    wide = image(48, 128)
+    cameras["rear"].send(wide)
+    served.wait_for(lambda: bool(cameras["rear"].detections), "the wide image")
+    assert served.set(image_size=320) == (True, "")
+    assert prepare.sources_hw == [[USUAL_SOURCE_HW] * 2, [USUAL_SOURCE_HW, (48, 128)]]
+    prepare.running.run = lambda: prediction("dog", 0.9)
+    assert [class_ids_of(camera.detect()) for camera in cameras.values()] == [["dog"], ["dog"]]
+
+
+def test_a_camera_whose_frame_hangs_can_be_removed_and_the_others_go_on(
+    served: ServedNode, prepare: Preparations, cameras: dict[str, CameraClient]
+) -> None:
+    served.bring_to("active")
+    cameras["rear"].detect()
+    hangs, released = threading.Event(), threading.Event()
+
+    def hang() -> np.ndarray:
+        hangs.set()
+        assert released.wait(PATIENCE_S)
+        return prediction("cat", 0.9)
+
+    prepare.running.run = hang
+    served.wait_for(lambda: bool(cameras["front"].send()) and hangs.is_set(), "the frame to hang")
+    prepare.running.run = lambda: prediction("dog", 0.9)
+    assert served.set(cameras=["rear"]) == (True, "")
+    served.wait_for_log(f"inference did not end within {REST_TIMEOUT_S:g} s")
+    assert class_ids_of(cameras["rear"].detect()) == ["dog"]
+    released.set()
+
+
+def test_ids_of_tracks_are_unique_among_cameras(served: ServedNode, cameras: dict[str, CameraClient]) -> None:
+    assert served.set(tracker="bytetrack") == (True, "")
+    served.bring_to("active")
+    ids = {}
+    for name, camera in cameras.items():
+        served.wait_for(lambda seen=camera: seen.detect().detections[0].id != "", "a confirmed track")  # type: ignore[misc]
+        ids[name] = camera.detections[-1].detections[0].id
+    assert len(set(ids.values())) == len(CAMERAS)

@@ -1,0 +1,68 @@
+"""Parameters that override a setting for one camera: declared while they have a value, described always."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from rcl_interfaces.srv import DescribeParameters
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from yolov5_lifecycle.ros.declaration import declare_unset, unset_descriptor
+from yolov5_lifecycle.settings.schema import SEPARATOR
+from yolov5_lifecycle.settings.settings import SCHEMA
+
+
+def deletion(name: str) -> Parameter:
+    """The parameter that deletes `name` when it is set."""
+    return Parameter(name, Parameter.Type.NOT_SET)
+
+
+def declare_missing(node: Node, parameters: Iterable[Parameter]) -> None:
+    """Declare those overrides among `parameters` that are about to get their first value."""
+    names = [
+        parameter.name
+        for parameter in parameters
+        if parameter.type_ is not Parameter.Type.NOT_SET and not node.has_parameter(parameter.name)
+    ]
+    for setting in SCHEMA.found(names).values():
+        declare_unset(node, setting)
+
+
+def undeclare_unset(node: Node, parameters: Iterable[Parameter]) -> None:
+    """Undeclare the overrides among `parameters` that were declared, but did not get a value."""
+    for setting in SCHEMA.found(parameter.name for parameter in parameters).values():
+        unset = deletion(setting.name)
+        if node.has_parameter(setting.name) and node.get_parameter_or(setting.name, unset) is unset:
+            node.undeclare_parameter(setting.name)
+
+
+def without_cameras(overrides: Iterable[str], values: Mapping[str, object]) -> list[str]:
+    """Those of `overrides` whose cameras are not in `values`; other names are left out."""
+    return [name for name in overrides if SEPARATOR in name and not SCHEMA.is_known(name, values)]
+
+
+def without_unset(values: Mapping[str, object]) -> dict[str, object]:
+    """`values` without the overrides that are None."""
+    return {name: value for name, value in values.items() if value is not None or SEPARATOR not in name}
+
+
+def describe(
+    node: Node, values: Mapping[str, object], request: DescribeParameters.Request, response: Any
+) -> Any:
+    """Response of the service `describe_parameters`, also about overrides of the cameras in `values` not set.
+
+    As with rclpy, it is empty if a name is unknown.
+    """
+    described = []
+    for name in request.names:
+        if node.has_parameter(name):
+            described.append(node.describe_parameter(name))
+        elif SEPARATOR in name and SCHEMA.is_known(name, values):
+            (setting,) = SCHEMA.found([name]).values()
+            described.append(unset_descriptor(setting))
+        else:
+            return response
+    response.descriptors = described
+    return response

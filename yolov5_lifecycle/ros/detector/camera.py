@@ -1,0 +1,136 @@
+"""A camera of the node: what exists for it while it is named in `cameras`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+from rclpy.lifecycle import LifecycleNode
+
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
+from yolov5_lifecycle.ros.detector.frame_failures import CameraFailures, FrameFailures
+from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
+from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, Transport
+from yolov5_lifecycle.ros.detector.outputs import Outputs
+from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage
+from yolov5_lifecycle.ros.detector.stream import Stream
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.frame_statistics import FrameBalance
+from yolov5_lifecycle.streaming.worker import Worker
+
+
+class Camera:
+    """Owns a camera's frame balance and topic until `close`, its publishers and stream as the state demands.
+
+    `name` is "" for the one camera of a node without `cameras`; `names()` returns those of all cameras.
+    `on_subscribers_changed()` is called in the executor, see `Outputs`.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        name: str,
+        *,
+        names: Callable[[], Sequence[str]],
+        worker: Worker[ReceivedFrame, DetectedFrame],
+        failures: FrameFailures,
+        track_ids: Iterator[int],
+    ) -> None:
+        self._node = node
+        self.name = name
+        self._failures = CameraFailures(node, name, failures)
+        self._feed = worker.feed(on_failure=self._failures.failed, on_success=self._failures.succeeded)
+        self._topic = ImageTopic(node, "raw", camera=name, cameras=names)
+        self._track_ids = track_ids
+        self.last_image = LastImage()
+        self._outputs: Outputs | None = None
+        self._stream: Stream | None = None
+
+    def configure(self) -> None:
+        """Create the publishers unless they exist; raises rclpy's exception."""
+        if self._outputs is None:
+            self._outputs = Outputs(
+                self._node, camera=self.name, on_subscribers_changed=self.follow_subscribers
+            )
+
+    def detect(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
+        """Start to detect; or change to these settings and this detector from the next frame on.
+
+        `is_active`: whether the node is active already, so that rclpy does not activate the publishers.
+        """
+        assert self._outputs is not None, "only a configured camera is activated"
+        if self._stream is not None:
+            self._stream.apply(settings, detector)
+            return
+        self._stream = Stream(
+            self._node,
+            self.name,
+            settings=settings,
+            detector=detector,
+            topic=self._topic,
+            outputs=self._outputs,
+            feed=self._feed,
+            last_image=self.last_image,
+            track_ids=self._track_ids,
+        )
+        if is_active:
+            self._outputs.activate()
+            self._stream.follow_subscribers()
+
+    def follow_subscribers(self) -> None:
+        """Subscribe or unsubscribe as the subscribers of the outputs demand."""
+        if self._stream is not None:
+            self._stream.follow_subscribers()
+
+    def unsubscribe(self) -> None:
+        """End the stream; the caller stops its feed, alone or with those of all cameras."""
+        if self._stream is not None:
+            self._stream.unsubscribe()
+            self._stream = None
+
+    def release(self) -> None:
+        """Destroy the publishers; call when no frame is in progress."""
+        if self._outputs is not None:
+            self._outputs.close()
+            self._outputs = None
+
+    def close(self, timeout_s: float) -> bool:
+        """End with a closed balance; False if the frame in progress hung and its thread was abandoned."""
+        self.unsubscribe()
+        rested = self._feed.stop(timeout_s)
+        self._feed.close()
+        self.release()
+        return rested
+
+    def balance(self) -> FrameBalance:
+        """Counts of the frames since the camera was named in `cameras`."""
+        return self._feed.balance()
+
+    def status(self, transport: Transport) -> CameraStatus:
+        """Snapshot; updates the subscription to what the publishers offer.
+
+        `transport` is the setting `image_transport` of this camera.
+        """
+        stream = self._stream
+        if stream is None:
+            self._topic.follow(transport)
+        topic = self._topic.look()
+        image_input = stream.look(topic) if stream else None
+        return CameraStatus(
+            camera=self.name,
+            problem=stream.problem if stream else "",
+            last_problem=self._failures.last_problem,
+            recent_failure=self._failures.recent(),
+            balance=self._feed.balance(),
+            topic=topic,
+            input=image_input,
+            lost=stream.losses.lost if stream else None,
+            overtaken=stream.losses.overtaken if stream else None,
+            latency=stream.latencies.summary(time.monotonic()) if stream else None,
+            empty=stream.empty_frames.run if stream else None,
+            tracking=stream.tracker_values if stream else {},
+            depth_status=stream.depth.look() if stream and stream.depth else None,
+            subscribers_3d=self._outputs.subscribers_3d if self._outputs else 0,
+            busy_s=self._feed.busy_s(),
+        )

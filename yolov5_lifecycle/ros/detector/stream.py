@@ -1,0 +1,178 @@
+"""Detection in the images of one camera, which lasts while the node is active."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+from rclpy.lifecycle import LifecycleNode
+
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros.detector.depth_input import DepthInput
+from yolov5_lifecycle.ros.detector.image_input import ImageInput, InputStatus, ReceivedFrame
+from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
+from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
+from yolov5_lifecycle.ros.detector.outputs import Outputs
+from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage, Pipeline
+from yolov5_lifecycle.settings.schema import Change
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.feed import Feed
+from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracker_settings
+
+Made = TypeVar("Made")
+
+
+class Stream:
+    """Owns a camera's subscriptions, tracker and statistics; gives its frames to the inference thread.
+
+    `camera`: see `of_camera`. `settings` are those of the camera. `track_ids` numbers the tracks of all
+    cameras. Detects with `detector` from construction on.
+
+    If the subscription cannot be created, this is logged and stays in `problem`; every `look` retries.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        camera: str,
+        *,
+        settings: Settings,
+        detector: Detector,
+        topic: ImageTopic,
+        outputs: Outputs,
+        feed: Feed[ReceivedFrame, DetectedFrame],
+        last_image: LastImage,
+        track_ids: Iterator[int],
+    ) -> None:
+        self._node = node
+        self._camera = camera
+        self._settings = settings
+        self._detector = detector
+        self._topic = topic
+        self._outputs = outputs
+        self._feed = feed
+        self._last_image = last_image
+        self._track_ids = track_ids
+        self._tracker = self._new_tracker()
+        self._input: ImageInput | None = None
+        self.losses = ImageLosses()
+        self.problem = ""
+        self.latencies = LatencyWindow()
+        self.empty_frames = EmptyFrames(settings.confidence_threshold)
+        self.depth: DepthInput | None = None
+        topic.follow(settings.image_transport)
+        self._start()
+
+    @property
+    def tracker_values(self) -> dict[str, str]:
+        """For diagnostics: the tracker and its tracks after the last image; empty without one."""
+        if self._tracker is None:
+            return {}
+        return {"tracker": self._settings.tracker, "confirmed tracks": str(self._tracker.confirmed)}
+
+    def look(self, topic: TopicStatus) -> InputStatus | None:
+        """Update the subscription to what the publishers offer; return its status, None without one."""
+        self.follow_subscribers()
+        if (present := self._input) is None:
+            return None
+        return self._trying(lambda: present.look(topic))
+
+    def apply(self, settings: Settings, detector: Detector) -> None:
+        """Change to `settings` and `detector` from the next frame on; do nothing if both are the same."""
+        if settings == self._settings and detector is self._detector:
+            return
+        before, self._settings = self._settings, settings
+        is_other_camera = before.image_transport != settings.image_transport
+        is_other_model = detector is not self._detector
+        self._detector = detector
+        if is_other_camera or is_other_model or before.tracker != settings.tracker:
+            self._tracker = self._new_tracker()
+        self.empty_frames = EmptyFrames(settings.confidence_threshold)
+        self._start()
+        is_resubscribed = bool(before.differing(settings, Change.RESUBSCRIBE))
+        if is_resubscribed:
+            self.unsubscribe()
+            self._topic.follow(settings.image_transport)
+        if is_other_camera:
+            self.losses.stop()
+        if is_resubscribed or before.lazy != settings.lazy:
+            self.follow_subscribers()
+
+    def follow_subscribers(self) -> None:
+        """Subscribe if frames are needed; unsubscribe if `lazy` and the outputs have no subscriber."""
+        is_lazy = self._settings.lazy
+        subscribers_3d = self._outputs.subscribers_3d if self._settings.depth else 0
+        wanted = not is_lazy or self._outputs.subscribers + subscribers_3d > 0
+        if wanted and self._input is None:
+            self._input = self._trying(self._subscribed)
+        elif not wanted:
+            self.unsubscribe()
+            self.losses.stop()
+        if self.depth is not None and wanted:
+            viewers = subscribers_3d + self._outputs.image_subscribers
+            self.depth.follow(is_needed=not is_lazy or viewers > 0)
+
+    def _subscribed(self) -> ImageInput:
+        return ImageInput(
+            self._node,
+            topic=self._topic,
+            reliability=self._settings.image_reliability,
+            on_frame=self._feed.offer,
+            losses=self.losses,
+        )
+
+    def _trying(self, subscribe: Callable[[], Made]) -> Made | None:
+        """Return `subscribe()`; on an exception return None and set `problem` to the reason."""
+        try:
+            made = subscribe()
+        except Exception as error:  # noqa: BLE001 - rclpy raises several types; reported and retried
+            problem = (
+                f"cannot subscribe to {self._topic.name}: {in_one_line(str(error))}. Nothing is detected "
+                "meanwhile; retrying every second"
+            )
+            if problem != self.problem:
+                self._node.get_logger().error(problem)
+            self.problem = problem
+            return None
+        self.problem = ""
+        return made
+
+    def _new_tracker(self) -> ByteTracker | None:
+        return ByteTracker(self._track_ids) if self._settings.tracker == "bytetrack" else None
+
+    def _start(self) -> None:
+        settings, tracker = self._settings, self._tracker
+        self._follow_depth()
+        pipeline = Pipeline(
+            detector=self._detector,
+            selection=selection(settings, self._detector.class_names),
+            outputs=self._outputs,
+            latencies=self.latencies,
+            empty_frames=self.empty_frames,
+            last_image=self._last_image,
+            placing=self.depth.placing if self.depth else None,
+            tracking=None if tracker is None else TrackedDetection(tracker, tracker_settings(settings)),
+        )
+        self._feed.start(pipeline, max_rate_hz=settings.max_rate)
+
+    def _follow_depth(self) -> None:
+        """Begin or end to place detections; begin afresh with another slop."""
+        slop_s = self._settings.depth_slop_s if self._settings.depth else None
+        if slop_s == (self.depth.slop_s if self.depth else None):
+            return
+        if self.depth is not None:
+            self.depth.follow(is_needed=False)
+        self.depth = None if slop_s is None else DepthInput(self._node, camera=self._camera, slop_s=slop_s)
+
+    def unsubscribe(self) -> None:
+        """Receive no more images; the feed is to be stopped by the caller."""
+        if self.depth is not None:
+            self.depth.follow(is_needed=False)
+        if self._input is not None:
+            self._input.close()
+            self._input = None
+        self.problem = ""

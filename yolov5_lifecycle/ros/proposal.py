@@ -1,0 +1,47 @@
+"""A request to change parameters, validated: what is there, what shall be there, why it must not be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rclpy.parameter import Parameter
+
+from yolov5_lifecycle.settings.schema import Change, Problem
+from yolov5_lifecycle.settings.settings import Settings
+
+
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """Values of all settings and overrides, with the resulting settings or problems. Compared by identity."""
+
+    values: Mapping[str, object]
+    settings: Settings | None
+    """None if there are problems."""
+    problems: tuple[Problem, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """Changes that one request makes to `base`, the configuration it was validated against.
+
+    It may be stored if `base` is still the current configuration and it has no `problems`.
+    """
+
+    base: Configuration
+    after: Configuration
+    """`base` itself if no setting changes."""
+    kind: Change | None
+    """The most expensive kind of change; None if no setting changes or the settings are invalid."""
+    asked: tuple[Parameter, ...]
+    """Parameters as requested."""
+    parameters: tuple[Parameter, ...]
+    """Parameters to set: coerced to the types of their settings, without those that need no change."""
+    withdrawn: tuple[str, ...] = ()
+    """Unusable overrides of the start that the request deletes."""
+    unknown: tuple[str, ...] = ()
+    """Requested names that are not parameters."""
+    problems: tuple[Problem, ...] = ()
+    """Why the request must be refused; excludes problems that `base` already has."""
+    is_direct: bool = False
+    """Whether the request was made in-process, through the methods of the rclpy node."""

@@ -1,0 +1,76 @@
+"""Values given at the start that a node cannot use: invalid ones, and those of unknown parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from itertools import islice
+
+from rclpy.parameter import Parameter
+
+from yolov5_lifecycle.ros.parameter_values import coerced
+from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem
+from yolov5_lifecycle.settings.settings import SCHEMA
+
+MAX_SUGGESTIONS = 20
+"""Max number of unknown names for which a similar name is looked for, 1 ms each."""
+
+
+@dataclass(frozen=True)
+class UnusableOverrides:
+    """Parameters from files and the command line without effect, until they are set again or deleted."""
+
+    invalid: Mapping[str, Problem]
+    """By the name of a setting, or of an override for one camera, which is not declared then."""
+    unknown: Mapping[str, Parameter]
+    """By names that are not parameters."""
+
+    def problems(self, values: Mapping[str, object], node_name: str) -> list[Problem]:
+        """One per override; `values` are the present ones of the node with the full name `node_name`."""
+        names = [name for name in self.unknown if not (self._has_invalid_cameras() and SCHEMA.find(name))]
+        return [
+            *self.invalid.values(),
+            *(
+                _unknown(name, values, node_name, may_suggest=index < MAX_SUGGESTIONS)
+                for index, name in enumerate(names)
+            ),
+        ]
+
+    def may_be_deleted(self, name: str) -> bool:
+        """Whether `name` is one of these and not a declared parameter."""
+        return name in self.unknown or (name in self.invalid and SEPARATOR in name)
+
+    def usable_with(self, values: Mapping[str, object]) -> list[Parameter]:
+        """Overrides for cameras that were unknown before, but not with these `values`."""
+        names = [name for name in self.unknown if name not in values and SCHEMA.is_known(name, values)]
+        settings = SCHEMA.found(names)
+        return [coerced(self.unknown[name], settings, may_be_unset=True) for name in names]
+
+    def without(self, names: Collection[str]) -> UnusableOverrides | None:
+        """Those that are not among `names`, or None if there are none."""
+        invalid = {name: problem for name, problem in self.invalid.items() if name not in names}
+        unknown = {name: parameter for name, parameter in self.unknown.items() if name not in names}
+        return UnusableOverrides(invalid, unknown) if invalid or unknown else None
+
+    def after_setting(self, names: Collection[str], values: Mapping[str, object]) -> UnusableOverrides | None:
+        """Those that remain after `names` were set and the values are `values`, or None if there are none."""
+        replaced = [
+            name for name in islice(self.unknown, MAX_SUGGESTIONS) if SCHEMA.meant(name, values) in names
+        ]
+        removed = [name for name in self.invalid if not SCHEMA.is_known(name, values)]
+        return self.without({*names, *replaced, *removed})
+
+    def _has_invalid_cameras(self) -> bool:
+        """Whether it is unknown which cameras there should be."""
+        settings = SCHEMA.found(self.invalid)
+        return any(setting.change is Change.CAMERAS for setting in settings.values())
+
+
+def _unknown(name: str, values: Mapping[str, object], node_name: str, *, may_suggest: bool) -> Problem:
+    problem = SCHEMA.unknown(name, values, may_suggest=may_suggest)
+    if may_suggest and SCHEMA.meant(name, values):
+        remedy = "Set that one, or remove this one"
+    else:
+        remedy = "Or remove it" if SCHEMA.find(name) else "Remove it"
+    command = f"ros2 param delete {node_name} {problem.setting}"
+    return Problem(problem.setting, f"{problem.message} {remedy}: {command}")

@@ -1,0 +1,167 @@
+"""Overrides of settings for one camera, such as `front.max_rate`: names, values and their validation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, PrivateAttr, SerializerFunctionWrapHandler, model_serializer
+
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
+from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, Schema, Setting, SettingsError
+from yolov5_lifecycle.settings.suggestion import nearest
+
+MAX_SUGGESTIONS = 20
+"""Max number of unknown overrides for which a similar name is suggested, 1 ms each."""
+_CAMERAS = "cameras"
+_NONE: Mapping[str, object] = MappingProxyType({})
+
+Model = TypeVar("Model", bound="OverridableSettings")
+
+
+class OverridableSettings(BaseModel):
+    """Settings of which a camera may have its own."""
+
+    _overrides: dict[str, object] = PrivateAttr(default_factory=dict)
+    """Values by dotted name."""
+    _overridden: dict[str, Any] = PrivateAttr(default_factory=dict)
+    """Settings of the cameras that have overrides, by camera."""
+
+    def with_overrides(
+        self: Model, overridden: Mapping[str, Model], overrides: Mapping[str, Iterable[str]]
+    ) -> Model:
+        """Copy with the settings `overridden` by camera; `overrides` names those that are its own."""
+        copy = self.model_copy()
+        copy._overridden = dict(overridden)
+        copy._overrides = {
+            f"{camera}{SEPARATOR}{name}": getattr(overridden[camera], name)
+            for camera, names in overrides.items()
+            for name in names
+        }
+        return copy
+
+    def without_cameras(self: Model) -> Model:
+        """Copy without cameras and overrides."""
+        copy = self.model_copy(update={_CAMERAS: ()})
+        copy._overridden, copy._overrides = {}, {}
+        return copy
+
+    @model_serializer(mode="wrap")
+    def _with_dotted_names(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {**dump(self), **self._overrides}
+
+
+class OverridableSchema(Schema[Model]):
+    """Schema of settings with the field `cameras`, whose values may have dotted names.
+
+    The settings of each camera with overrides are validated as a whole, like those of a node with one camera.
+    """
+
+    def is_known(self, name: str, values: Mapping[str, object]) -> bool:
+        return name in self.by_name or (
+            self._inherited(name) is not None and name.partition(SEPARATOR)[0] in _cameras(values)
+        )
+
+    def problem(self, name: str, value: object) -> Problem | None:
+        camera, separator, setting = name.rpartition(SEPARATOR)
+        found = super().problem(setting, value)
+        return found and Problem(f"{camera}{separator}{setting}", found.message)
+
+    def meant(self, name: str, values: Mapping[str, object] = _NONE) -> str | None:
+        camera, separator, setting = name.partition(SEPARATOR)
+        cameras = _cameras(values)
+        if not (separator and cameras):
+            return super().meant(name)
+        if setting in self.by_name and not self.by_name[setting].per_camera:
+            return None
+        near_camera = camera if camera in cameras else nearest(camera, cameras)
+        near_setting = super().meant(setting)
+        if near_camera is None or near_setting is None or not self.by_name[near_setting].per_camera:
+            return None
+        return f"{near_camera}{SEPARATOR}{near_setting}"
+
+    def unknown(
+        self, name: str, values: Mapping[str, object] = _NONE, *, may_suggest: bool = True
+    ) -> Problem:
+        problem = super().unknown(name, values, may_suggest=may_suggest)
+        reason = self._reason(name, _cameras(values))
+        return Problem(problem.setting, f"there is no such parameter: {reason}") if reason else problem
+
+    def _reason(self, name: str, cameras: Sequence[str]) -> str:
+        """Why there is no parameter `name`, if that has to do with `cameras`, otherwise an empty string."""
+        camera, separator, setting = name.partition(SEPARATOR)
+        if separator and camera in cameras and setting in self.by_name:
+            return f"{setting} is a setting of the node, the same for all cameras."
+        if name in cameras:
+            example = next(setting.name for setting in self.settings if setting.per_camera)
+            return f"{name} is a camera; its settings are called {name}{SEPARATOR}{example} and so on."
+        if self._inherited(name) and not (cameras and nearest(camera, cameras)):
+            present = f"has {', '.join(cameras)}" if cameras else "is empty"
+            return f"add the camera to {_CAMERAS}, which {present}."
+        return ""
+
+    def _override(self, name: str) -> Setting | None:
+        if (setting := self._inherited(name)) is None:
+            return None
+        camera, _, _ = name.partition(SEPARATOR)
+        described = f"{setting.description} For the camera {camera}; that of the node applies if not set."
+        return replace(setting, name=name, description=described)
+
+    def _inherited(self, name: str) -> Setting | None:
+        """The setting of the node that the override `name` replaces."""
+        camera, _, overridden = name.partition(SEPARATOR)
+        setting = self.by_name.get(overridden)
+        return setting if camera and setting is not None and setting.per_camera else None
+
+    def _with_overrides(self, values: Mapping[str, object]) -> Model:
+        own = {name: value for name, value in values.items() if SEPARATOR not in name}
+        overrides, unknown = self._divided(values)
+        node, problems = self._attempt(own)
+        of_node = set(problems)
+        common = {name: value for name, value in own.items() if name in self.by_name} | {_CAMERAS: ()}
+        overridden: dict[str, Model] = {}
+        for camera, given in overrides.items():
+            settings, found = self._attempt({**common, **given})
+            problems += [
+                Problem(f"{camera}{SEPARATOR}{problem.setting}", problem.message)
+                for problem in found
+                if problem not in of_node
+            ]
+            if settings is not None:
+                overridden[camera] = settings
+        problems += unknown
+        if problems or node is None:
+            raise SettingsError(problems)
+        return node.with_overrides(overridden, overrides)
+
+    def _divided(self, values: Mapping[str, object]) -> tuple[dict[str, dict[str, object]], list[Problem]]:
+        """Values of the overrides by camera and setting, and problems of the unknown ones."""
+        cameras = _cameras(values)[:MAX_CAMERAS]  # more are refused anyway
+        overrides = {camera: dict[str, object]() for camera in cameras}
+        unknown = []
+        for name in filter(lambda name: SEPARATOR in name, values):
+            camera, _, setting = name.partition(SEPARATOR)
+            if camera in overrides and self._inherited(name) is not None:
+                overrides[camera][setting] = values[name]
+            else:
+                unknown.append(name)
+        known = {_CAMERAS: cameras}
+        problems = [
+            self.unknown(name, known, may_suggest=index < MAX_SUGGESTIONS)
+            for index, name in enumerate(unknown)
+        ]
+        return {camera: given for camera, given in overrides.items() if given}, problems
+
+    def _attempt(self, values: Mapping[str, object]) -> tuple[Model | None, list[Problem]]:
+        try:
+            return self._validated(values), []
+        except SettingsError as error:
+            return None, error.problems
+
+
+def _cameras(values: Mapping[str, object]) -> tuple[str, ...]:
+    """Names of the cameras in `values`, valid or not."""
+    names = values.get(_CAMERAS)
+    return tuple(name for name in names if isinstance(name, str)) if isinstance(names, (list, tuple)) else ()

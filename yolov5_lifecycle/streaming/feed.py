@@ -1,0 +1,270 @@
+"""Feeds: the newest frame of each camera, within its rate limit, and whose frame is next."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import Generic
+
+from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
+from yolov5_lifecycle.streaming.pipeline import Batch, Frame, Pipeline, Result
+
+
+class RateLimit:
+    """Admits at most `max_rate_hz` events per second on average; 0 admits all."""
+
+    def __init__(self, max_rate_hz: float) -> None:
+        self.max_rate_hz = max_rate_hz
+        self._due_s = 0.0
+
+    def admits(self, now_s: float) -> bool:
+        """Whether the event at `now_s` (monotonic seconds) is within the limit.
+
+        It keeps a schedule, not a minimum gap: 20 Hz out of a 30 Hz stream gives 20, not 15.
+        """
+        if self.max_rate_hz <= 0:
+            return True
+        if now_s < self._due_s:
+            return False
+        self._due_s = max(self._due_s + 1 / self.max_rate_hz, now_s)
+        return True
+
+
+class Slot(Generic[Frame, Result]):
+    """The newest frame of one camera with its rate limit and counts; not thread-safe, see `Schedule`."""
+
+    def __init__(
+        self, *, on_failure: Callable[[Outcome, Exception], None], on_success: Callable[[], None]
+    ) -> None:
+        self.on_failure = on_failure
+        self.on_success = on_success
+        self.counter = FrameCounter()
+        self.pipeline: Pipeline[Frame, Result] | None = None
+        """None: stopped."""
+        self.frame: Frame | None = None
+        """The frame that waits."""
+        self.job: Job[Frame, Result] | None = None
+        """The job in progress, if it has a frame of this camera."""
+        self.last_turn = 0
+        """Number of its last turn among those of all slots."""
+        self._rate_limit = RateLimit(0.0)
+
+    def start(self, pipeline: Pipeline[Frame, Result], max_rate_hz: float) -> None:
+        """Accept frames, for `pipeline`, from now on; the same rate goes on."""
+        self.pipeline = pipeline
+        if max_rate_hz != self._rate_limit.max_rate_hz:
+            self._rate_limit = RateLimit(max_rate_hz)
+
+    def stop(self) -> None:
+        """Flush the frame that waits, and accept none."""
+        self.pipeline = None
+        self._rate_limit = RateLimit(0.0)
+        if self.frame is not None:
+            self.frame = None
+            self.counter.finish(Outcome.FLUSHED)
+
+    def receive(self, frame: Frame, now_s: float) -> bool:
+        """Count `frame`, received at `now_s`; whether it waits now."""
+        self.counter.receive()
+        if self.pipeline is None:
+            self.counter.finish(Outcome.INACTIVE)
+            return False
+        if not self._rate_limit.admits(now_s):
+            self.counter.finish(Outcome.SKIPPED)
+            return False
+        if self.frame is not None:
+            self.counter.finish(Outcome.STALE)
+        self.frame = frame
+        return True
+
+    def turn(self) -> Turn[Frame, Result]:
+        """The frame that waits, of a slot that is not stopped, with the pipeline of now."""
+        assert self.pipeline is not None, "a stopped slot has no turn"
+        assert self.frame is not None, "a slot without a frame has no turn"
+        return Turn(self, self.pipeline, self.frame)
+
+    def begin(self, job: Job[Frame, Result], number: int) -> None:
+        """Hand the waiting frame over to `job`, in the turn `number` among those of all slots."""
+        self.frame = None
+        self.job = job
+        self.last_turn = number
+
+
+@dataclass(eq=False, slots=True)
+class Turn(Generic[Frame, Result]):
+    """The frame of `slot` that is processed, the pipeline for it, and how it ended."""
+
+    slot: Slot[Frame, Result]
+    pipeline: Pipeline[Frame, Result]
+    frame: Frame
+    outcome: Outcome = Outcome.DETECTED
+    error: Exception | None = None
+
+    def fail(self, outcome: Outcome, error: Exception) -> None:
+        self.outcome = outcome
+        self.error = error
+
+    def report(self) -> None:
+        """Call `on_success` or `on_failure`; without the lock, after the frame was counted."""
+        if self.error is None:
+            self.slot.on_success()
+        else:
+            self.slot.on_failure(self.outcome, self.error)
+
+
+@dataclass(eq=False, slots=True)
+class Job(Generic[Frame, Result]):
+    """What the thread works on since `begun_s` (monotonic seconds)."""
+
+    turns: Sequence[Turn[Frame, Result]]
+    begun_s: float
+    is_publishing: bool = False
+    is_abandoned: bool = False
+
+
+class Schedule(Generic[Frame, Result]):
+    """The slots of one worker and the job in progress.
+
+    Of the slots with a waiting frame, the one served longest ago is next. Whoever calls a method or uses a
+    slot holds `changed`. `replace_thread()` is called with it when a job hangs.
+    """
+
+    def __init__(self, *, clock: Callable[[], float], replace_thread: Callable[[], None]) -> None:
+        self.changed = threading.Condition()
+        self.clock = clock
+        self.job: Job[Frame, Result] | None = None
+        self.slots: set[Slot[Frame, Result]] = set()
+        self.waiting: dict[Slot[Frame, Result], None] = {}
+        self._replace_thread = replace_thread
+        self._turns = 0
+
+    def offer(self, slot: Slot[Frame, Result], frame: Frame) -> None:
+        """Let `frame` wait in `slot`, unless it is stopped or its rate limit drops the frame."""
+        if slot.receive(frame, self.clock()):
+            self.waiting[slot] = None
+            self.changed.notify_all()
+
+    def stop(self, slots: Sequence[Slot[Frame, Result]]) -> None:
+        """Stop `slots` and flush their waiting frames."""
+        for slot in slots:
+            slot.stop()
+            self.waiting.pop(slot, None)
+
+    def begin(self, batch: Batch[Frame, Result] | None = None) -> Job[Frame, Result]:
+        """Begin the job that is next; there must be a waiting frame.
+
+        With `batch` the frame that is next takes others with the same key along, those next to it first.
+        """
+        slots = self.waiting if len(self.waiting) == 1 else self._next_slots(batch)
+        job = self.job = Job([slot.turn() for slot in slots], self.clock())
+        for turn in job.turns:
+            self._turns += 1
+            turn.slot.begin(job, self._turns)
+            del self.waiting[turn.slot]
+        return job
+
+    def finish(self, job: Job[Frame, Result]) -> None:
+        """Count the frames of `job`, which is over, with their outcomes."""
+        for turn in job.turns:
+            turn.slot.counter.finish(turn.outcome)
+            turn.slot.job = None
+        self.job = None
+        self.changed.notify_all()
+
+    def wait(self, job: Job[Frame, Result] | None, timeout_s: float | None) -> bool:
+        """Wait for the end of `job`, if any; False on timeout or if it was abandoned."""
+        if job is None:
+            return True
+        return self.changed.wait_for(lambda: self.job is not job, timeout_s) and not job.is_abandoned
+
+    def wait_or_abandon(self, job: Job[Frame, Result] | None, timeout_s: float) -> bool:
+        """Wait for the end of `job`, if any; False if it hung and was abandoned."""
+        if self.wait(job, timeout_s):
+            return True
+        if job is not None and job is self.job:
+            if job.is_publishing:
+                # A publish in progress cannot be cancelled; publishing never takes long.
+                return self.wait(job, None)
+            job.is_abandoned = True
+            for turn in job.turns:
+                turn.outcome = Outcome.FAILED
+            self.finish(job)
+            self._replace_thread()
+        return False
+
+    def _next_slots(self, batch: Batch[Frame, Result] | None) -> list[Slot[Frame, Result]]:
+        if batch is None:
+            return [min(self.waiting, key=_last_turn)]
+        first, *others = sorted(self.waiting, key=_last_turn)
+        slots = [first]
+        if (key := _key(batch, first)) is not None:
+            for slot in others:
+                if len(slots) >= batch.max_size:
+                    break
+                if _key(batch, slot) == key:
+                    slots.append(slot)
+        return slots
+
+
+def _last_turn(slot: Slot[Frame, Result]) -> int:
+    return slot.last_turn
+
+
+def _key(batch: Batch[Frame, Result], slot: Slot[Frame, Result]) -> Hashable | None:
+    turn = slot.turn()
+    try:
+        return batch.key(turn.pipeline, turn.frame)
+    except Exception:  # noqa: BLE001 - `detect` reports what is wrong with the frame
+        return None
+
+
+class Feed(Generic[Frame, Result]):
+    """The frames of one camera; made by `Worker.feed`."""
+
+    def __init__(self, schedule: Schedule[Frame, Result], slot: Slot[Frame, Result]) -> None:
+        self._schedule = schedule
+        self._changed = schedule.changed
+        self._slot = slot
+
+    def start(self, pipeline: Pipeline[Frame, Result], *, max_rate_hz: float = 0.0) -> None:
+        """Start with `pipeline` and `max_rate_hz`, or switch to them from the next frame on; 0: no limit.
+
+        Raises RuntimeError after `close`.
+        """
+        with self._changed:
+            if self._slot not in self._schedule.slots:
+                raise RuntimeError("the feed is closed; make another one with Worker.feed()")
+            self._slot.start(pipeline, max_rate_hz)
+
+    def offer(self, frame: Frame) -> None:
+        """Submit a frame; it replaces a waiting one, unless the rate limit drops it."""
+        with self._changed:
+            self._schedule.offer(self._slot, frame)
+
+    def stop(self, timeout_s: float) -> bool:
+        """Stop after the current frame of this feed and flush the waiting one; True when it ended in time.
+
+        False: the thread hung. It was abandoned and a new one serves the other feeds. The frames of a batch
+        hang together.
+        """
+        with self._changed:
+            self._schedule.stop([self._slot])
+            return self._schedule.wait_or_abandon(self._slot.job, timeout_s)
+
+    def close(self) -> None:
+        """Let the worker forget this feed; call after `stop`. Frames that still come are INACTIVE."""
+        with self._changed:
+            self._schedule.stop([self._slot])
+            self._schedule.slots.discard(self._slot)
+
+    def balance(self) -> FrameBalance:
+        """A consistent snapshot of all counts."""
+        with self._changed:
+            return self._slot.counter.balance()
+
+    def busy_s(self) -> float:
+        """Seconds since processing of the current frame of this feed began; 0 without one."""
+        with self._changed:
+            job = self._slot.job
+            return self._schedule.clock() - job.begun_s if job else 0.0
