@@ -11,12 +11,12 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmark.camera_fleet import LAYOUTS, Layout, Passage, active_fleet
+from benchmark.camera_fleet import LAYOUTS, Fleet, Layout, Passage, active_fleet
 from benchmark.fairness import equal_shares, others_rates, slow_beside_fast
 from benchmark.report import Goal, Row, goal_table, row, table, write_report
 
@@ -26,8 +26,7 @@ FOLLOWED = 4
 """Number of cameras whose comparison has goals."""
 _SHARING_HZ = 20.0
 _SLOW_HZ, _FAST_HZ = 5.0, 120.0
-_UNHURRIED = 2
-"""In how many times the time that inference takes the cameras beside a misbehaving one send their images."""
+_SMALL_SIZE = 320
 
 
 @dataclass(frozen=True)
@@ -76,17 +75,24 @@ class CameraBench:
     def fairness(self) -> None:
         """The cameras of one node: equal ones, a slow beside a fast one, a misbehaving one."""
         names, passages = _names(FOLLOWED), [self._plan.passage_s] * self._plan.rounds
-        with active_fleet("one node", names, weights=self._weights, cache=self._folder) as fleet:
+        with self._shared(names) as fleet:
             total_hz, rows, goals = equal_shares(
                 fleet, names, self._image, rate_hz=_SHARING_HZ, duration_s=self._plan.shares_s
             )
             self._add(rows, goals)
-            pair = names[0], names[1]
+            rates_hz = _SLOW_HZ, _FAST_HZ
             self._add(
-                *slow_beside_fast(fleet, pair, self._image, rates_hz=(_SLOW_HZ, _FAST_HZ), passages=passages)
+                *slow_beside_fast(
+                    fleet, (names[0], names[1]), self._image, rates_hz=rates_hz, passages=passages
+                )
             )
-            rate_hz = round(total_hz / FOLLOWED / _UNHURRIED, 1)
+        # A smaller network, at rates that the larger one could just keep up with: none is in a hurry.
+        rate_hz = round(total_hz / FOLLOWED, 1)
+        with self._shared(names, image_size=_SMALL_SIZE) as fleet:
             self._add(*others_rates(fleet, names, self._image, rate_hz=rate_hz, passages=passages))
+
+    def _shared(self, names: Sequence[str], **parameters: object) -> AbstractContextManager[Fleet]:
+        return active_fleet("one node", names, weights=self._weights, cache=self._folder, **parameters)
 
     def _add(self, rows: Sequence[Row], goals: Sequence[Goal]) -> None:
         self.rows += rows

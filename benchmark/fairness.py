@@ -13,7 +13,7 @@ from pathlib import Path
 from benchmark.camera_fleet import Arrival, Fleet
 from benchmark.report import Goal, Row, row
 
-MANNERS = ("as the others", "stalled", "vanished", "garbage", "other sizes")
+MANNERS = ("like the others", "stalled", "vanished", "sending garbage", "changing size")
 MAX_DEVIATION_PERCENT = 5.0
 _WELL = MANNERS[0]
 _SIGNALS = {"stalled": signal.SIGSTOP, "vanished": signal.SIGKILL}
@@ -113,9 +113,11 @@ def others_rates(
                     fleet.wait_for(others)
                     counts = fleet.watch(duration_s).counts
                 rates_hz[manner].append(sum(counts[name] for name in others) / duration_s)
-    rows = [row("others", manner, 0, rates, unit="Hz") for manner, rates in rates_hz.items()]
+    rows = [row("others", f"beside one {manner}", 0, rates, unit="Hz") for manner, rates in rates_hz.items()]
     return rows, [
-        _deviation_goal(f"others' rate changed, {manner} [%]", _change_percent(rates, rates_hz[_WELL]))
+        _deviation_goal(
+            f"others' rate changed beside one {manner} [%]", _change_percent(rates, rates_hz[_WELL])
+        )
         for manner, rates in rates_hz.items()
         if manner != _WELL
     ]
@@ -124,7 +126,7 @@ def others_rates(
 @contextmanager
 def _behaving(fleet: Fleet, name: str, image: Path, manner: str, rate_hz: float) -> Iterator[None]:
     is_other_camera = manner not in (_WELL, *_SIGNALS)
-    rate_hz *= _GARBAGE if manner == "garbage" else 1
+    rate_hz *= _GARBAGE if manner == "sending garbage" else 1
     with fleet.camera(name, image, rate_hz=rate_hz, manner=manner if is_other_camera else "") as process:
         if manner in _SIGNALS:
             fleet.wait_for([name])

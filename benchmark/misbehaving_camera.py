@@ -1,6 +1,6 @@
 """A camera that misbehaves: `misbehaving_camera.py MANNER IMAGE RATE_HZ TOPIC`.
 
-MANNER is `garbage` (images that cannot be read) or `other sizes` (each image has another size and shape).
+MANNER is `sending garbage` (images that cannot be read) or `changing size` (with each image).
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def images_of_other_sizes(image: str) -> list[Image]:
 def main(manner: str, image: str, rate_hz: float, topic: str) -> None:
     """Publish forever."""
     images = {
-        "garbage": lambda: unreadable_images(_message(cv2.imread(image))),
-        "other sizes": lambda: images_of_other_sizes(image),
+        "sending garbage": lambda: unreadable_images(_message(cv2.imread(image))),
+        "changing size": lambda: images_of_other_sizes(image),
     }[manner]()
     rclpy.init()
     node = rclpy.create_node("misbehaving_camera")
