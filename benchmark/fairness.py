@@ -113,12 +113,11 @@ def others_rates(
                     fleet.wait_for(others)
                     counts = fleet.watch(duration_s).counts
                 rates_hz[manner].append(sum(counts[name] for name in others) / duration_s)
-    rows = [row("others", f"beside one {manner}", 0, rates, unit="Hz") for manner, rates in rates_hz.items()]
+    rows = [row("others", f"beside one {manner}", 0, hz, unit="Hz") for manner, hz in rates_hz.items()]
+    changes = {manner: _change_percent(hz, rates_hz[_WELL]) for manner, hz in rates_hz.items()}
     return rows, [
-        _deviation_goal(
-            f"others' rate changed beside one {manner} [%]", _change_percent(rates, rates_hz[_WELL])
-        )
-        for manner, rates in rates_hz.items()
+        _deviation_goal(f"others' rate changed beside one {manner} [%]", percent)
+        for manner, percent in changes.items()
         if manner != _WELL
     ]
 

@@ -37,11 +37,11 @@ def several_cameras(subject: Subject, seed: int, minutes: float, *, is_judged: b
     growth_mb = max(resident_mb[-warm - 1 :]) - max(resident_mb[: warm + 1])
     return Finding(
         claim="cameras that come, go and misbehave disturb neither the others nor the process",
-        done=f"{life.done.total()} actions of {len(life.done)} kinds on {len(NAMES)} cameras of {RATE_HZ:g} Hz in "
+        done=f"{life.done.total()} actions of {len(life.done)} kinds on {len(NAMES)} cameras in "
         f"{taken_s / 60:.0f} minutes, {len(life.track_ids)} tracks, seed {seed}",
         result=f"{number_of('wrong answers, counts or track ids', problems)}, "
         f"{number_of('exceptions', subject.escaped)}; "
-        f"{share:.1%} of the images of the steady cameras detected; "
+        f"{share:.1%} of the images of the steady cameras ({RATE_HZ:g} Hz) detected; "
         f"RSS {growth_mb:+.1f} MB",
         limit=f"0, 0; {f'{_MIN_SHARE:.0%}; < {_MAX_GROWTH_MB:+g} MB' if is_judged else 'not judged'}",
         is_met=not problems
