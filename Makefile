@@ -10,6 +10,7 @@ PIP_FLAGS ?=
 TORCH ?=
 PYTEST_FLAGS ?=
 BENCH_FLAGS ?=
+CAMERAS_FLAGS ?=
 TRACKING_FLAGS ?=
 SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
@@ -63,7 +64,8 @@ help:
 	@echo 'make test-all all tests'
 	@echo 'make coverage all tests, with the line coverage of the package, child processes included'
 	@echo 'make bench    how fast each runtime is, quiet and beside a busy process, and how well objects are tracked'
-	@echo '              (BENCH_FLAGS="--quick"  TRACKING_FLAGS="--seeds 1")'
+	@echo '              and what several cameras on one node cost'
+	@echo '              (BENCH_FLAGS="--quick"  CAMERAS_FLAGS="--quick"  TRACKING_FLAGS="--seeds 1")'
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
 	@echo 'make fuzz     coverage-guided fuzzing of the parsers of images, weights and settings'
 	@echo 'make lint     ruff and mypy --strict'
@@ -96,6 +98,7 @@ coverage: $(PACKAGE)
 
 bench: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.bench $(BENCH_FLAGS)
+	$(VENV)/bin/python -m benchmark.cameras $(CAMERAS_FLAGS)
 	$(VENV)/bin/python -m benchmark.tracking $(TRACKING_FLAGS)
 
 # It drives the detector with what the tests drive it with.

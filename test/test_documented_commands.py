@@ -36,7 +36,7 @@ from support.recorded_scene import images, jpeg, raw, record, video
 
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
-from benchmark import bench, depth, tracking
+from benchmark import bench, cameras, depth, tracking
 from yolov5_lifecycle.commands import convert
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
@@ -69,6 +69,7 @@ NOT_RUN = {
 TOPICS = {topic.replace("~", NODE) for topic in topics_of_readme()}
 PARSERS = {
     "BENCH_FLAGS": bench.parser,
+    "CAMERAS_FLAGS": cameras.parser,
     "FUZZ_FLAGS": fuzz.parser,
     "SOAK_FLAGS": soak.parser,
     "TRACKING_FLAGS": tracking.parser,
