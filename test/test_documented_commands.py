@@ -29,7 +29,7 @@ from support.pages import (
     declared_arguments,
     every_page,
     spans,
-    topics_of_readme,
+    topics_of_examples,
     typed,
 )
 from support.recorded_scene import images, jpeg, raw, record, video
@@ -66,7 +66,7 @@ NOT_RUN = {
 }
 """How a command begins, and why it is not tried."""
 
-TOPICS = {topic.replace("~", NODE) for topic in topics_of_readme()}
+TOPICS = {topic.replace("~", NODE) for topic in topics_of_examples()}
 PARSERS = {
     "BENCH_FLAGS": bench.parser,
     "CAMERAS_FLAGS": cameras.parser,
