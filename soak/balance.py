@@ -1,4 +1,4 @@
-"""Check of the frame balance of a process."""
+"""Check of the frame balances of a process."""
 
 from __future__ import annotations
 
@@ -16,19 +16,34 @@ class BalanceWatch:
         self.told = 0
         self.received = 0
         self.problems: list[str] = []
-        self._counts: dict[str, int] = {}
+        self._counts: dict[str, dict[str, int]] = {}
 
-    def take(self, values: Mapping[str, str]) -> None:
-        """Check the values of one diagnostic status."""
+    def take(self, statuses: Mapping[str, Mapping[str, str]]) -> None:
+        """Check the values in one message of diagnostics, by camera and of the node, whose name is "".
+
+        The counts of a camera that is missing may begin anew.
+        """
+        self.told += 1
+        state = statuses[""]["state"]
+        self._counts = {
+            camera: self._checked(camera, values, state)
+            for camera, values in statuses.items()
+            if "frames received" in values
+        }
+
+    def _checked(self, camera: str, values: Mapping[str, str], state: str) -> dict[str, int]:
+        """The counts in `values`, which may only grow."""
+        before = self._counts.get(camera, {})
         counts = {name: int(value) for name, value in values.items() if name.startswith("frames ")}
         pending, received = counts.pop("frames pending"), counts["frames received"]
         for never_taken in ("frames lost", "frames overtaken"):  # only counted since activation
             counts.pop(never_taken, None)
-        fallen = [name for name, count in counts.items() if count < self._counts.get(name, 0)]
-        under_way = MAX_PENDING if values["state"] == "active" else 0
+        fallen = [name for name, count in counts.items() if count < before.get(name, 0)]
+        under_way = MAX_PENDING if state == "active" else 0
         if not is_balanced(values) or pending > under_way or fallen:
-            self.problems.append(f"{values}, fallen: {fallen}")
-        self.told, self.received, self._counts = self.told + 1, received, counts
+            self.problems.append(f"{camera} {state} {values}, fallen: {fallen}".lstrip())
+        self.received += received - before.get("frames received", 0)
+        return counts
 
 
 def exact_balance(watches: Sequence[BalanceWatch]) -> Finding:

@@ -35,6 +35,10 @@ _SETTINGS: dict[str, tuple[Any, ...]] = {
     "lazy": (True, False),
     "image_transport": ("raw", "compressed"),
     "image_reliability": ("auto", "best_effort", "reliable"),
+    "tracker": ("none", "bytetrack", "sort"),
+    "track_low_threshold": (0.05, 0.1, 0.9),
+    "track_timeout": (0.01, 1.5, 60.0, 0.0),
+    "depth": (True, False),
     "weights": ("/nowhere.pt",),
 }
 _FAULTS = ("raise", "out of memory", "NaN", "wrong shape", "slow")
