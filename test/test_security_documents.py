@@ -17,7 +17,8 @@ from yolov5_lifecycle.checkpoints.safetensors_file import MAX_HEADER_BYTES
 from yolov5_lifecycle.models.model import MAX_CLASSES, MAX_NAME_LENGTH
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 from yolov5_lifecycle.ros.parameter_values import MAX_ENTRIES
-from yolov5_lifecycle.ros.parameters import MAX_REASON_LENGTH, MAX_SUGGESTIONS
+from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS
+from yolov5_lifecycle.ros.refusal import MAX_REASON_LENGTH
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.runtimes.compiled_store import MAX_BYTES
 from yolov5_lifecycle.settings.parameter_yaml import MAX_DEPTH, MAX_SCALARS
