@@ -175,6 +175,12 @@ def test_bash_can_parse_what_a_reader_may_type(page: Path) -> None:
     assert (run.returncode, run.stderr) == (0, "")
 
 
+@every_page
+def test_a_python_example_can_be_compiled(page: Path) -> None:
+    for program in blocks(page, "python"):
+        compile(program, page, "exec")
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if page != README], ids=lambda page: page.name)
 def test_a_parameter_file_in_the_docs_is_valid(page: Path) -> None:
     for block in blocks(page, "yaml"):
