@@ -56,9 +56,10 @@ ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
-.PHONY: help install demo test test-all coverage soak fuzz bench lint docs clean
+.PHONY: help install demo demo-cameras test test-all coverage soak fuzz bench lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
+	@echo 'make demo-cameras  two cameras on one detector, with tracks and places in space; result in build/demo'
 	@echo 'make test     the tests, without the long ones  (SET=apt: numpy, scipy, OpenCV of Ubuntu 24.04, in .venv-apt)'
 	@echo 'make test-all all tests'
 	@echo 'make coverage all tests, with the line coverage of the package, child processes included'
@@ -78,6 +79,10 @@ install: $(PACKAGE)
 demo: $(PACKAGE)
 	@mkdir -p build/demo
 	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo
+
+demo-cameras: $(PACKAGE)
+	@mkdir -p build/demo
+	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo --cameras
 
 test: $(PACKAGE)
 	$(PYTEST) -m 'not long' $(PYTEST_FLAGS)

@@ -50,10 +50,14 @@ SOURCE_FOLDERS = [REPOSITORY, REPOSITORY / "yolov5_lifecycle"]
 def settings_of(text: str) -> dict[str, Any]:
     """The parameters in a parameter file, in the types that the node gives them; QoS is not among them."""
     (node,) = yaml.safe_load(text).values()
+    values: dict[str, Any] = {}
+    for name, value in node["ros__parameters"].items():
+        nested = value if isinstance(value, dict) else {}
+        values |= {f"{name}.{below}": nested[below] for below in nested} or {name: value}
     return {
-        name: coerced(Parameter(name, value=value), SETTINGS_BY_NAME).value
-        for name, value in node["ros__parameters"].items()
-        if name != "qos_overrides"
+        name: coerced(Parameter(name, value=value), SCHEMA.found([name])).value
+        for name, value in values.items()
+        if not name.startswith("qos_overrides.")
     }
 
 
@@ -89,8 +93,8 @@ def test_a_make_target_that_is_named_exists(page: Path) -> None:
 def test_a_parameter_in_a_command_exists(page: Path) -> None:
     of_detector = {setting.name for setting in SETTINGS}
     text = "\n".join(typed(page) + spans(page))
-    asked = set(re.findall(r"ros2 param \w+ /\S+ ([a-z]\w*)", text))
-    assert asked <= of_detector
+    asked = set(re.findall(r"ros2 param \w+ /\S+ ([a-z][\w.]*)", text))
+    assert {name for name in asked if SCHEMA.find(name) is None} == set()
     assert set(re.findall(r"-p (\w+):=", text)) <= of_detector | CameraSettings.model_fields.keys()
 
 

@@ -42,7 +42,7 @@ from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.parameter_values import coerced
-from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME, validated
+from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validated
 
 NOT_RUN = {
     "sudo ": "changes the machine",
@@ -120,10 +120,11 @@ def check_param(verb: str, node: str, name: str = "", value: str = "") -> None:
     assert node == NODE
     if verb == "set":
         given = parameter_value_to_python(get_parameter_value(value))
-        validated({name: coerced(Parameter(name, value=given), SETTINGS_BY_NAME).value})
+        meant = coerced(Parameter(name, value=given), SCHEMA.found([name])).value
+        assert SCHEMA.problem(name, meant) is None
     else:
-        assert verb in ("get", "describe", "dump")
-        assert (name == "") if verb == "dump" else (name in {setting.name for setting in SETTINGS})
+        assert verb in ("get", "describe", "delete", "dump")
+        assert (name == "") if verb == "dump" else (SCHEMA.find(name) is not None)
 
 
 def check_lifecycle(verb: str, node: str, transition: str = "") -> None:

@@ -20,7 +20,7 @@ from yolov5_lifecycle.ros.parameter_values import MAX_ENTRIES
 from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS
 from yolov5_lifecycle.ros.refusal import MAX_REASON_LENGTH
 from yolov5_lifecycle.ros.services import MAX_ITEMS
-from yolov5_lifecycle.runtimes.compiled_store import MAX_BYTES
+from yolov5_lifecycle.runtimes.cache import MAX_BYTES
 from yolov5_lifecycle.settings.parameter_yaml import MAX_DEPTH, MAX_SCALARS
 from yolov5_lifecycle.settings.parameter_yaml import MAX_FILE_BYTES as MAX_PARAMETER_FILE_BYTES
 

@@ -39,10 +39,13 @@ def test_a_message_gives_matrices_and_size() -> None:
         pytest.param([-500.0, *K[1:]], [0.0] * 12, id="negative"),
         pytest.param(K, [math.nan, *P[1:]], id="NaN"),
         pytest.param(K, [*P[:6], math.inf, *P[7:]], id="infinite"),
+        pytest.param([1e-300, *K[1:]], [0.0] * 12, id="tiny focal length"),
+        pytest.param([*K[:4], 1e300, *K[5:]], [0.0] * 12, id="huge focal length"),
+        pytest.param([*K[:2], -1e300, *K[3:]], [0.0] * 12, id="principal point far away"),
     ],
 )
 def test_values_of_no_camera_are_refused(k: list[float], p: list[float]) -> None:
-    with pytest.raises(IntrinsicsError, match=r"fx > 0 and fy > 0, found fx .* Calibrate the camera"):
+    with pytest.raises(IntrinsicsError, match=r"fx and fy of 0.1 to 1e\+07 pixels .* found fx .* Calibrate"):
         intrinsics_of(k, p, SIZE_HW)
 
 

@@ -44,6 +44,8 @@ class Fate:
             raise RuntimeError("zero")
         if chance < 0.25 and self._left.acquire(blocking=False):
             assert self.released.wait(PATIENCE_S)
+            if chance < 0.225:
+                raise RuntimeError("late")
         return number
 
 

@@ -37,7 +37,7 @@ class Together:
     def key(self, pipeline: Pipeline[int, int], frame: int) -> Hashable | None:
         self.keys_of.append(frame)
         if frame >= WITHOUT_KEY:
-            raise ImageError("no header")
+            raise RuntimeError("no header")
         return None if frame >= ALONE else frame % 10
 
     def detect(self, jobs: Jobs) -> Results:

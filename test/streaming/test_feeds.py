@@ -140,6 +140,19 @@ def test_the_other_cameras_go_on_in_a_new_thread_after_one_hung(cameras: Cameras
     assert first.counts() == {Outcome.FAILED: 1}
 
 
+def test_a_late_error_of_a_hung_frame_is_dropped_like_a_late_result(cameras: Cameras) -> None:
+    first, second, _ = cameras.all
+    first.hold(0)
+    assert not first.frames.stop(0.01)
+    (hung,) = (thread for thread in threading.enumerate() if thread.ident in first.threads)
+    second.hold(1)
+    first.gate.set()
+    hung.join(PATIENCE_S)
+    assert not first.failures
+    assert first.counts() == {Outcome.FAILED: 1}
+    assert second.frames.balance().pending == 1
+
+
 def test_the_time_is_that_of_the_own_frame(cameras: Cameras) -> None:
     first, second, _ = cameras.all
     first.hold(1)
@@ -220,8 +233,9 @@ def test_closing_the_worker_closes_every_feed(cameras: Cameras) -> None:
     assert first.counts() == {Outcome.DETECTED: 1}
     assert second.counts() == {Outcome.FLUSHED: 1}
     assert third.counts() == late.counts() == {Outcome.INACTIVE: 1}
-    with pytest.raises(RuntimeError, match="the feed is closed"):
-        late.frames.start(late)
+    for camera in (third, late):
+        with pytest.raises(RuntimeError, match="the feed is closed"):
+            camera.frames.start(camera)
 
 
 class Buffer:

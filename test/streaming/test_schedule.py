@@ -144,16 +144,23 @@ def test_cameras_without_frames_change_nothing(steps: list[int]) -> None:
             many.offer(step)
 
 
-@given(steps=STEPS, max_size=st.integers(0, 4), divisor=st.integers(1, 3))
-def test_a_batch_has_the_next_frame_first_and_others_of_its_key(
-    steps: list[int], max_size: int, divisor: int
+@given(
+    served=st.permutations(range(MAX_CAMERAS)),
+    offered=st.lists(st.integers(0, MAX_CAMERAS - 1)),
+    max_size=st.integers(0, 4),
+    divisor=st.integers(1, 3),
+)
+def test_a_batch_has_the_next_frame_first_and_others_of_its_key_in_turn(
+    served: list[int], offered: list[int], max_size: int, divisor: int
 ) -> None:
-    alone, together = Turns(MAX_CAMERAS), Turns(MAX_CAMERAS, SameRemainder(max_size, divisor))
-    for camera in filter(lambda step: step != SERVE, steps):
-        alone.offer(camera)
-        together.offer(camera)
-    in_turn = [camera for _ in range(MAX_CAMERAS) for camera in alone.serve()]
-    while cameras := together.serve():
+    turns = Turns(MAX_CAMERAS, SameRemainder(max_size, divisor))
+    for camera in served:
+        turns.offer(camera)
+        assert turns.serve() == [camera]
+    for camera in offered:
+        turns.offer(camera)
+    in_turn = [camera for camera in served if camera in offered]
+    while cameras := turns.serve():
         mates = [camera for camera in in_turn if camera % divisor == in_turn[0] % divisor]
         assert cameras == mates[: max(1, max_size)]
         in_turn = [camera for camera in in_turn if camera not in cameras]

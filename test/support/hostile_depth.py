@@ -32,6 +32,7 @@ def hostile_camera_infos() -> dict[str, CameraInfo]:
         "found fx 0": camera_info_message(1.0, k=[0.0] * 9),
         "found fx nan": camera_info_message(1.0, k=[float("nan")] * 9),
         "found fx inf": camera_info_message(1.0, k=[float("inf")] * 9),
+        "found fx 1e-300": camera_info_message(1.0, k=[1e-300] * 9),
         "found fx -1": camera_info_message(1.0, k=[-1.0] * 9),
         "found 240 x 0": camera_info_message(1.0, width=0),
         "found 240 x 4294967295": camera_info_message(1.0, width=2**32 - 1),

@@ -75,12 +75,12 @@ class Preparations:
         self.gate = threading.Event()
         self.gate.set()
         self.begun = threading.Semaphore(0)
-        self.sources_hw: list[Sequence[tuple[int, int]]] = []
+        self.sizes_hw: list[list[tuple[int, int]]] = []
         self.class_names = CLASS_NAMES
         self.runtimes: list[ScriptedRuntime] = []
 
     def __call__(self, settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
-        self.sources_hw.append(sizes_hw)
+        self.sizes_hw.append(list(sizes_hw))
         self.begun.release()
         assert self.gate.wait(PATIENCE_S)
         if refusal := self.refusal:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
+
+MIN_FOCAL_PX = 0.1
+MAX_PX = 1e7
+"""Beyond these there is no camera, and coordinates in space would not be finite."""
 
 
 class IntrinsicsError(ValueError):
@@ -19,8 +22,8 @@ class Intrinsics:
     """A pinhole camera: focal lengths and principal point in pixels of an image of `size_hw`.
 
     The principal point counts from the centre of the first pixel, as in sensor_msgs/CameraInfo. Raises
-    IntrinsicsError on construction unless focal lengths are positive and all values finite, and the sides
-    are in [1, 16384].
+    IntrinsicsError on construction unless focal lengths are in [0.1, 1e7], the principal point in
+    [-1e7, 1e7] and the sides in [1, 16384].
     """
 
     fx: float
@@ -30,12 +33,12 @@ class Intrinsics:
     size_hw: tuple[int, int]
 
     def __post_init__(self) -> None:
-        values = (self.fx, self.fy, self.cx, self.cy)
-        if not all(map(math.isfinite, values)) or min(self.fx, self.fy) <= 0:
+        are_focal_lengths = all(MIN_FOCAL_PX <= value <= MAX_PX for value in (self.fx, self.fy))
+        if not (are_focal_lengths and all(abs(value) <= MAX_PX for value in (self.cx, self.cy))):
             raise IntrinsicsError(
-                "Expected finite intrinsics with fx > 0 and fy > 0, found "
-                f"fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}. Calibrate the camera, or "
-                "have its driver publish the intrinsics of the depth image."
+                f"Expected intrinsics with fx and fy of {MIN_FOCAL_PX:g} to {MAX_PX:g} pixels and cx and cy "
+                f"of at most {MAX_PX:g}, found fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}"
+                ". Calibrate the camera, or have its driver publish the intrinsics of the depth image."
             )
         if not all(1 <= side <= MAX_SIDE_PX for side in self.size_hw):
             height, width = self.size_hw

@@ -231,7 +231,7 @@ def test_a_new_model_serves_all_cameras_and_is_warmed_up_for_the_size_of_each(
     cameras["rear"].send(wide)
     served.wait_for(lambda: bool(cameras["rear"].detections), "the wide image")
     assert served.set(image_size=320) == (True, "")
-    assert prepare.sources_hw == [[USUAL_SOURCE_HW] * 2, [USUAL_SOURCE_HW, (48, 128)]]
+    assert prepare.sizes_hw == [[USUAL_SOURCE_HW] * 2, [USUAL_SOURCE_HW, (48, 128)]]
     prepare.running.run = lambda: prediction("dog", 0.9)
     assert [class_ids_of(camera.detect()) for camera in cameras.values()] == [["dog"], ["dog"]]
 
