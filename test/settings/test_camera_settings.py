@@ -142,7 +142,7 @@ def test_the_digest_covers_overrides_in_any_order() -> None:
 
 def test_the_values_of_settings_give_the_same_settings() -> None:
     settings = validated({**FRONT_AND_REAR, "front.max_rate": 2, "rear.classes": ["a"], "front.classes": []})
-    assert validated(settings.model_dump()) == settings
+    assert validated({**settings.model_dump(), **settings.overrides}) == settings
 
 
 @pytest.mark.parametrize(

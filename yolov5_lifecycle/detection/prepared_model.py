@@ -33,7 +33,7 @@ class PreparedModel:
 
     @property
     def facts(self) -> dict[str, str]:
-        """Resolved weights, runtime, device, precision and batches, for the log and diagnostics."""
+        """Resolved weights, runtime, device, precision and measured batches, for log and diagnostics."""
         runtime = self.detector.runtime
         facts = {
             "weights": str(self.weights_path),
@@ -43,10 +43,9 @@ class PreparedModel:
             "runtime choice": self.detector.choice,
             "device": runtime.device,
             "precision": runtime.precision,
+            "batches": self.detector.batches.reason,
         }
-        if batches := self.detector.batches.reason:
-            facts["batches"] = batches
-        return facts
+        return {name: value for name, value in facts.items() if value}
 
     def serves(self, settings: Settings) -> bool:
         """Whether this model serves `settings` without a reload."""

@@ -208,9 +208,9 @@ class Schema(Generic[Model]):
         """Like `_validated`, of values with dotted names."""
         return self._validated(values)
 
-    def _validated(self, values: Mapping[str, object]) -> Model:
+    def _validated(self, values: Mapping[str, object], context: Mapping[str, object] | None = None) -> Model:
         try:
-            return self._model.model_validate(dict(values))
+            return self._model.model_validate(dict(values), context=context)
         except ValidationError as error:
             found = error.errors(include_url=False, include_input=False)
             problems = [problem for details in found for problem in self._problems(details, values)]

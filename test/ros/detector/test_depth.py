@@ -3,119 +3,25 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import cycle
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+from support.depth_client import DEPTH_ON, PADDING_Y, SCENE, DepthClient
 from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header, prediction_of
 from support.depth_scene import CAMERA, DepthScene, Difficulty, random_depth_scene
 from support.hostile_depth import hostile_camera_infos, hostile_depths
-from support.served_node import PATIENCE_S, Preparations, ServedNode, image
-from vision_msgs.msg import Detection2DArray, Detection3DArray
+from support.served_node import PATIENCE_S, Preparations, ServedNode, class_ids_of, image
+from vision_msgs.msg import Detection3DArray
 
 from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY
 
-SLOP_S = 0.05
-PADDING_Y = 8  # a network input of 320 x 256 for images of 320 x 240
-DEPTH_ON = ("image_size:=320", "depth:=true", f"depth_slop_s:={SLOP_S}")
-SCENE = random_depth_scene(np.random.default_rng(5), "board")
 EMPTY = np.zeros(CAMERA.size_hw, np.float32)
-
-
-class DepthClient:
-    """A colour and a depth camera, and a subscriber to `~/detections_3d`."""
-
-    def __init__(self, served: ServedNode, prepare: Preparations) -> None:
-        self.served = served
-        self._prepare = prepare
-        self.received: list[Detection3DArray] = []
-        client = served.client
-        best_effort = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.depth = client.create_publisher(Image, "/yolov5/depth/image_raw", best_effort)
-        self.info = client.create_publisher(CameraInfo, "/yolov5/depth/camera_info", 2)
-        self.subscription = client.create_subscription(
-            Detection3DArray, "/yolov5/detections_3d", self.received.append, 10
-        )
-        self._stamp_s = 100.0
-
-    def begin(self) -> None:
-        self.served.bring_to("active")
-        self.show(SCENE)
-        self.wait_for_depth()
-
-    def wait_for_depth(self, count: int = 1) -> None:
-        publishers = (self.depth, self.info)
-        self.served.wait_for(
-            lambda: all(one.get_subscription_count() == count for one in publishers), "the subscriptions"
-        )
-
-    def show(self, scene: DepthScene) -> None:
-        """The model detects the object of `scene` from now on."""
-        rows = prediction_of([scene.box_xyxy], padding_y=PADDING_Y)
-        self._prepare.running.run = lambda: rows
-
-    def next_stamp_s(self) -> float:
-        self._stamp_s += 1.0
-        return self._stamp_s
-
-    def values_until(self, condition: Callable[[dict[str, str]], bool], what: str) -> dict[str, str]:
-        """The diagnostics once they fulfil `condition`."""
-        last: dict[str, str] = {}
-
-        def is_met() -> bool:
-            last.clear()
-            last.update(self.served.values())
-            return condition(last)
-
-        self.served.wait_for(is_met, what)
-        return last
-
-    def send(self, depth: Image | None, info: CameraInfo | None) -> None:
-        """Send messages of the depth camera and wait until the node has them."""
-        before = self.served.values()
-        if info is not None:
-            self.info.publish(info)
-        if depth is not None:
-            self.depth.publish(depth)
-            expected = int(before["depth images received"]) + 1
-            self.values_until(lambda now: int(now["depth images received"]) == expected, "the depth image")
-
-    def detect(self, stamp_s: float, *, size_hw: tuple[int, int] = CAMERA.size_hw) -> int:
-        """Send a colour image and wait for its detections in 2D; their number."""
-        message = image(*size_hw)
-        message.header = header(stamp_s)
-        message.header.frame_id = "colour"
-        begun = len(self.served.detections)
-        self.served.publish(message)
-
-        def answers() -> list[Detection2DArray]:
-            return [array for array in self.served.detections[begun:] if array.header == message.header]
-
-        self.served.wait_for(lambda: bool(answers()), "the detections")
-        return len(answers()[0].detections)
-
-    def place(self, scene: DepthScene = SCENE, *, encoding: str = "16UC1") -> Detection3DArray:
-        """Send depth and colour images until one is placed; what was published in space."""
-        first = header(self._stamp_s).stamp.sec
-
-        def placed() -> list[Detection3DArray]:
-            return [array for array in self.received if array.header.stamp.sec > first]
-
-        def is_placed() -> bool:
-            stamp_s = self.next_stamp_s()
-            self.info.publish(camera_info_message(stamp_s))
-            self.depth.publish(depth_message(scene.depth_m, stamp_s, encoding=encoding))
-            # Messages of different topics arrive in any order: perhaps the next one is paired.
-            self.detect(stamp_s)
-            return bool(placed())
-
-        self.served.wait_for(is_placed, "detections in space")
-        return placed()[0]
 
 
 @pytest.fixture
@@ -323,6 +229,35 @@ def test_a_missing_depth_camera_is_named(prepare: Preparations) -> None:
             return "no publisher of depth images on /depth/aligned" in served.status().message
 
         served.wait_for(is_told, "the hint")
+
+
+@pytest.mark.parametrize("name", ["image_raw", "camera_info"])
+def test_a_subscription_that_the_middleware_refuses_is_told_until_it_succeeds(
+    prepare: Preparations, name: str
+) -> None:
+    """Fast DDS has one type for a topic in one process, and the client is in the node's."""
+    told = f"cannot subscribe to /yolov5/depth/{name}: "
+    with ServedNode(prepare, parameters=DEPTH_ON) as served:
+        other = served.client.create_publisher(String, f"/yolov5/depth/{name}", 1)
+        served.bring_to("active")
+        served.client.create_subscription(Detection3DArray, "/yolov5/detections_3d", lambda _: None, 10)
+
+        def is_told() -> bool:
+            assert class_ids_of(served.detect()) == ["cat"]
+            message: str = served.status().message
+            return message.startswith(told) and message.endswith(": detections have no place in space")
+
+        served.wait_for(is_told, "the hint")
+        served.wait_for_log(told)
+        served.client.destroy_publisher(other)
+        client = DepthClient(served, prepare)
+        client.show(SCENE)
+        client.wait_for_depth()
+        assert len(client.place().detections) == 1
+        assert served.status().message == "detecting"
+        refusals = [said for said in served.log if told in said and "no place in space" not in said]
+        assert len(refusals) == 1, "besides the hint"
+    assert served.escaped == []
 
 
 def test_the_subscription_takes_the_reliability_that_the_depth_cameras_offer(client: DepthClient) -> None:

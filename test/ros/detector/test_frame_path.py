@@ -10,15 +10,17 @@ from types import FrameType
 import pytest
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import WEIGHTS, scene_image, scene_truth
-from support.pages import table
+from support.pages import spans, table
 from support.runtime_names import EVERY_RUNTIME
 from support.served_node import ServedNode
 
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 
 PACKAGE = f"{REPOSITORY / 'yolov5_lifecycle'}/"
-MAX_FILES = 19
-LISTED = {row[0].strip("`") for row in table(REPOSITORY / "docs" / "architecture.md", "One frame")}
+PAGE = REPOSITORY / "docs" / "architecture.md"
+MAX_FILES, MAX_FILES_OF_TRACKER = 19, 5
+LISTED = {row[0].strip("`") for row in table(PAGE, "One frame")}
+OF_TRACKER = {span for span in spans(PAGE) if span.startswith("tracking/") and span.endswith(".py")}
 OF_ENGINE = {f"runtimes/{name}.py" for name in ("compiled_runtime", "onnxruntime_runtime", "sparse_head")}
 INSTEAD = {
     "onnxruntime": OF_ENGINE,
@@ -61,11 +63,10 @@ def own_files(frame: FrameType | None) -> Iterator[str]:
         frame = frame.f_back
 
 
-@pytest.mark.usefixtures("ros_domain")
-@pytest.mark.parametrize("runtime", EVERY_RUNTIME)
-def test_the_files_that_a_frame_meets_are_those_of_the_page(runtime: str) -> None:
+def files_of_a_frame(*parameters: str) -> set[str]:
+    """The files that the second image meets in a node with these `parameters`, on a CPU."""
     called = CalledFiles()
-    parameters = [f"weights:={WEIGHTS}", f"runtime:={runtime}", "device:=cpu", "image_size:=320"]
+    parameters = (f"weights:={WEIGHTS}", "device:=cpu", "image_size:=320", *parameters)
     with called.noted(), ServedNode(prepare_model, parameters=parameters) as served:
         served.bring_to("active")
         served.publish(scene_image())  # what is imported or made once is not the way of a frame
@@ -74,5 +75,19 @@ def test_the_files_that_a_frame_meets_are_those_of_the_page(runtime: str) -> Non
         served.publish(scene_image())
         served.wait_for(lambda: len(served.detections) == 2, "the detections of the second image")
     assert len(served.detections[1].detections) >= len(scene_truth().scores) - 1
-    assert called.files == LISTED - OF_ENGINE | INSTEAD[runtime]
-    assert len(called.files) <= MAX_FILES
+    return called.files
+
+
+@pytest.mark.usefixtures("ros_domain")
+@pytest.mark.parametrize("runtime", EVERY_RUNTIME)
+def test_the_files_that_a_frame_meets_are_those_of_the_page(runtime: str) -> None:
+    files = files_of_a_frame(f"runtime:={runtime}")
+    assert files == LISTED - OF_ENGINE | INSTEAD[runtime]
+    assert len(files) <= MAX_FILES
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_with_a_tracker_a_frame_meets_the_files_of_the_page_besides() -> None:
+    files = files_of_a_frame("runtime:=onnxruntime", "tracker:=bytetrack")
+    assert files == LISTED | OF_TRACKER
+    assert len(OF_TRACKER) <= MAX_FILES_OF_TRACKER
