@@ -107,7 +107,9 @@ class Subject(DetectorProcess):
         self._read_log()  # now, as it keeps only the last lines
 
     def _read_log(self) -> None:
-        self._escaped |= dict.fromkeys(exceptions_in(self.process.output))
+        log = self.process.output
+        self._escaped |= dict.fromkeys(exceptions_in(log))
+        self.balance.read(log.splitlines())
 
 
 def _camera_of(status_name: str) -> str:

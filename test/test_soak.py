@@ -135,19 +135,38 @@ def test_a_frame_in_two_counts_or_in_none_is_noticed() -> None:
     assert not balances().is_met
 
 
-def test_the_counts_of_a_camera_may_begin_anew_once_it_was_missing() -> None:
-    def told(detected: int) -> dict[str, str]:
-        others = dict.fromkeys((f"frames {end.value}" for end in Outcome), "0")
-        counts = {"frames received": str(detected), "frames detected": str(detected), "frames pending": "0"}
-        return others | counts
+def told(detected: int) -> dict[str, str]:
+    """The counts of a camera."""
+    others = dict.fromkeys((f"frames {end.value}" for end in Outcome), "0")
+    counts = {"frames received": str(detected), "frames detected": str(detected), "frames pending": "0"}
+    return others | counts
 
+
+def test_counts_begin_anew_only_with_a_camera_that_was_removed() -> None:
     node = {"": {"state": "active"}}
     watch = BalanceWatch()
-    for cameras in ({"front": told(3)}, {}, {"front": told(1)}, {"front": told(2), "rear": told(5)}):
+    for cameras in ({"front": told(3)}, {"front": told(1)}, {"front": told(2), "rear": told(5)}):
         watch.take(node | cameras)
+    assert watch.problems == ["the counts of 'front' began anew"]
+    watch.read(["[INFO] [1.5] [yolov5]: camera front removed: 4 frames received, 0 pending, 4 detected"] * 2)
     assert (watch.problems, watch.received) == ([], 10)
     watch.take(node | {"front": told(1), "rear": told(5)})
     assert len(watch.problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("balance", "problems"),
+    [
+        pytest.param("4 frames received, 0 pending, 3 detected, 1 stale", 0, id="closed"),
+        pytest.param("0 frames received, 0 pending", 0, id="no frame"),
+        pytest.param("4 frames received, 1 pending, 3 detected", 1, id="pending"),
+        pytest.param("4 frames received, 0 pending, 3 detected", 1, id="a frame in no count"),
+    ],
+)
+def test_the_balance_of_a_removed_camera_is_closed(balance: str, problems: int) -> None:
+    watch = BalanceWatch()
+    watch.read([f"camera (without a name) removed: {balance}"])
+    assert len(watch.problems) == problems
 
 
 @pytest.mark.parametrize(
