@@ -72,6 +72,17 @@ def test_a_live_change_is_validated_once(served: ServedNode, validation: Countin
     assert validation.count - before == 1
 
 
+@pytest.mark.parametrize("value", [5.0, None], ids=["set", "deleted"])
+def test_an_override_for_a_camera_is_validated_once(
+    served: ServedNode, validation: CountingValidation, value: float | None
+) -> None:
+    assert served.set(cameras=["front", "rear"]) == (True, "")
+    assert served.set_messages(messages(**{"front.max_rate": 2.0})) == (True, "")
+    before = validation.count
+    assert served.set_messages(messages(**{"front.max_rate": value, "rear.lazy": False})) == (True, "")
+    assert validation.count - before == 1
+
+
 def test_a_reload_is_validated_once(served: ServedNode, validation: CountingValidation) -> None:
     served.bring_to("active")
     before = validation.count

@@ -18,7 +18,7 @@ class CameraClient:
         self.images = served.client.create_publisher(Image, f"/yolov5/{name}/image_raw", 1)
         if is_listening:
             self.listen()
-        self._sent = 0
+        self.sent = 0
 
     def listen(self) -> None:
         topic = f"/yolov5/{self.name}/detections"
@@ -26,16 +26,21 @@ class CameraClient:
 
     def send(self, message: Image | None = None) -> int:
         """Send an image; the seconds of its stamp."""
-        self._sent += 1
+        self.sent += 1
         message = message or image()
-        message.header.stamp.sec = self._sent
+        message.header.stamp.sec = self.sent
         message.header.frame_id = f"{self.name}_optical"
         self.images.publish(message)
-        return self._sent
+        return self.sent
+
+    def wait_for(self, sec: int) -> None:
+        """Wait for the detections in the image with this stamp, in seconds."""
+        is_there = lambda: bool(self.detections) and self.detections[-1].header.stamp.sec == sec  # noqa: E731
+        self.served.wait_for(is_there, f"detections of {self.name}")
 
     def detect(self) -> Detection2DArray:
         """Send images until one of them is detected; what was found in it."""
-        first_sec = self._sent + 1
+        first_sec = self.sent + 1
 
         def is_detected() -> bool:
             self.send()

@@ -103,8 +103,7 @@ class SettingsParameters:
 
     def value_for(self, camera: str, name: str) -> Any:
         """Value of a setting for a camera in `cameras`; see `value`."""
-        own = self._current.values.get(f"{camera}{SEPARATOR}{name}")
-        return self.value(name) if own is None else own
+        return self._current.values.get(f"{camera}{SEPARATOR}{name}", self.value(name))
 
     def propose(self, asked: Sequence[Parameter], *, suggestions: int = MAX_SUGGESTIONS) -> Proposal:
         """Validate a service request, except for the checks that need the model; changes nothing.

@@ -244,12 +244,17 @@ class Settings(BaseModel):
         return Settings.model_construct(**{**dict(self), "cameras": (), **own})
 
     def differing(self, other: Settings, change: Change) -> list[str]:
-        """Names of the settings whose `Change` is `change` and whose values differ, also of overrides."""
+        """Names of the settings whose `Change` is `change` and whose values differ, also of overrides.
+
+        With `max_batch`, other `cameras` need a reload, too: the speed of batches is measured for them.
+        """
         names = [
             setting.name
             for setting in SETTINGS
             if setting.change is change and getattr(self, setting.name) != getattr(other, setting.name)
         ]
+        if change is Change.RELOAD and other.max_batch > 1 and self.cameras != other.cameras:
+            names.append("cameras")
         if self.overrides == other.overrides:
             return names
         return names + SCHEMA.differing(self.overrides, other.overrides, change)
