@@ -30,6 +30,7 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting
+from yolov5_lifecycle.ros.detector.session import label_info
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
@@ -89,7 +90,7 @@ def test_a_recording_gets_what_the_node_would_have_published(
     expected = [message for image in images for message in published(image)]
     assert [message for _, _, message in written[1:]] == expected
     assert [message.header.stamp.sec for message in expected[::2]] == [stamp_s(n) for n in range(COUNT)]
-    assert written[0][2] == messages.label_info(CLASS_NAMES, 0.25, images[0].header.stamp)
+    assert written[0][2] == label_info(CLASS_NAMES, 0.25, images[0].header.stamp)
 
 
 def test_what_is_shown_is_found(drive: Path, tmp_path: Path) -> None:

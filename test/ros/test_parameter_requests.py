@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import pytest
@@ -194,7 +194,7 @@ class FailingDetection:
 
     def __init__(self) -> None:
         self.model = ClassesOnly()
-        self.preparation = None
+        self.preparation = "a model"
         self.settings = Settings()
 
     def apply(self, settings: Settings, preparation: Any = None) -> None:
@@ -208,7 +208,12 @@ class AlwaysActive:
 
     def __init__(self, detection: Any) -> None:
         self.detection = detection
-        self.apply = detection.apply
+
+    def add_cameras(self, names: Sequence[str]) -> None:
+        raise AssertionError("no camera is added")
+
+    def remove_cameras(self, *, except_for: Sequence[str]) -> None:
+        raise AssertionError("no camera is removed")
 
 
 class ClassesOnly:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
@@ -18,10 +17,8 @@ from vision_msgs.msg import (
     Detection2DArray,
     Detection3D,
     Detection3DArray,
-    LabelInfo,
     ObjectHypothesis,
     ObjectHypothesisWithPose,
-    VisionClass,
 )
 
 from yolov5_lifecycle.detection.detections import Detections, FoundObject
@@ -116,12 +113,3 @@ def _detection_3d(detection: Detection2D, box: Box3D, header: Header) -> Detecti
 def stamp_s(header: Header) -> float:
     """Stamp in seconds, exact to less than a microsecond."""
     return float(header.stamp.sec) + float(header.stamp.nanosec) * 1e-9
-
-
-def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:
-    """LabelInfo message with the class names of the loaded model and the active threshold."""
-    return LabelInfo(
-        header=Header(stamp=stamp),
-        class_map=[VisionClass(class_id=index, class_name=name) for index, name in enumerate(class_names)],
-        threshold=confidence_threshold,
-    )

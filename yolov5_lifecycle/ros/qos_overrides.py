@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 from rclpy.node import Node
@@ -52,8 +53,13 @@ def qos_problems(node: Node, cameras: Sequence[str]) -> list[Problem]:
     return problems
 
 
-def reliability_problems(node: Node, settings: Settings) -> list[Problem]:
-    """QoS overrides that conflict with or duplicate a value of `image_reliability` of a camera."""
+def qos_rules(node: Node) -> list[Callable[[Settings], list[Problem]]]:
+    """The rule that QoS overrides, if any, do not set the same as `image_reliability` of a camera."""
+    has_overrides = any(name.startswith(QOS_PREFIX) for name in parameter_overrides(node))
+    return [partial(_reliability_problems, node)] if has_overrides else []
+
+
+def _reliability_problems(node: Node, settings: Settings) -> list[Problem]:
     overrides = parameter_overrides(node)
     problems = []
     for camera in settings.camera_names:

@@ -6,9 +6,6 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 
-from yolov5_lifecycle.settings.schema import Problem
-from yolov5_lifecycle.settings.settings import Settings
-
 DETECTIONS = "~/detections"
 DETECTIONS_3D = "~/detections_3d"
 IMAGE = "~/image"
@@ -58,13 +55,7 @@ def endpoint_name(node: Node, topic: str) -> str:
     return str(node.resolve_topic_name(topic.removesuffix(_COMPRESSED))) + _COMPRESSED
 
 
-def camera_topic_problems(node: Node, settings: Settings) -> list[Problem]:
-    """Why `settings.cameras` cannot have their topics: they are remapped to the same names."""
-    problems = remapping_problems(node, settings.cameras) if settings.cameras else []
-    return [Problem("cameras", problem) for problem in problems]
-
-
-def remapping_problems(node: Node, cameras: Sequence[str] = ("",)) -> list[str]:
+def remapping_problems(node: Node, cameras: Sequence[str]) -> list[str]:
     """One problem per name to which several topics of `node` with these `cameras` are remapped."""
     return [
         f"{' and '.join(topics)} are remapped to the same topic, {name}: restart the node with "

@@ -133,6 +133,27 @@ def test_failures_of_one_camera_do_not_end_the_detection_of_another(
     assert "too wide" in front.values()["last problem"]
 
 
+def test_a_camera_that_fails_faster_than_others_deliver_does_not_end_their_detection(
+    served: ServedNode, prepare: Preparations, cameras: dict[str, CameraClient]
+) -> None:
+    served.bring_to("active")
+    assert served.set(max_consecutive_failures=2) == (True, "")
+    front, rear = cameras["front"], cameras["rear"]
+    rear.detect()
+    rear.wait_for(rear.send())
+    prepare.running.run = fail
+    served.wait_for(lambda: bool(front.send()) and front.counts()["failed"] > 4, "failures in a row")
+    assert served.state() == "active"
+    served.wait_for(
+        lambda: bool(rear.send()) and served.node.state_label == "inactive", "the node to give up"
+    )
+    assert "failed frames in a row, the last: RuntimeError: the device is on fire" in served.status().message
+
+
+def fail() -> np.ndarray:
+    raise RuntimeError("the device is on fire")
+
+
 def test_only_the_camera_that_somebody_looks_at_is_subscribed_to(served: ServedNode) -> None:
     front = CameraClient(served, "front")
     rear = CameraClient(served, "rear", is_listening=False)

@@ -9,7 +9,7 @@ from rclpy.lifecycle import LifecycleNode
 
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
-from yolov5_lifecycle.ros.detector.frame_failures import CameraFailures, FrameFailures
+from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, Transport
 from yolov5_lifecycle.ros.detector.outputs import Outputs
@@ -39,13 +39,13 @@ class Camera:
     ) -> None:
         self._node = node
         self.name = name
-        self._failures = CameraFailures(node, name, failures)
+        self._failures = failures.of_camera(name)
         self._feed = worker.feed(on_failure=self._failures.failed, on_success=self._failures.succeeded)
         self._topic = ImageTopic(node, "raw", camera=name, cameras=names)
         self._track_ids = track_ids
         self.last_image = LastImage()
         self._outputs: Outputs | None = None
-        self._stream: Stream | None = None
+        self.stream: Stream | None = None
 
     def configure(self) -> None:
         """Create the publishers unless they exist; raises rclpy's exception."""
@@ -54,16 +54,13 @@ class Camera:
                 self._node, camera=self.name, on_subscribers_changed=self.follow_subscribers
             )
 
-    def detect(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
-        """Start to detect; or change to these settings and this detector from the next frame on.
+    def start(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
+        """Start to detect with these settings of the camera: from now on there is a `stream`.
 
         `is_active`: whether the node is active already, so that rclpy does not activate the publishers.
         """
         assert self._outputs is not None, "only a configured camera is activated"
-        if self._stream is not None:
-            self._stream.apply(settings, detector)
-            return
-        self._stream = Stream(
+        self.stream = Stream(
             self._node,
             self.name,
             settings=settings,
@@ -76,18 +73,18 @@ class Camera:
         )
         if is_active:
             self._outputs.activate()
-            self._stream.follow_subscribers()
+            self.stream.follow_subscribers()
 
     def follow_subscribers(self) -> None:
         """Subscribe or unsubscribe as the subscribers of the outputs demand."""
-        if self._stream is not None:
-            self._stream.follow_subscribers()
+        if self.stream is not None:
+            self.stream.follow_subscribers()
 
     def unsubscribe(self) -> None:
         """End the stream; the caller stops its feed, alone or with those of all cameras."""
-        if self._stream is not None:
-            self._stream.unsubscribe()
-            self._stream = None
+        if self.stream is not None:
+            self.stream.unsubscribe()
+            self.stream = None
 
     def release(self) -> None:
         """Destroy the publishers; call when no frame is in progress."""
@@ -100,6 +97,7 @@ class Camera:
         self.unsubscribe()
         rested = self._feed.stop(timeout_s)
         self._feed.close()
+        self._failures.close()
         self.release()
         return rested
 
@@ -112,7 +110,7 @@ class Camera:
 
         `transport` is the setting `image_transport` of this camera.
         """
-        stream = self._stream
+        stream = self.stream
         if stream is None:
             self._topic.follow(transport)
         topic = self._topic.look()

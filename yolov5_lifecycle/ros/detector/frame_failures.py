@@ -16,10 +16,11 @@ RECENT_S = 2.0
 
 
 class FrameFailures:
-    """Counts failed frames in a row, of all cameras together.
+    """Ends the detection when no camera is served any more.
 
-    Calls `on_too_many(reason)` once the count reaches `max_consecutive()`, and `on_device_lost(reason)` when
-    no further frame can succeed. Both run in the executor.
+    Calls `on_too_many(reason)` when the frames of a camera have failed `max_consecutive()` times in a row and
+    no other camera's last frame succeeded, and `on_device_lost(reason)` when no further frame can succeed.
+    Both run in the executor.
     """
 
     def __init__(
@@ -34,19 +35,33 @@ class FrameFailures:
         self._max_consecutive = max_consecutive
         self._on_too_many = on_too_many
         self._on_device_lost = on_device_lost
-        self._consecutive = 0
+        self._cameras: dict[CameraFailures, int] = {}
+        """Failed frames in a row, of the cameras that had a frame since the last restart."""
 
-    def succeeded(self) -> None:
-        self._consecutive = 0
+    def restart(self) -> None:
+        """Forget what happened before, as when the node is activated."""
+        self._cameras = {}
 
-    def failed(self, error: Exception, reason: str) -> None:
-        """Count a frame that failed with `error`; called in the worker thread."""
-        self._consecutive += 1
+    def of_camera(self, name: str) -> CameraFailures:
+        """Those of the camera `name` in `cameras`, "" if it has none."""
+        return CameraFailures(self._node, name, self)
+
+    def succeeded(self, camera: CameraFailures) -> None:
+        """Count a frame with detections; called in the worker thread, like `failed`."""
+        self._cameras[camera] = 0
+
+    def failed(self, camera: CameraFailures, error: Exception, reason: str) -> None:
+        """Count a frame that failed with `error`."""
+        count = self._cameras[camera] = self._cameras.get(camera, 0) + 1
         if isinstance(error, DeviceLostError):
             self._tell(self._on_device_lost, reason)
-        elif self._consecutive >= self._max_consecutive():
-            self._tell(self._on_too_many, f"{self._consecutive} failed frames in a row, the last: {reason}")
-            self._consecutive = 0
+        elif count >= self._max_consecutive() and all(tuple(self._cameras.values())):
+            self._tell(self._on_too_many, f"{count} failed frames in a row, the last: {reason}")
+            self.restart()
+
+    def forget(self, camera: CameraFailures) -> None:
+        """Leave out a camera that has ended."""
+        self._cameras.pop(camera, None)
 
     def _tell(self, what: Callable[[str], None], reason: str) -> None:
         if (executor := self._node.executor) is not None:
@@ -68,10 +83,11 @@ class CameraFailures:
         self._happened_s = float("-inf")
 
     def succeeded(self) -> None:
-        self._failures.succeeded()
+        """Handle a frame with detections; called in the worker thread, like `failed`."""
+        self._failures.succeeded(self)
 
     def failed(self, outcome: Outcome, error: Exception) -> None:
-        """Handle a frame without detections; called in the worker thread."""
+        """Handle a frame without detections."""
         if outcome is Outcome.REJECTED:
             self._note(f"images are rejected: {error}")
             self._node.get_logger().warning(
@@ -83,11 +99,15 @@ class CameraFailures:
         # Runtimes and libraries raise RuntimeError; anything else is a bug here, so log the traceback.
         told = reason if isinstance(error, RuntimeError) else "".join(traceback.format_exception(error))
         self._node.get_logger().error(f"inference{self._whose} failed: {told}", throttle_duration_sec=5.0)
-        self._failures.failed(error, reason)
+        self._failures.failed(self, error, reason)
 
     def recent(self) -> str:
         """The last problem, "" if it happened more than `RECENT_S` ago."""
         return self.last_problem if time.monotonic() - self._happened_s < RECENT_S else ""
+
+    def close(self) -> None:
+        """Count no longer; call when no frame is in progress."""
+        self._failures.forget(self)
 
     def _note(self, problem: str) -> None:
         self.last_problem, self._happened_s = problem, time.monotonic()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 
-from rclpy.lifecycle import LifecycleNode
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare
@@ -14,7 +14,7 @@ from yolov5_lifecycle.ros.detector.camera import Camera
 from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import ModelLoader, Preparation
-from yolov5_lifecycle.ros.detector.outputs import LabelInfoOutput
+from yolov5_lifecycle.ros.detector.outputs import label_info_publisher
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.detector.status import Status
@@ -28,7 +28,8 @@ class ManagedResources:
     `deactivate`.
 
     The inference thread and the model loader exist from construction to `close`. `on_too_many(reason)` and
-    `on_device_lost(reason)` are called in the executor; see `FrameFailures`.
+    `on_device_lost(reason)` are called in the executor; see `FrameFailures`. `on_abandoned()` is called when
+    the thread of a removed camera hangs.
     """
 
     def __init__(
@@ -38,10 +39,12 @@ class ManagedResources:
         parameters: SettingsParameters,
         prepare: Prepare,
         on_too_many: Callable[[str], None],
+        on_abandoned: Callable[[], None],
         on_device_lost: Callable[[str], None],
     ) -> None:
         self._node = node
         self._parameters = parameters
+        self._on_abandoned = on_abandoned
         self._failures = FrameFailures(
             node,
             max_consecutive=lambda: parameters.value("max_consecutive_failures"),
@@ -58,15 +61,14 @@ class ManagedResources:
             on_device_lost=on_device_lost,
         )
         self.detection: Detection | None = None
-        self._label_info: LabelInfoOutput | None = None
-        self._loading_for: LabelInfoOutput | None = None
+        self._label_info: LifecyclePublisher | None = None
+        self._loading_for: LifecyclePublisher | None = None
 
     def configure(self) -> None:
         """Create the publishers; raises rclpy's exception."""
-        self._label_info = LabelInfoOutput(self._node)
-        self._follow_names()
-        for camera in self._cameras.values():
-            camera.configure()
+        self._label_info = label_info_publisher(self._node)
+        self.add_cameras(self._names())
+        self.remove_cameras(except_for=self._names())
 
     async def load(self) -> bool:
         """Load the model while other callbacks are served; False if another transition came first.
@@ -101,22 +103,27 @@ class ManagedResources:
         if self.detection is None:
             self.detection = self._new_detection(self._label_info, self.loader.begin(settings))
         self.detection.start(settings)
-        self._failures.succeeded()
+        self._failures.restart()
         return self.detection
 
-    def apply(self, settings: Settings, preparation: Preparation | None = None) -> None:
-        """Change to `settings`, and while active from the next frame on to the model of `preparation`.
+    def add_cameras(self, names: Sequence[str]) -> None:
+        """Have at least these cameras, with publishers if configured; raises rclpy's exception."""
+        for name in names:
+            if name and name not in self._cameras:
+                self._node.get_logger().info(f"camera {name} added")
+            camera = self._camera(name)
+            if self._label_info is not None:
+                camera.configure()
 
-        Added cameras start, the others lose no frame, removed ones end. If this raises, applying the previous
-        settings and preparation undoes what it has changed.
-        """
-        if self._label_info is None:
-            return
-        for name in settings.camera_names:
-            self._camera(name).configure()
-        if (detection := self.detection) is not None:
-            detection.apply(settings, preparation or detection.preparation)
-        self._close_all_but(settings.camera_names)
+    def remove_cameras(self, *, except_for: Sequence[str]) -> None:
+        """End all other cameras with a closed balance."""
+        log = self._node.get_logger()
+        for name in [name for name in self._cameras if name not in except_for]:
+            camera = self._cameras.pop(name)
+            if not camera.close(REST_TIMEOUT_S):
+                log.error(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
+                self._on_abandoned()
+            log.info(f"camera {name or '(without a name)'} removed: {camera.balance()}")
 
     def deactivate(self) -> bool:
         """Release the detection; False if its frame hangs and the thread was abandoned."""
@@ -128,7 +135,8 @@ class ManagedResources:
         for camera in self._cameras.values():
             camera.release()
         if self._label_info is not None:
-            self._label_info.close()
+            # destroy_publisher would leave it in the list of managed entities.
+            self._node.destroy_lifecycle_publisher(self._label_info)
             self._label_info = None
 
     def close(self) -> None:
@@ -145,8 +153,9 @@ class ManagedResources:
 
     def status(self, state: str, problem: str) -> Status:
         """Snapshot of the node in the lifecycle state `state`, with the last `problem` that was reported."""
-        if self._label_info is None:
-            self._follow_names()
+        if self._label_info is None:  # until configured, changes of `cameras` are not applied
+            self.add_cameras(self._names())
+            self.remove_cameras(except_for=self._names())
         return Status(
             state=state,
             problem=problem,
@@ -169,12 +178,6 @@ class ManagedResources:
         """The cameras that the parameters name; valid even if other settings are not."""
         return self._parameters.value("cameras") or ("",)
 
-    def _follow_names(self) -> None:
-        """Add and remove cameras as the parameters name them; until configured, `apply` is not called."""
-        for name in self._names():
-            self._camera(name)
-        self._close_all_but(self._names())
-
     def _camera(self, name: str) -> Camera:
         if name not in self._cameras:
             self._cameras[name] = Camera(
@@ -187,18 +190,11 @@ class ManagedResources:
             )
         return self._cameras[name]
 
-    def _close_all_but(self, names: Sequence[str]) -> None:
-        for name in [name for name in self._cameras if name not in names]:
-            camera, log = self._cameras.pop(name), self._node.get_logger()
-            if not camera.close(REST_TIMEOUT_S):
-                log.error(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
-            log.info(f"camera {name or '(without a name)'} removed: {camera.balance()}")
-
-    def _may_activate(self, label_info: LabelInfoOutput | None) -> bool:
+    def _may_activate(self, label_info: LifecyclePublisher | None) -> bool:
         """Whether the configuration with `label_info` still exists and is not active."""
         return self._label_info is label_info and self.detection is None
 
-    def _new_detection(self, label_info: LabelInfoOutput, preparation: Preparation) -> Detection:
+    def _new_detection(self, label_info: LifecyclePublisher, preparation: Preparation) -> Detection:
         return Detection(
             self._node,
             preparation=preparation,

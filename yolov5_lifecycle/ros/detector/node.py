@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
@@ -26,15 +25,14 @@ from yolov5_lifecycle.ros.detector.transitions import (
 )
 from yolov5_lifecycle.ros.parameters import SettingsParameters, Validate
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
-from yolov5_lifecycle.ros.qos_overrides import qos_problems, reliability_problems
+from yolov5_lifecycle.ros.qos_overrides import qos_problems, qos_rules
 from yolov5_lifecycle.ros.rclpy_internals import (
     available_transitions,
     destroy_state_machine,
     lifecycle_state,
 )
 from yolov5_lifecycle.ros.services import harden
-from yolov5_lifecycle.ros.topics import camera_topic_problems, remapping_problems
-from yolov5_lifecycle.settings.schema import Problem
+from yolov5_lifecycle.ros.topics import remapping_problems
 from yolov5_lifecycle.settings.settings import validated
 from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
@@ -75,6 +73,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
             parameters=self._settings,
             prepare=prepare,
             on_too_many=self._give_up,
+            on_abandoned=self._bound_abandoned_threads,
             on_device_lost=self._lose_device,
         )
         self._reconfiguration = Reconfiguration(
@@ -118,10 +117,12 @@ class DetectorNode(PrintableNode, LifecycleNode):
 
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        cameras = self._settings.value("cameras") or ("",)
         problems = [
             *map(in_one_line, self._start_problems),
-            *([] if self._settings.value("cameras") else remapping_problems(self)),
-            *(in_one_line(str(problem)) for problem in self._problems()),
+            *remapping_problems(self, cameras),
+            *(in_one_line(str(problem)) for problem in qos_problems(self, cameras)),
+            *(in_one_line(str(problem)) for problem in self._settings.problems()),
         ]
         if problems:
             self.report("\n  ".join([f"configure refused, {len(problems)} problem(s):", *problems]))
@@ -175,14 +176,10 @@ class DetectorNode(PrintableNode, LifecycleNode):
             self,
             review=lambda candidate: self._reconfiguration.review(candidate),
             commit=lambda before, after: self._reconfiguration.take_effect(before, after),
-            rules=[partial(reliability_problems, self), partial(camera_topic_problems, self)],
+            rules=qos_rules(self),
             arguments=arguments,
             validate=validate,
         )
-
-    def _problems(self) -> list[Problem]:
-        """Why configure must be refused."""
-        return [*self._settings.problems(), *qos_problems(self, self._settings.value("cameras") or ("",))]
 
     def _greet(self) -> None:
         if self._start_problems:

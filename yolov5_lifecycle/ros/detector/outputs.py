@@ -31,20 +31,10 @@ from yolov5_lifecycle.ros.topics import (
 _ACTIVE = LifecycleState("active", State.PRIMARY_STATE_ACTIVE)
 
 
-class LabelInfoOutput:
-    """Owns the latched publisher of the class names, one for all cameras. Raises rclpy's exception."""
-
-    def __init__(self, node: LifecycleNode) -> None:
-        self._node = node
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._publisher = _created(node, LabelInfo, LABEL_INFO, latched)
-
-    def publish(self, message: LabelInfo) -> None:
-        self._publisher.publish(message)
-
-    def close(self) -> None:
-        # destroy_publisher would leave it in the list of managed entities.
-        self._node.destroy_lifecycle_publisher(self._publisher)
+def label_info_publisher(node: LifecycleNode) -> LifecyclePublisher:
+    """Latched publisher of the class names, one for all cameras. Raises rclpy's exception."""
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    return _created(node, LabelInfo, LABEL_INFO, latched)
 
 
 class Outputs:
@@ -118,6 +108,7 @@ class Outputs:
 
     def close(self) -> None:
         for publisher in self._publishers:
+            # destroy_publisher would leave it in the list of managed entities.
             self._node.destroy_lifecycle_publisher(publisher)
         self._publishers.clear()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Generator
+from collections.abc import Awaitable, Generator, Sequence
 from typing import Any, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
@@ -19,6 +19,7 @@ from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters
 from yolov5_lifecycle.ros.proposal import Proposal
 from yolov5_lifecycle.ros.refusal import refusal
 from yolov5_lifecycle.ros.services import Handler
+from yolov5_lifecycle.ros.topics import remapping_problems
 from yolov5_lifecycle.settings.schema import Change, Problem
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
@@ -47,7 +48,9 @@ class Changeable(Protocol):
     @property
     def detection(self) -> Detection | None: ...
 
-    def apply(self, settings: Settings, preparation: Preparation | None = None) -> None: ...
+    def add_cameras(self, names: Sequence[str]) -> None: ...
+
+    def remove_cameras(self, *, except_for: Sequence[str]) -> None: ...
 
 
 class Reconfiguration:
@@ -99,6 +102,8 @@ class Reconfiguration:
         """Apply the whole proposal or nothing."""
         if proposal.problems:
             return refusal(proposal.problems)
+        if problems := self._topic_problems(proposal.base.settings, proposal.after.settings):
+            return refusal(problems)
         detection = self._resources.detection
         if detection is not None and proposal.kind is Change.RELOAD:
             return await self._reload(detection, proposal)
@@ -158,19 +163,37 @@ class Reconfiguration:
         if not result.successful or before is None or after is None or before is after:
             return result
         try:
-            self._resources.apply(after, preparation)
+            self._apply(before, after, preparation or running)
         except Exception:
             self._parameters.store(self._parameters.propose(previous))
-            self._resources.apply(before, running)
+            self._apply(after, before, running)
             raise
         return result
 
     def take_effect(self, before: Settings, after: Settings) -> None:
         """Apply settings that a program set through the methods of the node."""
-        self._resources.apply(after)
+        detection = self._resources.detection
+        self._apply(before, after, detection.preparation if detection is not None else None)
+
+    def _apply(self, before: Settings, after: Settings, preparation: Preparation | None) -> None:
+        """Change from settings `before` to `after`, and while active to the model of `preparation`."""
+        if before.cameras != after.cameras:
+            self._resources.add_cameras(after.camera_names)
+        if (detection := self._resources.detection) is not None and preparation is not None:
+            detection.apply(after, preparation)
+        if before.cameras != after.cameras:
+            self._resources.remove_cameras(except_for=after.camera_names)
+
+    def _topic_problems(self, before: Settings | None, after: Settings | None) -> list[Problem]:
+        """Why the topics of other cameras cannot be had."""
+        if before is None or after is None or before.cameras == after.cameras:
+            return []
+        return [Problem("cameras", text) for text in remapping_problems(self._node, after.camera_names)]
 
     def review(self, candidate: Settings) -> list[Problem]:
-        """Problems of `candidate` with the running model."""
+        """Problems of `candidate` with the topics of the node and the running model."""
+        if problems := self._topic_problems(self._parameters.settings(), candidate):
+            return problems
         if (detection := self._resources.detection) is None:
             return []
         model = detection.model

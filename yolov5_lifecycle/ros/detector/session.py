@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from rclpy.lifecycle import LifecycleNode
+from builtin_interfaces.msg import Time
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
+from std_msgs.msg import Header
+from vision_msgs.msg import LabelInfo, VisionClass
 
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems
-from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.batch_detection import BatchDetection
 from yolov5_lifecycle.ros.detector.camera import Camera
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import Preparation
-from yolov5_lifecycle.ros.detector.outputs import LabelInfoOutput
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
@@ -27,7 +28,8 @@ REST_TIMEOUT_S = 3.0
 class Detection:
     """Owns the model, with which each of the `cameras` detects from `start` to `close`.
 
-    `preparation` is the model, once loaded. `worker` runs the inference of all cameras.
+    `preparation` is the model, once loaded. `label_info` publishes the class names. `worker` runs the
+    inference of all cameras.
     """
 
     def __init__(
@@ -36,7 +38,7 @@ class Detection:
         *,
         preparation: Preparation,
         cameras: Mapping[str, Camera],
-        label_info: LabelInfoOutput,
+        label_info: LifecyclePublisher,
         worker: Worker[ReceivedFrame, DetectedFrame],
     ) -> None:
         self._node = node
@@ -76,12 +78,9 @@ class Detection:
         return self._worker.rest(REST_TIMEOUT_S) and self._worker.abandoned_threads() == 0
 
     def publish_label_info(self, settings: Settings) -> None:
+        stamp = self._node.get_clock().now().to_msg()
         self._label_info.publish(
-            messages.label_info(
-                self.model.detector.class_names,
-                settings.confidence_threshold,
-                self._node.get_clock().now().to_msg(),
-            )
+            label_info(self.model.detector.class_names, settings.confidence_threshold, stamp)
         )
 
     def close(self) -> bool:
@@ -98,6 +97,19 @@ class Detection:
     def _detect(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
         self._worker.batch = None  # a batch must not mix frames for two detectors
         for name in settings.camera_names:
-            self._cameras[name].detect(settings.for_camera(name), detector, is_active=is_active)
+            camera, own = self._cameras[name], settings.for_camera(name)
+            if camera.stream is None:
+                camera.start(own, detector, is_active=is_active)
+            else:
+                camera.stream.apply(own, detector)
         if len(settings.cameras) > 1 and detector.batch_sizes:
             self._worker.batch = BatchDetection(detector)
+
+
+def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:
+    """LabelInfo message with the class names of the loaded model and the threshold of the node."""
+    return LabelInfo(
+        header=Header(stamp=stamp),
+        class_map=[VisionClass(class_id=index, class_name=name) for index, name in enumerate(class_names)],
+        threshold=confidence_threshold,
+    )

@@ -11,8 +11,7 @@ from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.depth_input import DepthInput
-from yolov5_lifecycle.ros.detector.image_input import ImageInput, InputStatus, ReceivedFrame
-from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
+from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, InputStatus, ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage, Pipeline
