@@ -76,6 +76,7 @@ class CamerasLife:
             "trackers": (2, self._change_tracker),
             "reloads": (1, self._reload),
             "depth images": (6, self._send_depth),
+            "placing": (2, self._place),
             "hostile images": (8, self._send_hostile),
             "other sizes": (4, self._send_other_sizes),
             "floods": (2, self._flood),
@@ -124,8 +125,7 @@ class CamerasLife:
         self._compare("parameters", self._declared_overrides(), self._overrides)
         if _HOSTILE not in self._present:
             self._set_cameras([*self._present, _HOSTILE])
-        for name in self._overrides_of(_HOSTILE):
-            self._delete(name)
+        self._inherit_all(_HOSTILE)
         self.clients[_HOSTILE].detect()
 
     def _compare(self, what: str, found: Collection[str], expected: Collection[str]) -> None:
@@ -193,8 +193,10 @@ class CamerasLife:
         elif "threshold" not in name:
             self.problems.append(f"{name} was not deleted: {result.reason}")
 
-    def _overrides_of(self, camera_name: str) -> list[str]:
-        return sorted(name for name in self._overrides if name.startswith(f"{camera_name}."))
+    def _inherit_all(self, camera_name: str) -> None:
+        for name in sorted(self._overrides):
+            if name.startswith(f"{camera_name}."):
+                self._delete(name)
 
     def _change_tracker(self) -> None:
         self._set(tracker=self._choose(["none", "bytetrack"]))
@@ -214,6 +216,24 @@ class CamerasLife:
             for name in self._present:
                 self.clients[name].send_depth()
             self._subject.observer.work_for(0.05)
+
+    def _place(self) -> None:
+        """Depth for a camera that sends, until something is found in space."""
+        name = "left"
+        if name not in self._present:
+            return
+        self._inherit_all(name)
+        values = {f"{name}.depth": True, f"{name}.depth_slop_s": 0.1}
+        self._set(**values)
+        self._overrides |= values.keys()
+        client = self.clients[name]
+        heard = client.heard_3d
+
+        def is_placed() -> bool:
+            client.send_depth()
+            return client.heard_3d > heard
+
+        self._subject.observer.wait_for(is_placed, "detections in space")
 
     def _send_hostile(self) -> None:
         for make in (hostile_image, damaged_message, odd_image):

@@ -43,7 +43,8 @@ def several_cameras(subject: Subject, seed: int, minutes: float, *, is_judged: b
     return Finding(
         claim="cameras that come, go and misbehave disturb neither the others nor the process",
         done=f"{life.done.total()} actions of {len(life.done)} kinds on {len(NAMES)} cameras in "
-        f"{outcome.taken_s / 60:.0f} minutes, {len(life.track_ids)} tracks, seed {seed}",
+        f"{outcome.taken_s / 60:.0f} minutes, {len(life.track_ids)} tracks, "
+        f"{sum(client.heard_3d for client in life.clients.values())} images with depth, seed {seed}",
         result=f"{number_of('wrong answers, counts or track ids', problems)}, "
         f"{number_of('exceptions', escaped)}; {outcome.share:.1%} of the images of the steady cameras "
         f"({RATE_HZ:g} Hz) detected; RSS {outcome.growth_mb:+.1f} MB",
