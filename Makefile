@@ -10,6 +10,7 @@ PIP_FLAGS ?=
 TORCH ?=
 PYTEST_FLAGS ?=
 BENCH_FLAGS ?=
+CAMERAS_FLAGS ?=
 TRACKING_FLAGS ?=
 SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
@@ -55,14 +56,16 @@ ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
-.PHONY: help install demo test test-all coverage soak fuzz bench lint docs clean
+.PHONY: help install demo demo-cameras test test-all coverage soak fuzz bench lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
+	@echo 'make demo-cameras  two cameras on one detector, with tracks and places in space; result in build/demo'
 	@echo 'make test     the tests, without the long ones  (SET=apt: numpy, scipy, OpenCV of Ubuntu 24.04, in .venv-apt)'
 	@echo 'make test-all all tests'
 	@echo 'make coverage all tests, with the line coverage of the package, child processes included'
 	@echo 'make bench    how fast each runtime is, quiet and beside a busy process, and how well objects are tracked'
-	@echo '              (BENCH_FLAGS="--quick"  TRACKING_FLAGS="--seeds 1")'
+	@echo '              and what several cameras on one node cost'
+	@echo '              (BENCH_FLAGS="--quick"  CAMERAS_FLAGS="--quick"  TRACKING_FLAGS="--seeds 1")'
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
 	@echo 'make fuzz     coverage-guided fuzzing of the parsers of images, weights and settings, of depth and of the tracker'
 	@echo 'make lint     ruff and mypy --strict'
@@ -76,6 +79,10 @@ install: $(PACKAGE)
 demo: $(PACKAGE)
 	@mkdir -p build/demo
 	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo
+
+demo-cameras: $(PACKAGE)
+	@mkdir -p build/demo
+	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo --cameras
 
 test: $(PACKAGE)
 	$(PYTEST) -m 'not long' $(PYTEST_FLAGS)
@@ -91,6 +98,7 @@ coverage: $(PACKAGE)
 
 bench: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.bench $(BENCH_FLAGS)
+	$(VENV)/bin/python -m benchmark.cameras $(CAMERAS_FLAGS)
 	$(VENV)/bin/python -m benchmark.tracking $(TRACKING_FLAGS)
 
 # It drives the detector with what the tests drive it with.

@@ -15,6 +15,7 @@ from vision_msgs.msg import Detection2DArray
 
 from benchmark import light_camera
 from benchmark.process_memory import peak_resident_mb
+from benchmark.process_time import cpu_s
 from benchmark.work import scene_image
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
@@ -73,11 +74,11 @@ class MeasuredDetector:
             seen.clear()
             cpu_begun_s = self._cpu_s()
             self._observer.wait_for(lambda: len(seen) >= frames, f"{frames} detections")
-            cpu_s = self._cpu_s() - cpu_begun_s
+            used_s = self._cpu_s() - cpu_begun_s
         self._observer.destroy_subscription(subscription)
         latencies_ms = [sighting.latency_ms for sighting in seen]
         taken_s = (seen[-1].stamp_ns - seen[0].stamp_ns) / 1e9
-        return Passage(latencies_ms, (len(seen) - 1) / taken_s, 1e3 * cpu_s / len(seen))
+        return Passage(latencies_ms, (len(seen) - 1) / taken_s, 1e3 * used_s / len(seen))
 
     def idle_cpu_share(self, image: Path, *, rate_hz: float, duration_s: float) -> float:
         """CPU share of one core that the active node uses while a camera runs without any subscriber."""
@@ -105,8 +106,7 @@ class MeasuredDetector:
             raise RuntimeError(f"the detector refused to {transition}:\n{self._process.last_words}")
 
     def _cpu_s(self) -> float:
-        fields = Path(f"/proc/{self._process.process_id}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return cpu_s(self._process.process_id)
 
 
 @contextmanager

@@ -62,7 +62,8 @@ def table(rows: Iterable[Row]) -> str:
     heads = f"{'':10}{'':34}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"
     lines = [heads, "-" * len(heads)]
     for each in rows:
-        medians = [other.median for other in rows if (other.what, other.busy) == (each.what, each.busy)]
+        measured = each.what, each.busy, each.unit
+        medians = [other.median for other in rows if (other.what, other.busy, other.unit) == measured]
         ratio = _ratio(each, min(medians), max(medians)) if each.unit == "ms" else ""
         lines.append(
             f"{each.what:10}{each.name:34}{each.busy:4}{each.median:10.2f}{each.p95:10.2f}"

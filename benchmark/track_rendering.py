@@ -22,7 +22,7 @@ _SELECTION = Selection(confidence_threshold=MIN_SCORE)
 def shapes_detector() -> Detector:
     """The detector of the embedded model, for images of SIZE_HW."""
     detector = load_detector(load_weights(_WEIGHTS).model, device="cpu", runtime="torch", image_size=320)
-    detector.warm_up(SIZE_HW)
+    detector.warm_up([SIZE_HW])
     return detector
 
 

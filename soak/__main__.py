@@ -29,6 +29,7 @@ from soak.largest_images import LARGEST_SIDE_PX, bounded_decoding
 from soak.mixed_life import mixed_life
 from soak.publishers import counted_publishers
 from soak.service_requests import answered_requests
+from soak.several_cameras import several_cameras
 from soak.subject import Subject, subject
 from soak.transitions import answered_shutdowns, answered_transitions
 
@@ -42,6 +43,7 @@ _BURSTS = 20
 _QUESTIONS_BESIDE_FLOOD = 500
 _TIMES = 20
 _FAULTS = 50
+_CAMERA_MINUTES = 20.0
 
 Trial = Callable[[], Finding]
 Watched = Callable[[Subject], Finding]
@@ -66,6 +68,7 @@ def _watched_trials(seed: int, minutes: float, scale: float) -> dict[str, Watche
         "cycles": lambda process: complete_cycles(process, _scaled(_CYCLES, scale), _WARM_UP),
         "faults": lambda process: survived_faults(process, _scaled(_FAULTS, scale)),
         "mixed": lambda process: mixed_life(process, seed, minutes),
+        "cameras": lambda process: several_cameras(process, seed, _CAMERA_MINUTES * scale),
     }
 
 

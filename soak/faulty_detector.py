@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from yolov5_lifecycle.process.environment import prepare_environment
 from yolov5_lifecycle.process.memory import prepare_heap
@@ -92,14 +92,29 @@ class FaultyRuntime:
         self.precision = runtime.precision
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Raw:
-        raw = self._runtime(frame, order, min_objectness)
-        height, width, _ = frame.shape
-        middle = frame[height // 3 : -height // 3, width // 3 : -width // 3]  # without letterbox padding
-        fault = _FAULT_OF_GREY.get(int(middle[0, 0, 0]))
-        return fault(raw) if fault is not None and (middle == middle[0, 0, 0]).all() else raw
+        return _with_fault(frame, self._runtime(frame, order, min_objectness))
+
+    def run_batch(
+        self,
+        frames: Sequence[NDArray[np.uint8]],
+        orders: Sequence[Order],
+        min_objectness: Sequence[float],
+    ) -> list[Raw]:
+        return list(map(_with_fault, frames, self._runtime.run_batch(frames, orders, min_objectness)))
+
+    def keep_batches(self, sizes: Collection[int]) -> None:
+        self._runtime.keep_batches(sizes)
 
     def close(self) -> None:
         self._runtime.close()
+
+
+def _with_fault(frame: NDArray[np.uint8], raw: Raw) -> Raw:
+    """The predictions `raw` with the fault that `frame` selects."""
+    height, width, _ = frame.shape
+    middle = frame[height // 3 : -height // 3, width // 3 : -width // 3]  # without letterbox padding
+    fault = _FAULT_OF_GREY.get(int(middle[0, 0, 0]))
+    return fault(raw) if fault is not None and (middle == middle[0, 0, 0]).all() else raw
 
 
 def prepare(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from soak import faulty_detector
 from soak.balance import BalanceWatch
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.domain import own_domain
+from yolov5_lifecycle.ros.demo.ground_truth import stamp_ns
 from yolov5_lifecycle.ros.demo.observer import Observer
 
 _UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
@@ -57,6 +59,7 @@ class Subject(DetectorProcess):
     def __init__(self, process: ChildProcess, observer: Observer, domain: int) -> None:
         self.balance = BalanceWatch()
         self.heard = 0
+        self._statuses: tuple[int, dict[str, dict[str, str]]] = (0, {})
         self._escaped: dict[str, None] = {}
         observer.create_subscription(DiagnosticArray, "/diagnostics", self._watch, 100)
         observer.create_subscription(Detection2DArray, f"{NODE}/detections", self._hear, _KEPT)
@@ -82,6 +85,12 @@ class Subject(DetectorProcess):
         super().reset()
         assert self.node.set_parameters(use_sim_time=False) == ""
 
+    def statuses(self) -> dict[str, dict[str, str]]:
+        """The values in the first diagnostics made from now on: "" of the node, by name of every camera."""
+        begun_ns = time.time_ns()
+        self.observer.wait_for(lambda: self._statuses[0] > begun_ns, "diagnostics")
+        return self._statuses[1]
+
     def resources(self) -> Resources:
         return Resources.of(self.process.process_id)
 
@@ -89,12 +98,24 @@ class Subject(DetectorProcess):
         self.heard += 1
 
     def _watch(self, message: DiagnosticArray) -> None:
-        (status,) = message.status
-        self.balance.take({value.key: value.value for value in status.values})
+        statuses = {
+            _camera_of(status.name): {value.key: value.value for value in status.values}
+            for status in message.status
+        }
+        self._statuses = stamp_ns(message.header), statuses
+        self.balance.take(statuses)
         self._read_log()  # now, as it keeps only the last lines
 
     def _read_log(self) -> None:
-        self._escaped |= dict.fromkeys(exceptions_in(self.process.output))
+        log = self.process.output
+        self._escaped |= dict.fromkeys(exceptions_in(log))
+        self.balance.read(log.splitlines())
+
+
+def _camera_of(status_name: str) -> str:
+    """`front` in `/yolov5: front`, "" in `/yolov5: detection`, the status of the node."""
+    part = status_name.partition(": ")[2]
+    return "" if part == "detection" else part
 
 
 def exceptions_in(log: str) -> list[str]:
@@ -120,8 +141,8 @@ def subject_in(domain: int, **variables: str) -> Iterator[Subject]:
 
 
 @contextmanager
-def camera(domain: int, **parameters: object) -> Iterator[ChildProcess]:
-    """A camera process that the detector can discover."""
-    words = [entry_point("camera"), "--ros-args", "-r", f"image_raw:={NODE}/image_raw"]
+def camera(domain: int, topic: str = f"{NODE}/image_raw", **parameters: object) -> Iterator[ChildProcess]:
+    """A camera process that publishes on `topic`."""
+    words = [entry_point("camera"), "--ros-args", "-r", f"image_raw:={topic}"]
     with ChildProcess("camera", [*words, *as_arguments(parameters)], environment(domain)) as process:
         yield process

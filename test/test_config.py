@@ -18,10 +18,12 @@ from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from support.detector_process import NODE
 
 from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
-from yolov5_lifecycle.settings.settings import SETTINGS, Settings
+from yolov5_lifecycle.settings.parameter_file import file_values
+from yolov5_lifecycle.settings.settings import SETTINGS, Settings, validated
 
 CONFIG = REPOSITORY / "config"
 UNIT = CONFIG / "yolov5.service"
+PARAMETER_FILES = [file for file in CONFIG.glob("*.yaml") if not file.name.startswith("nav2")]
 
 
 def constants() -> set[str]:
@@ -40,6 +42,10 @@ def topics() -> set[str]:
         for text in constants()
         if re.fullmatch(r"(~/|/)[a-z0-9_/]+", text)
     }
+
+
+def settings_of(file: Path) -> Settings:
+    return validated(file_values(file, NODE))
 
 
 def values(tree: Any, key: str) -> Iterator[Any]:
@@ -67,6 +73,30 @@ def test_rviz_shows_images_of_the_node() -> None:
     asked = [display["Topic"]["Reliability Policy"] for display in images]
     assert asked == ["Reliable", "Best Effort"], "what the detector offers; what any camera can serve"
     assert set(shown) <= topics()
+
+
+def test_rviz_shows_two_cameras() -> None:
+    cameras = settings_of(CONFIG / "two_cameras.yaml").cameras
+    layout = yaml.safe_load((CONFIG / "two_cameras.rviz").read_text())["Visualization Manager"]
+    shown = {display["Topic"]["Value"]: display for display in layout["Displays"]}
+    images = [f"{NODE}/{camera}/image" for camera in cameras]
+    assert [*shown] == images + [f"{NODE}/{camera}/detections_3d" for camera in cameras]
+    assert [topic for topic, display in shown.items() if display["Enabled"]] == images
+    assert {display["Topic"]["Reliability Policy"] for display in shown.values()} == {"Reliable"}
+    usual = yaml.safe_load((CONFIG / "yolov5.rviz").read_text())["Visualization Manager"]["Displays"]
+    assert {display["Class"] for display in shown.values()} == {display["Class"] for display in usual}
+
+
+@pytest.mark.parametrize("file", PARAMETER_FILES, ids=lambda file: file.name)
+def test_a_parameter_file_of_the_detector_is_valid(file: Path) -> None:
+    settings_of(file)
+
+
+def test_the_example_of_two_cameras_has_settings_of_each() -> None:
+    settings = settings_of(CONFIG / "two_cameras.yaml")
+    front, rear = map(settings.for_camera, settings.cameras)
+    assert (front.max_rate, rear.max_rate) == (10.0, 5.0)
+    assert (front.classes, rear.classes) == (("circle", "star"), ())
 
 
 def test_rviz_shows_boxes_in_space() -> None:

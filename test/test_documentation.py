@@ -14,7 +14,7 @@ import pytest
 import yaml
 from rclpy.parameter import Parameter
 from support.colcon_workspace import REPOSITORY
-from support.good_status import GOOD
+from support.good_status import GOOD, OF_CAMERAS
 from support.pages import (
     IMAGES,
     LAUNCH,
@@ -28,6 +28,7 @@ from support.pages import (
     every_page,
     spans,
     table,
+    topics_of_examples,
     topics_of_readme,
     typed,
 )
@@ -50,10 +51,14 @@ SOURCE_FOLDERS = [REPOSITORY, REPOSITORY / "yolov5_lifecycle"]
 def settings_of(text: str) -> dict[str, Any]:
     """The parameters in a parameter file, in the types that the node gives them; QoS is not among them."""
     (node,) = yaml.safe_load(text).values()
+    values: dict[str, Any] = {}
+    for name, value in node["ros__parameters"].items():
+        nested = value if isinstance(value, dict) else {}
+        values |= {f"{name}.{below}": nested[below] for below in nested} or {name: value}
     return {
-        name: coerced(Parameter(name, value=value), SETTINGS_BY_NAME).value
-        for name, value in node["ros__parameters"].items()
-        if name != "qos_overrides"
+        name: coerced(Parameter(name, value=value), SCHEMA.found([name])).value
+        for name, value in values.items()
+        if not name.startswith("qos_overrides.")
     }
 
 
@@ -89,8 +94,8 @@ def test_a_make_target_that_is_named_exists(page: Path) -> None:
 def test_a_parameter_in_a_command_exists(page: Path) -> None:
     of_detector = {setting.name for setting in SETTINGS}
     text = "\n".join(typed(page) + spans(page))
-    asked = set(re.findall(r"ros2 param \w+ /\S+ ([a-z]\w*)", text))
-    assert asked <= of_detector
+    asked = set(re.findall(r"ros2 param \w+ /\S+ ([a-z][\w.]*)", text))
+    assert {name for name in asked if SCHEMA.find(name) is None} == set()
     assert set(re.findall(r"-p (\w+):=", text)) <= of_detector | CameraSettings.model_fields.keys()
 
 
@@ -106,7 +111,7 @@ def test_a_detect_bag_command_is_understood(page: Path) -> None:
 def test_a_remapped_name_exists(page: Path) -> None:
     of_camera = {"image_raw"}
     remapped = set(re.findall(r"-r '?([~\w/]+):=", "\n".join(typed(page) + spans(page))))
-    assert {name.replace("/yolov5/", "~/") for name in remapped} <= topics_of_readme() | of_camera | {
+    assert {name.replace("/yolov5/", "~/") for name in remapped} <= topics_of_examples() | of_camera | {
         "__node",
         "__ns",
     }
@@ -170,6 +175,12 @@ def test_bash_can_parse_what_a_reader_may_type(page: Path) -> None:
     assert (run.returncode, run.stderr) == (0, "")
 
 
+@every_page
+def test_a_python_example_can_be_compiled(page: Path) -> None:
+    for program in blocks(page, "python"):
+        compile(program, page, "exec")
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if page != README], ids=lambda page: page.name)
 def test_a_parameter_file_in_the_docs_is_valid(page: Path) -> None:
     for block in blocks(page, "yaml"):
@@ -179,7 +190,7 @@ def test_a_parameter_file_in_the_docs_is_valid(page: Path) -> None:
 @pytest.mark.usefixtures("ros_domain")
 def test_the_readme_shows_the_refusal_of_its_wrong_file(tmp_path: Path) -> None:
     file = tmp_path / "wrong.yaml"
-    file.write_text(blocks(README, "yaml")[0])
+    file.write_text(blocks(README, "yaml")[-1])
     with ServedNode(Preparations(), arguments=["--ros-args", "--params-file", str(file)]) as served:
         assert not served.transition("configure")
         assert served.status().message + "\n" == blocks(README, "text")[0]
@@ -222,7 +233,8 @@ def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() 
 def test_every_reason_for_silence_is_explained() -> None:
     explained = " ".join(TROUBLESHOOTING.read_text().split())
     folder = REPOSITORY / "yolov5_lifecycle" / "ros" / "detector"
-    sources = [ast.parse((folder / name).read_text()) for name in ("status.py", "depth_status.py")]
+    files = ("status.py", "camera_status.py", "depth_status.py")
+    sources = [ast.parse((folder / name).read_text()) for name in files]
     functions = [node for source in sources for node in ast.walk(source) if isinstance(node, ast.FunctionDef)]
     told = [
         function
@@ -241,9 +253,12 @@ def test_every_reason_for_silence_is_explained() -> None:
 
 def test_the_values_of_the_diagnostics_are_those_of_the_reference() -> None:
     preparation = (REPOSITORY / "yolov5_lifecycle" / "detection" / "prepared_model.py").read_text()
-    of_model = re.findall(r'^ {12}"([a-z0-9 ]+)": ', preparation, re.MULTILINE)
+    of_model = re.findall(r'(?:^ {12}|facts\[)"([a-z0-9 ]+)"(?:: |\] = )', preparation, re.MULTILINE)
+    of_node = {**GOOD.of_node.values, **OF_CAMERAS.of_node.values}
     shown = [name for row in table(REFERENCE, "Diagnostics") for name in re.findall(r"`([^`]+)`", row[0])]
-    assert sorted(shown) == sorted([*GOOD.of_node.values, *of_model])
+    assert sorted(shown) == sorted([*of_node, *of_model])
+    (of_camera,) = OF_CAMERAS.of_cameras
+    assert of_camera.values.keys() <= of_node.keys()
 
 
 def test_the_exit_codes_of_the_detector_alone_are_those_of_the_reference() -> None:

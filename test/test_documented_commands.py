@@ -29,20 +29,20 @@ from support.pages import (
     declared_arguments,
     every_page,
     spans,
-    topics_of_readme,
+    topics_of_examples,
     typed,
 )
 from support.recorded_scene import images, jpeg, raw, record, video
 
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
-from benchmark import bench, depth, tracking
+from benchmark import bench, cameras, depth, tracking
 from yolov5_lifecycle.commands import convert
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.parameter_values import coerced
-from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME, validated
+from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validated
 
 NOT_RUN = {
     "sudo ": "changes the machine",
@@ -66,9 +66,10 @@ NOT_RUN = {
 }
 """How a command begins, and why it is not tried."""
 
-TOPICS = {topic.replace("~", NODE) for topic in topics_of_readme()}
+TOPICS = {topic.replace("~", NODE) for topic in topics_of_examples()}
 PARSERS = {
     "BENCH_FLAGS": bench.parser,
+    "CAMERAS_FLAGS": cameras.parser,
     "FUZZ_FLAGS": fuzz.parser,
     "SOAK_FLAGS": soak.parser,
     "TRACKING_FLAGS": tracking.parser,
@@ -119,10 +120,11 @@ def check_param(verb: str, node: str, name: str = "", value: str = "") -> None:
     assert node == NODE
     if verb == "set":
         given = parameter_value_to_python(get_parameter_value(value))
-        validated({name: coerced(Parameter(name, value=given), SETTINGS_BY_NAME).value})
+        meant = coerced(Parameter(name, value=given), SCHEMA.found([name])).value
+        assert SCHEMA.problem(name, meant) is None
     else:
-        assert verb in ("get", "describe", "dump")
-        assert (name == "") if verb == "dump" else (name in {setting.name for setting in SETTINGS})
+        assert verb in ("get", "describe", "delete", "dump")
+        assert (name == "") if verb == "dump" else (SCHEMA.find(name) is not None)
 
 
 def check_lifecycle(verb: str, node: str, transition: str = "") -> None:

@@ -54,7 +54,8 @@ def test_a_setting_occurs_where_it_is_declared_and_where_it_is_used(setting: Set
     places = {name for name, words in PLACES.items() if setting.name in words}
     assert SETTINGS_FILE in places
     assert places - {SETTINGS_FILE}, "a setting that nobody uses"
-    assert not places & CARRIERS
+    if setting.name != "cameras":  # also what the objects are called that carriers know
+        assert not places & CARRIERS
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from fnmatch import fnmatchcase
 
 import pytest
 from rclpy.node import Node
@@ -20,7 +21,8 @@ from yolov5_lifecycle.ros.parameter_values import MAX_ENTRIES
 from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS
 from yolov5_lifecycle.ros.refusal import MAX_REASON_LENGTH
 from yolov5_lifecycle.ros.services import MAX_ITEMS
-from yolov5_lifecycle.runtimes.compiled_store import MAX_BYTES
+from yolov5_lifecycle.ros.topics import LABEL_INFO, published, subscribed
+from yolov5_lifecycle.runtimes.cache import MAX_BYTES
 from yolov5_lifecycle.settings.parameter_yaml import MAX_DEPTH, MAX_SCALARS
 from yolov5_lifecycle.settings.parameter_yaml import MAX_FILE_BYTES as MAX_PARAMETER_FILE_BYTES
 
@@ -36,6 +38,12 @@ def allowed(kind: str, right: str) -> set[str]:
     return {name.replace("~", "/yolov5") for name in names}
 
 
+def fits(names: set[str], patterns: set[str]) -> bool:
+    """Whether each of `names` matches one of `patterns`, and none of these is left over."""
+    matching = {name: {pattern for pattern in patterns if fnmatchcase(name, pattern)} for name in names}
+    return all(matching.values()) and set().union(*matching.values()) == patterns
+
+
 def used(client: Node) -> dict[tuple[str, str], set[str]]:
     """The names in the graph of what the node /yolov5 does."""
     found = {
@@ -46,16 +54,26 @@ def used(client: Node) -> dict[tuple[str, str], set[str]]:
     return {key: {name for name, _ in named} for key, named in found.items()}
 
 
-def test_the_policy_allows_what_the_node_uses_and_nothing_more(ros_domain: int) -> None:
-    def agrees(unused: str) -> bool:
-        return all(names == allowed(*key) - {unused} for key, names in used(served.client).items())
+@pytest.mark.parametrize(
+    ("cameras", "whose"), [("[]", ""), ("[front, rear]", "*/")], ids=["no name", "two names"]
+)
+def test_the_policy_allows_what_the_node_uses_and_nothing_more(
+    ros_domain: int, cameras: str, whose: str
+) -> None:
+    of_cameras = {name for name in published(("*",)) + subscribed(("*",)) if name != LABEL_INFO}
+    of_others = {*published(("",)), *subscribed(("",))} - {LABEL_INFO} if whose else of_cameras
+    other_topics = {name.replace("~", "/yolov5") for name in of_others}
 
-    parameters = ["use_sim_time:=true", "depth:=true", "lazy:=false"]
+    def agrees(unused: str) -> bool:
+        absent = {*other_topics, f"/yolov5/{whose}{unused}"}
+        return all(fits(names, allowed(*key) - absent) for key, names in used(served.client).items())
+
+    parameters = ["use_sim_time:=true", "depth:=true", "lazy:=false", f"cameras:={cameras}"]
     with ServedNode(Preparations(), parameters=parameters) as served:
         served.bring_to("active")
-        served.wait_for(lambda: agrees("/yolov5/image_raw/compressed"), "the names of the policy")
+        served.wait_for(lambda: agrees("image_raw/compressed"), "the names of the policy")
         assert served.set(image_transport="compressed") == (True, "")
-        served.wait_for(lambda: agrees("/yolov5/image_raw"), "the names of the policy")
+        served.wait_for(lambda: agrees("image_raw"), "the names of the policy")
 
 
 @pytest.mark.parametrize("right", ["publish", "subscribe"])

@@ -27,8 +27,11 @@ from soak.largest_images import bounded_decoding
 from soak.mixed_life import mixed_life
 from soak.publishers import counted_publishers
 from soak.service_requests import answered_requests
+from soak.several_cameras import several_cameras
 from soak.subject import Subject, exceptions_in, subject
+from soak.track_ids import TrackIds
 from soak.transitions import answered_shutdowns, answered_transitions
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 IMAGES = 50
 SEED = 1
@@ -98,6 +101,15 @@ def test_everything_at_random_leaves_a_node_that_detects() -> None:
         assert balance.is_met, balance
 
 
+@pytest.mark.long
+def test_cameras_that_come_and_go_at_random_disturb_neither_the_others_nor_the_process() -> None:
+    with subject() as process:
+        finding = several_cameras(process, SEED, minutes=0, is_judged=False)
+        assert finding.is_met, finding
+        balance = exact_balance([process.balance])
+        assert balance.is_met, balance
+
+
 # The judges themselves
 
 
@@ -109,7 +121,7 @@ def balances(*counts: tuple[int, int, int], state: str = "active") -> Finding:
     )
     for received, detected, pending in counts:
         told = {"frames received": received, "frames detected": detected, "frames pending": pending}
-        watch.take({"state": state} | others | {name: str(count) for name, count in told.items()})
+        watch.take({"": {"state": state} | others | {name: str(count) for name, count in told.items()}})
     return exact_balance([watch])
 
 
@@ -121,6 +133,63 @@ def test_a_frame_in_two_counts_or_in_none_is_noticed() -> None:
     assert not balances((3, 3, 0), (3, 2, 1)).is_met
     assert not balances((3, 2, 1), state="inactive").is_met
     assert not balances().is_met
+
+
+def told(detected: int) -> dict[str, str]:
+    """The counts of a camera."""
+    others = dict.fromkeys((f"frames {end.value}" for end in Outcome), "0")
+    counts = {"frames received": str(detected), "frames detected": str(detected), "frames pending": "0"}
+    return others | counts
+
+
+def test_counts_begin_anew_only_with_a_camera_that_was_removed() -> None:
+    node = {"": {"state": "active"}}
+    watch = BalanceWatch()
+    for cameras in ({"front": told(3)}, {"front": told(1)}, {"front": told(2), "rear": told(5)}):
+        watch.take(node | cameras)
+    assert watch.problems == ["the counts of 'front' began anew"]
+    watch.read(["[INFO] [1.5] [yolov5]: camera front removed: 4 frames received, 0 pending, 4 detected"] * 2)
+    assert (watch.problems, watch.received) == ([], 10)
+    watch.take(node | {"front": told(1), "rear": told(5)})
+    assert len(watch.problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("balance", "problems"),
+    [
+        pytest.param("4 frames received, 0 pending, 3 detected, 1 stale", 0, id="closed"),
+        pytest.param("0 frames received, 0 pending", 0, id="no frame"),
+        pytest.param("4 frames received, 1 pending, 3 detected", 1, id="pending"),
+        pytest.param("4 frames received, 0 pending, 3 detected", 1, id="a frame in no count"),
+    ],
+)
+def test_the_balance_of_a_removed_camera_is_closed(balance: str, problems: int) -> None:
+    watch = BalanceWatch()
+    watch.read([f"camera (without a name) removed: {balance}"])
+    assert len(watch.problems) == problems
+
+
+@pytest.mark.parametrize(
+    ("camera", "stamp_ns", "ids", "problem"),
+    [
+        pytest.param("front", 30, ["1", "2"], "", id="the same tracks"),
+        pytest.param("front", 30, ["3", "", ""], "", id="a new track"),
+        pytest.param("rear", 30, ["1"], "track 1 of front used for rear", id="of another camera"),
+        pytest.param("front", 30, ["4", "4"], "twice", id="twice in an image"),
+        pytest.param("front", 90, ["1"], "from before its tracker began anew", id="of the previous tracker"),
+        pytest.param("front", 90, ["5"], "", id="a new track of the next tracker"),
+        pytest.param("front", 55, ["1"], "", id="while the tracker is replaced"),
+    ],
+)
+def test_a_track_id_that_is_used_twice_is_noticed(
+    camera: str, stamp_ns: int, ids: list[str], problem: str
+) -> None:
+    track_ids = TrackIds()
+    track_ids.take("front", 10, ["1", "2", ""])
+    if stamp_ns > 50:
+        track_ids.restart(["front"], 50, 60)
+    track_ids.take(camera, stamp_ns, ids)
+    assert [problem in found for found in track_ids.problems] == [True] * bool(problem)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,44 @@ from yolov5_lifecycle.settings.schema import Change, Setting
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 REPOSITORY = Path(__file__).parents[1]
+_SEVERAL_CAMERAS = """\
+## Several cameras
+
+One node detects the images of several cameras with one model:
+
+```yaml
+/**:
+  ros__parameters:
+    cameras: [front, rear]
+    confidence_threshold: 0.4
+    front: {max_rate: 10.0, classes: [person]}
+    rear: {image_transport: compressed}
+```
+
+Each camera has its own topics, such as `~/front/image_raw` and `~/front/detections`, instead of those without
+its name. A name has at most 64 letters, digits and single underscores, begins with a letter and is not that
+of a setting or topic.
+
+Parameters whose change is marked *per camera* may be overridden for one camera, such as `front.max_rate`.
+What is not overridden is that of the node. An empty list is a value: `front.classes: []` detects all classes
+of this camera.
+
+```console
+ros2 param set /yolov5 front.max_rate 5.0
+ros2 param describe /yolov5 front.max_rate
+ros2 param delete /yolov5 front.max_rate
+```
+
+`delete` lets the camera inherit the parameter again. `describe` answers for every override, set or not. A
+dump (`ros2 param dump /yolov5`) has those that are set, so that a node started with it has the same
+configuration. The log shows all of them when the node is configured.
+
+While the node runs, setting `cameras` adds and removes cameras; the others go on. A camera that is removed
+takes its overrides with it, and the log names them. An override needs its camera: set `cameras` first, or
+both in one request to `set_parameters_atomically`. At the start, an override of a camera that is missing
+fails `configure`, until the camera is added or the override is deleted. `detect_bag` uses the parameters of
+the node alone.
+"""
 _JSON_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", tuple: "array"}
 
 
@@ -29,16 +67,28 @@ def yaml_file() -> str:
         comment = f"{setting.description} [{setting.allowed}; {_effect(setting)}]"
         lines += ["", *textwrap.wrap(comment, 110, initial_indent="    # ", subsequent_indent="    # ")]
         lines.append(f"    {setting.name}: {json.dumps(setting.default)}")
+    lines += [
+        "",
+        "    # For one of the cameras, what is marked `per camera`:",
+        "    # front: {max_rate: 5.0}",
+    ]
     return "\n".join(lines) + "\n"
 
 
 def schema() -> str:
     """config/yolov5.schema.json: completion and validation in editors."""
+    of_camera = {
+        "type": "object",
+        "description": "Overrides for the camera of this name.",
+        "properties": {setting.name: _property(setting) for setting in SETTINGS if setting.per_camera},
+        "additionalProperties": False,
+    }
     parameters = {
         "type": "object",
         "properties": {setting.name: _property(setting) for setting in SETTINGS},
-        "patternProperties": {"^(use_sim_time|qos_overrides)": {}},
-        "additionalProperties": False,
+        # ROS's own parameters, and names with dots instead of nested ones
+        "patternProperties": {"^(use_sim_time|qos_overrides)": {}, "[.]": {}},
+        "additionalProperties": of_camera,
     }
     node = {"type": "object", "properties": {"ros__parameters": parameters}, "required": ["ros__parameters"]}
     document = {
@@ -78,6 +128,7 @@ def reference_page() -> str:
             "Converted automatically: an integer to a number (`confidence_threshold: 1`), a device index",
             "(`device: 0` is `cuda:0`), a list of class indices (`classes: [0, 2]`), an empty list.",
             "",
+            _SEVERAL_CAMERAS,
         ]
     )
 
@@ -90,7 +141,8 @@ DOCUMENTS = {
 
 
 def _effect(setting: Setting) -> str:
-    return setting.change.value.partition(":")[0]
+    effect = setting.change.value.partition(":")[0]
+    return f"{effect}, per camera" if setting.per_camera else effect
 
 
 def _type_word(setting: Setting) -> str:

@@ -112,13 +112,21 @@ def test_an_image_size_off_the_stride_is_refused_with_the_nearest_good_ones(
 
 def test_warming_up_runs_the_frame_of_the_images_to_come() -> None:
     runtime = predicting(rows())
-    detector_of(runtime, image_size=640).warm_up((720, 1280))
+    detector_of(runtime, image_size=640).warm_up([(720, 1280)])
     assert {shape for shape, *_ in runtime.calls} == {(384, 640, 3)}
+
+
+def test_warming_up_runs_each_network_input_size_of_several_cameras() -> None:
+    runtime = predicting(rows())
+    sizes_hw = [(480, 640), (720, 1280), (960, 1280), (640, 480), (1080, 1920)]
+    detector_of(runtime, image_size=640).warm_up(sizes_hw)
+    shapes = [shape for shape, *_ in runtime.calls]
+    assert shapes == [(480, 640, 3)] * 2 + [(384, 640, 3)] * 2 + [(640, 480, 3)] * 2
 
 
 def test_warming_up_finds_weights_that_give_no_numbers() -> None:
     with pytest.raises(InferenceError, match="not finite"):
-        detector_of(predicting(rows(row(np.nan, 0, 1, 1, 0, 0, 0)))).warm_up(USUAL_SOURCE_HW)
+        detector_of(predicting(rows(row(np.nan, 0, 1, 1, 0, 0, 0)))).warm_up([USUAL_SOURCE_HW])
 
 
 def test_closing_closes_the_runtime() -> None:

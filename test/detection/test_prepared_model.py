@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 from pathlib import Path
 
 import pytest
@@ -30,3 +31,27 @@ def test_a_model_that_cannot_predict_is_freed_even_while_its_error_is_kept(tmp_p
         prepare_model(Settings(weights=str(path), image_size=64, runtime="torch"), [(64, 64)])
     assert failure.value.__traceback__ is not None
     assert networks() == before
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> Settings:
+    """Settings of a model with random weights."""
+    path = tmp_path / "tiny.safetensors"
+    write_safetensors(random_model(), path)
+    return Settings(weights=str(path), image_size=64, runtime="torch", device="cpu")
+
+
+def test_batches_are_measured_for_several_cameras_and_told(tiny: Settings) -> None:
+    model = prepare_model(tiny.model_copy(update={"max_batch": 8}), [(64, 64)] * 3)
+    assert set(model.detector.batch_sizes) <= {2, 3}
+    told = model.facts["batches"]
+    assert re.fullmatch(r"(none|of [23]( or 3)?): single .* ms an image, .*", told)
+    assert f"batches {told}" in model.summary
+
+
+def test_one_camera_or_no_batches_are_not_measured(tiny: Settings) -> None:
+    batched = tiny.model_copy(update={"max_batch": 8})
+    assert prepare_model(batched, [(64, 64)]).facts["batches"] == "none: there is only one camera"
+    model = prepare_model(tiny, [(64, 64)] * 3)
+    assert "batches" not in model.facts
+    assert model.detector.batch_sizes == ()

@@ -18,10 +18,10 @@ from support.recorded_scene import (
     record,
     text,
 )
+from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
-from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
@@ -29,25 +29,11 @@ from yolov5_lifecycle.sources.scene import CLASS_NAMES
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
 
 
-class RaisingRuntime:
-    """Raises the same with every image."""
-
-    name, device, precision = "raising", "cpu", "fp32"
-
-    def __init__(self, error: BaseException) -> None:
-        self._error = error
-
-    def __call__(
-        self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
-    ) -> NDArray[np.float32]:
-        raise self._error
-
-    def close(self) -> None:
-        pass
-
-
 def prepare_raising(error: BaseException) -> Prepare:
-    detector = Detector(RaisingRuntime(error), class_names=CLASS_NAMES, image_size=320, stride=32)
+    def run() -> NDArray[np.float32]:
+        raise error
+
+    detector = Detector(ScriptedRuntime(run), class_names=CLASS_NAMES, image_size=320, stride=32)
     return lambda settings, _: PreparedModel(settings, detector, Path("/raising.pt"), "0" * 64)
 
 

@@ -17,7 +17,7 @@ from support.served_node import Preparations, ServedNode
 
 import yolov5_lifecycle
 
-MAX_FILES = 10
+MAX_FILES = 17
 PACKAGE = Path(yolov5_lifecycle.__file__).parent
 
 

@@ -72,6 +72,17 @@ def test_a_live_change_is_validated_once(served: ServedNode, validation: Countin
     assert validation.count - before == 1
 
 
+@pytest.mark.parametrize("value", [5.0, None], ids=["set", "deleted"])
+def test_an_override_for_a_camera_is_validated_once(
+    served: ServedNode, validation: CountingValidation, value: float | None
+) -> None:
+    assert served.set(cameras=["front", "rear"]) == (True, "")
+    assert served.set_messages(messages(**{"front.max_rate": 2.0})) == (True, "")
+    before = validation.count
+    assert served.set_messages(messages(**{"front.max_rate": value, "rear.lazy": False})) == (True, "")
+    assert validation.count - before == 1
+
+
 def test_a_reload_is_validated_once(served: ServedNode, validation: CountingValidation) -> None:
     served.bring_to("active")
     before = validation.count
@@ -240,13 +251,13 @@ def test_of_many_concurrent_reloads_the_first_and_the_last_are_carried_out(
 ) -> None:
     served.bring_to("active")
     prepare.gate.clear()
-    prepared = len(prepare.sources_hw)
+    prepared = len(prepare.sizes_hw)
     sizes = [320 + 32 * step for step in range(8)]
     changes = []
     for count, size in enumerate(sizes):
         changes.append(served.begin_set(image_size=size))
         if count == 0:
-            served.wait_for(lambda: len(prepare.sources_hw) == prepared + 1, "the first to begin")
+            served.wait_for(lambda: len(prepare.sizes_hw) == prepared + 1, "the first to begin")
         if count > 1:
             served.wait_for(changes[count - 1].done, "the one before to be superseded")
     prepare.gate.set()
@@ -254,7 +265,7 @@ def test_of_many_concurrent_reloads_the_first_and_the_last_are_carried_out(
     results = [change.result().result for change in changes]
     assert [result.successful for result in results] == [True, *[False] * 6, True]
     assert all("superseded by a later request" in result.reason for result in results[1:-1])
-    assert len(prepare.sources_hw) == prepared + 2
+    assert len(prepare.sizes_hw) == prepared + 2
     assert served.get("image_size") == sizes[-1]
 
 

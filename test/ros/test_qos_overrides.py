@@ -21,7 +21,7 @@ from yolov5_lifecycle.ros.detector.depth_input import DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
 from yolov5_lifecycle.ros.detector.image_losses import ImageLosses
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
-from yolov5_lifecycle.ros.detector.outputs import Outputs
+from yolov5_lifecycle.ros.detector.outputs import LabelInfoOutput, Outputs
 from yolov5_lifecycle.ros.qos_overrides import qos_problems
 from yolov5_lifecycle.ros.topics import full_name, published, subscribed
 
@@ -132,6 +132,7 @@ def test_every_topic_may_be_overridden_in_history_depth_and_reliability(
     with started(*words) as node:
         assert qos_problems(node, ("",)) == []
         outputs = Outputs(node, on_subscribers_changed=lambda: None)
+        label_info = LabelInfoOutput(node)
         topics = [ImageTopic(node, "raw"), ImageTopic(node, "compressed")]
         inputs = [
             ImageInput(
@@ -156,6 +157,7 @@ def test_every_topic_may_be_overridden_in_history_depth_and_reliability(
             image_input.close()
         depth.follow(is_needed=False)
         outputs.close()
+        label_info.close()
 
 
 def _depth_of(endpoint: object) -> str:

@@ -18,8 +18,7 @@ from support.special_cache_files import SPECIAL_CACHE_FILES
 
 from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime, read_figures, write_figures
-from yolov5_lifecycle.runtimes.cache_folder import cache_folder
-from yolov5_lifecycle.runtimes.fingerprint import installed_build
+from yolov5_lifecycle.runtimes.cache import cache_folder, installed_build
 from yolov5_lifecycle.runtimes.registry import (
     REQUIREMENTS,
     RuntimeAbsentError,

@@ -12,7 +12,7 @@ from support.runtime_names import EVERY_RUNTIME
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.runtimes.networks_by_size import are_zero
+from yolov5_lifecycle.runtimes.networks_by_shape import are_zero
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
@@ -55,6 +55,8 @@ def test_a_closed_runtime_says_so_and_may_be_closed_again(runtime: Runtime) -> N
     runtime.close()
     with pytest.raises(InferenceError, match="closed"):
         runtime(random_frame(), "rgb")
+    with pytest.raises(InferenceError, match="closed"):
+        runtime.run_batch([random_frame()] * 2, ["rgb"] * 2, [0.0] * 2)
 
 
 def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(
@@ -70,6 +72,11 @@ def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(
         return original(*arguments)
 
     monkeypatch.setattr(owner, attribute, watched)
-    loaded(random_model(0), runtime_name)(np.zeros((64, 64, 3), np.uint8), "rgb")
+    runtime = loaded(random_model(0), runtime_name)
+    frame = np.zeros((64, 64, 3), np.uint8)
+    runtime(frame, "rgb")
     assert seen == [True]
+    runtime.run_batch([frame] * 2, ["rgb"] * 2, [0.0] * 2)
+    assert len(seen) > 1
+    assert all(seen)
     assert not are_zero()

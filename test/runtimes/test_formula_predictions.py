@@ -12,8 +12,8 @@ from support.runtime_names import COMPILED_RUNTIMES
 
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Detect, Network, fuse
-from yolov5_lifecycle.runtimes.compiler import Engine
-from yolov5_lifecycle.runtimes.networks_by_size import denormals_as_zero
+from yolov5_lifecycle.runtimes.compiled_runtime import Engine
+from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 
@@ -63,7 +63,7 @@ def graph_of_pixels(network: Network, size_hw: tuple[int, int]) -> bytes:
 
     from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 
-    model = onnx.load_from_string(onnx_graph(network, size_hw))
+    model = onnx.load_from_string(onnx_graph(network, (1, *size_hw)))
     graph = model.graph
     as_float, scaled = graph.node[:2]
     assert (as_float.op_type, scaled.op_type) == ("Cast", "Mul")

@@ -15,7 +15,7 @@ from yolov5_lifecycle.settings.parameter_file import (
     file_values,
     names_node,
 )
-from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.settings.settings import Settings, validated
 
 
 @pytest.fixture
@@ -81,6 +81,22 @@ def test_a_file_that_the_node_cannot_use_is_an_error(path: Path, text: str, told
         file_values(path, "/a/yolov5")
 
 
+def test_overrides_for_cameras_are_nested_or_dotted(path: Path) -> None:
+    path.write_text(
+        "/**:\n  ros__parameters:\n    cameras: [front, rear]\n    front: {max_rate: 5, classes: [0]}\n"
+        "    rear.max_rate: 2\n    rear:\n      classes: []\n"
+    )
+    values = file_values(path, "/a/yolov5")
+    assert values == {
+        "cameras": ["front", "rear"],
+        "front.max_rate": 5.0,
+        "front.classes": ["0"],
+        "rear.max_rate": 2.0,
+        "rear.classes": [],
+    }
+    assert validated(values).for_camera("front").classes == ("0",)
+
+
 def bomb(depth: int) -> str:
     """Aliases of aliases: 10 to the power of `depth` values."""
     levels = [f"l{level}: &l{level} [{', '.join([f'*l{level - 1}'] * 10)}]" for level in range(1, depth)]
@@ -140,6 +156,9 @@ def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
         pytest.param("weights=", ("weights", ""), id="empty text"),
         pytest.param("model_size=n", ("model_size", "n"), id="n"),
         pytest.param("wheels=4", ("wheels", 4), id="no setting"),
+        pytest.param("front.max_rate=4", ("front.max_rate", 4.0), id="setting of a camera"),
+        pytest.param("front.classes=[0]", ("front.classes", ["0"]), id="list of a camera"),
+        pytest.param("front.wheels=4", ("front.wheels", 4), id="no setting of a camera"),
     ],
 )
 def test_an_assignment_has_the_type_of_its_setting(assignment: str, value: tuple[str, object]) -> None:

@@ -6,69 +6,27 @@ import threading
 from collections.abc import Iterator
 
 import pytest
+from support.scripted_camera import PATIENCE_S, ScriptedCamera
 
-from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.feed import RateLimit
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 from yolov5_lifecycle.streaming.worker import Worker
 
-PATIENCE_S = 10.0
 
-
-class Line:
-    """A worker on a line of numbers, with a gate that holds it while it works; it is its own pipeline."""
+class Line(ScriptedCamera):
+    """A camera with a worker and a clock of its own."""
 
     def __init__(self) -> None:
-        self.published: list[int] = []
-        self.failures: list[tuple[Outcome, str]] = []
-        self.threads: set[int] = set()
-        self.gate = threading.Event()
-        self.gate.set()
-        self.entered = threading.Event()
-        self.ended = threading.Semaphore(0)
         self.now_s = 1000.0
         self.worker: Worker[int, int] = Worker(clock=lambda: self.now_s)
-        self.frames = self.worker.feed(on_failure=self._fail, on_success=self.ended.release)
-
-    def detect(self, number: int) -> int:
-        self.threads.add(threading.get_ident())
-        self.entered.set()
-        assert self.gate.wait(PATIENCE_S)
-        if number < 0:
-            raise ImageError(f"{number} is no image")
-        if number == 0:
-            raise RuntimeError("zero")
-        return number
-
-    def publish(self, result: int) -> None:
-        self.threads.add(threading.get_ident())
-        self.published.append(result)
-
-    def feed(self, number: int) -> None:
-        """Offer one frame and wait until it ended."""
-        self.frames.offer(number)
-        assert self.ended.acquire(timeout=PATIENCE_S)
-
-    def hold(self, number: int) -> None:
-        """Offer one frame and return while the worker is inside it."""
-        self.gate.clear()
-        self.entered.clear()
-        self.frames.offer(number)
-        assert self.entered.wait(PATIENCE_S)
-
-    def count(self, outcome: Outcome) -> int:
-        return self.frames.balance()[outcome]
-
-    def _fail(self, outcome: Outcome, error: Exception) -> None:
-        self.failures.append((outcome, str(error)))
-        self.ended.release()
+        super().__init__(self.worker)
 
 
 @pytest.fixture
 def line() -> Iterator[Line]:
     line = Line()
     yield line
-    line.gate.set()
+    line.open()
     line.worker.close(PATIENCE_S)
     balance = line.frames.balance()
     assert balance.received == sum(balance.outcomes.values()) + balance.pending
@@ -79,7 +37,7 @@ def test_frames_are_detected_and_published_in_order_by_one_thread(line: Line) ->
     for number in (1, 2, 3):
         line.feed(number)
     assert line.published == [1, 2, 3]
-    assert len(line.threads) == 1
+    assert len(set(line.threads)) == 1
     assert line.count(Outcome.DETECTED) == 3
 
 
@@ -87,17 +45,17 @@ def test_a_newer_frame_replaces_the_one_that_waits(line: Line) -> None:
     line.frames.start(line)
     line.hold(1)
     for number in (2, 3, 4):
-        line.frames.offer(number)
+        line.offer(number)
     assert line.frames.balance().pending == 2
     line.gate.set()
-    assert line.ended.acquire(timeout=PATIENCE_S)
-    assert line.ended.acquire(timeout=PATIENCE_S)
+    line.wait()
+    line.wait()
     assert line.published == [1, 4]
     assert line.count(Outcome.STALE) == 2
 
 
 def test_before_start_frames_are_inactive(line: Line) -> None:
-    line.frames.offer(1)
+    line.offer(1)
     assert line.count(Outcome.INACTIVE) == 1
 
 
@@ -105,7 +63,7 @@ def test_a_frame_above_the_rate_is_only_counted(line: Line) -> None:
     line.frames.start(line, max_rate_hz=10.0)
     line.feed(1)
     line.feed(2)
-    line.frames.offer(3)
+    line.offer(3)
     line.now_s += 0.1
     line.feed(4)
     assert line.published == [1, 2, 4]
@@ -117,7 +75,7 @@ def test_another_rate_applies_from_the_next_frame_and_the_same_one_goes_on(line:
     line.feed(1)
     line.feed(2)
     line.frames.start(line, max_rate_hz=0.001)
-    line.frames.offer(3)
+    line.offer(3)
     line.frames.start(line, max_rate_hz=10.0)
     line.feed(4)
     assert line.published == [1, 2, 4]
@@ -153,7 +111,7 @@ def test_a_bad_frame_is_counted_and_the_next_one_detected(
 def test_stop_waits_for_the_frame_in_work_and_flushes_the_waiting_one(line: Line) -> None:
     line.frames.start(line)
     line.hold(1)
-    line.frames.offer(2)
+    line.offer(2)
     opener = threading.Timer(0.05, line.gate.set)
     opener.start()
     assert line.frames.stop(PATIENCE_S)
@@ -169,7 +127,7 @@ def test_the_time_spent_on_the_current_frame_is_reported(line: Line) -> None:
     line.now_s += 2.5
     assert line.frames.busy_s() == 2.5
     line.gate.set()
-    assert line.ended.acquire(timeout=PATIENCE_S)
+    line.wait()
     assert line.frames.busy_s() == 0
 
 
@@ -188,7 +146,19 @@ def test_a_hung_frame_is_abandoned_and_its_late_result_dropped(line: Line) -> No
     line.frames.start(line)
     line.feed(2)
     assert line.published == [2]
-    assert len(line.threads) == 2
+    assert len(set(line.threads)) == 2
+
+
+def test_a_result_that_is_being_published_is_not_abandoned(line: Line) -> None:
+    line.frames.start(line)
+    line.publish_gate.clear()
+    line.offer(1)
+    assert line.publishing.wait(PATIENCE_S)
+    opener = threading.Timer(0.05, line.open)
+    opener.start()
+    assert line.frames.stop(0.0)
+    assert line.published == [1]
+    assert line.count(Outcome.DETECTED) == 1
 
 
 class Negated:
@@ -217,7 +187,7 @@ def test_a_frame_goes_through_one_pipeline_although_another_one_comes_meanwhile(
     line.hold(1)
     line.frames.start(Negated(line.published))
     line.gate.set()
-    assert line.ended.acquire(timeout=PATIENCE_S)
+    line.wait()
     assert line.published == [1]
 
 
@@ -239,8 +209,8 @@ def test_rest_ends_when_the_frame_in_work_does_although_frames_go_on(line: Line)
     line.frames.start(line)
     line.hold(1)
     assert not line.worker.rest(0.01)
-    line.frames.offer(2)
-    line.frames.offer(3)
+    line.offer(2)
+    line.offer(3)
     opener = threading.Timer(0.05, line.gate.set)
     opener.start()
     assert line.worker.rest(PATIENCE_S)
@@ -262,7 +232,7 @@ def test_close_ends_the_thread(line: Line) -> None:
     line.frames.start(line)
     line.feed(1)
     assert line.worker.close(PATIENCE_S)
-    assert not {thread.ident for thread in threading.enumerate()} & line.threads
+    assert not {thread.ident for thread in threading.enumerate()} & set(line.threads)
 
 
 @pytest.mark.parametrize("limit_hz", [1.0, 7.0, 10.0, 20.0, 29.0])

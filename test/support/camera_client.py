@@ -50,6 +50,11 @@ class CameraClient:
         self.images.publish(_compressed(message) if self._is_compressed else message)
         return self._sent
 
+    def wait_for(self, sec: int) -> None:
+        """Wait for the detections in the image with this stamp, in seconds."""
+        is_there = lambda: bool(self.detections) and self.detections[-1].header.stamp.sec == sec  # noqa: E731
+        self.served.wait_for(is_there, f"detections of {self.name}")
+
     def detect(self) -> Detection2DArray:
         """Send images until one of them is detected; what was found in it."""
         first_sec = self._sent + 1

@@ -31,7 +31,7 @@ run = functools.partial(main, prepare=prepare_once)
 def published(message: Image | CompressedImage) -> tuple[Detection2DArray, Image]:
     """What the node publishes for `message`: detections and annotated image."""
     settings = Settings.model_validate(MODEL)
-    detector = prepare_once(settings, USUAL_SOURCE_HW).detector
+    detector = prepare_once(settings, (USUAL_SOURCE_HW,)).detector
     image = messages.image_of_message(message)
     detections = detector.detect(image, selection(settings, detector.class_names))
     drawn = annotate(image, detections, detector.class_names)

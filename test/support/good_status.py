@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rclpy.qos import ReliabilityPolicy
 
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
@@ -51,3 +53,5 @@ GOOD = Status(
     abandoned_threads=0,
     resident_mb=350.4,
 )
+OF_CAMERAS = replace(GOOD, cameras=(replace(GOOD_CAMERA, camera="front"),))
+"""The same of a node whose camera has a name."""

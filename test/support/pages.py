@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from support.colcon_workspace import REPOSITORY
+from yolov5_lifecycle.ros.topics import published, subscribed
 
 README = REPOSITORY / "README.md"
 REFERENCE = REPOSITORY / "docs" / "reference.md"
@@ -22,6 +23,8 @@ PAGES = [
     *(REPOSITORY / name for name in ("CONTRIBUTING.md", "SECURITY.md")),
     *sorted((REPOSITORY / "docs").glob("*.md")),
 ]
+CAMERAS = ("front", "rear")
+"""The cameras of the examples."""
 every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 
@@ -56,6 +59,11 @@ def table(page: Path, heading: str) -> list[list[str]]:
 def topics_of_readme() -> set[str]:
     """The topics in the table of the README, as ~/name."""
     return {name for row in table(README, "Topics") for name in re.findall(r"`([^`]+)`", row[0])}
+
+
+def topics_of_examples() -> set[str]:
+    """Those of the README, and of the cameras of the examples, as ~/name."""
+    return topics_of_readme() | {*published(CAMERAS), *subscribed(CAMERAS)}
 
 
 def declared_arguments(launch_file: str) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from yolov5_lifecycle.images.image import Order
 class ScriptedRuntime:
     """Predicts what `run` says, which may be replaced at any time, and raise, wait or answer nonsense.
 
-    `calls` are the shapes of the frames, their orders of colours and the least objectness asked for.
+    `calls` are the shapes of the frames, their orders of colours and the least objectness asked for;
+    `batches` the numbers of frames that were run as one. `on_batch` is called before each of these.
     """
 
     name = "scripted"
@@ -23,7 +24,10 @@ class ScriptedRuntime:
     def __init__(self, run: Callable[[], NDArray[np.float32]]) -> None:
         self.run = run
         self.on_close: Callable[[], None] = lambda: None
+        self.on_batch: Callable[[], None] = lambda: None
         self.calls: list[tuple[tuple[int, ...], Order, float]] = []
+        self.batches: list[int] = []
+        self.kept_batches: tuple[int, ...] | None = None
         self.is_closed = False
 
     def __call__(
@@ -31,6 +35,19 @@ class ScriptedRuntime:
     ) -> NDArray[np.float32]:
         self.calls.append((frame.shape, order, min_objectness))
         return self.run()
+
+    def run_batch(
+        self,
+        frames: Sequence[NDArray[np.uint8]],
+        orders: Sequence[Order],
+        min_objectness: Sequence[float],
+    ) -> list[NDArray[np.float32]]:
+        self.batches.append(len(frames))
+        self.on_batch()
+        return [self(*each) for each in zip(frames, orders, min_objectness, strict=True)]
+
+    def keep_batches(self, sizes: Collection[int]) -> None:
+        self.kept_batches = tuple(sizes)
 
     def close(self) -> None:
         self.is_closed = True

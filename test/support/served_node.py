@@ -34,7 +34,7 @@ from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from support.scripted_runtime import ScriptedRuntime
-from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.detector import Batches, Detector
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.parameters import Validate
@@ -75,12 +75,13 @@ class Preparations:
         self.gate = threading.Event()
         self.gate.set()
         self.begun = threading.Semaphore(0)
-        self.sources_hw: list[Sequence[tuple[int, int]]] = []
+        self.sizes_hw: list[list[tuple[int, int]]] = []
         self.class_names = CLASS_NAMES
+        self.batches = Batches()
         self.runtimes: list[ScriptedRuntime] = []
 
     def __call__(self, settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
-        self.sources_hw.append(sizes_hw)
+        self.sizes_hw.append(list(sizes_hw))
         self.begun.release()
         assert self.gate.wait(PATIENCE_S)
         if refusal := self.refusal:
@@ -89,6 +90,7 @@ class Preparations:
         runtime = ScriptedRuntime(lambda: prediction("cat", 0.9))
         self.runtimes.append(runtime)
         detector = Detector(runtime, class_names=self.class_names, image_size=settings.image_size, stride=32)
+        detector.batches = self.batches
         return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64)
 
     @property

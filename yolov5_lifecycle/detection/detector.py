@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.detection.letterbox import PADDING_VALUE, Letterbox
 from yolov5_lifecycle.detection.nms import Selection, select
 from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.models.architecture import image_size_problem
@@ -16,13 +18,24 @@ from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 
 USUAL_SOURCE_HW = (480, 640)
 
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Batches:
+    """Numbers of images, ascending, for which `Detector.detect_batch` is faster than `detect`; the reason."""
+
+    sizes: tuple[int, ...] = ()
+    reason: str = ""
+
 
 class Detector:
     """Detects objects in images; for one thread at a time. Owns `runtime`; stateless between images.
 
     `class_names` by class id. `image_size`: longer side of the network input in pixels, a multiple of
     `stride`, the largest stride of the model; else ValueError. `choice`: why this runtime was selected.
-    `selection`: the thresholds and classes of a call; may be replaced.
+    `selection`: the thresholds and classes of a call; may be replaced. `batches`: what is worth
+    running as one; may be replaced.
     """
 
     def __init__(
@@ -37,11 +50,11 @@ class Detector:
         check_image_size(image_size, stride)
         self.runtime = runtime
         self.choice = choice
+        self.batches = Batches()
         self.class_names = tuple(class_names)
         self.image_size = image_size
         self.stride = stride
         self.selection = Selection()
-        self.batch_sizes: tuple[int, ...] = ()
 
     def __call__(self, pixels: NDArray[np.uint8], *, order: Order = "bgr") -> Detections:
         """Detections in an image (H, W, 3) of dtype uint8, as cv2.imread returns it; see `detect`.
@@ -55,9 +68,62 @@ class Detector:
 
         Raises InferenceError when the network fails or its predictions are invalid.
         """
-        letterbox = Letterbox.fit(image.size_hw, image_size=self.image_size, stride=self.stride)
-        frame = letterbox.apply(image.pixels)
-        raw = self.runtime(frame, image.order, selection.min_objectness)
+        letterbox = self._letterbox(image.size_hw)
+        raw = self.runtime(letterbox.apply(image.pixels), image.order, selection.min_objectness)
+        return self._detections(raw, letterbox, selection)
+
+    def detect_batch(
+        self, images: Sequence[ColourImage], selections: Sequence[Selection]
+    ) -> list[Detections | InferenceError]:
+        """Like `detect` for each image with its selection, in one run of the network.
+
+        An image that fails has its error as its result. If the run as a whole fails, each image is run alone;
+        if that works, `batch_sizes` is empty from then on. Raises ValueError unless all images have the same
+        `network_hw` and each has a selection.
+        """
+        letterboxes = [self._letterbox(image.size_hw) for image in images]
+        sizes_hw = sorted({letterbox.network_hw for letterbox in letterboxes})
+        if len(sizes_hw) > 1 or len(images) != len(selections):
+            raise ValueError(
+                "A batch needs images of one network input size and as many selections, found "
+                f"{len(images)} images of sizes {sizes_hw} and {len(selections)} selections."
+            )
+        if len(images) < 2:
+            return self._detect_alone(images, selections)
+        try:
+            batch = self.runtime.run_batch(
+                [letterbox.apply(image.pixels) for letterbox, image in zip(letterboxes, images, strict=True)],
+                [image.order for image in images],
+                [selection.min_objectness for selection in selections],
+            )
+        except InferenceError as error:
+            problem = str(error)
+        else:
+            return list(map(_result_of(self._detections), batch, letterboxes, selections))
+        results = self._detect_alone(images, selections)
+        if any(isinstance(result, Detections) for result in results):
+            self.batches = Batches((), f"none: a batch of {len(images)} failed: {problem}")
+            _log.warning("Images are no longer run in batches: %s", problem)
+        return results
+
+    def network_hw(self, size_hw: tuple[int, int]) -> tuple[int, int]:
+        """Height and width of the network input for images of `size_hw`, in pixels."""
+        return self._letterbox(size_hw).network_hw
+
+    @property
+    def batch_sizes(self) -> tuple[int, ...]:
+        """Numbers of images for which `detect_batch` is faster than `detect`, ascending; see `batches`."""
+        return self.batches.sizes
+
+    def _detect_alone(
+        self, images: Sequence[ColourImage], selections: Sequence[Selection]
+    ) -> list[Detections | InferenceError]:
+        return list(map(_result_of(self.detect), images, selections))
+
+    def _letterbox(self, size_hw: tuple[int, int]) -> Letterbox:
+        return Letterbox.fit(size_hw, image_size=self.image_size, stride=self.stride)
+
+    def _detections(self, raw: NDArray[np.float32], letterbox: Letterbox, selection: Selection) -> Detections:
         self._check(raw)
         found = select(raw, selection)
         boxes_xyxy = letterbox.undo(found.boxes_xyxy)
@@ -66,14 +132,15 @@ class Detector:
             boxes_xyxy[visible], found.scores[visible], found.class_ids[visible], found.best_missed
         )
 
-    def warm_up(self, source_hw: tuple[int, int]) -> None:
-        """Run on grey images of size `source_hw`, as the first runs at each size are slow.
+    def warm_up(self, sizes_hw: Iterable[tuple[int, int]]) -> None:
+        """Run on grey images, once for each network input size that images of `sizes_hw` have.
 
-        Raises InferenceError like `detect`.
+        The first runs at each size are slow. Raises InferenceError like `detect`.
         """
-        image = ColourImage(np.full((*source_hw, 3), 114, np.uint8), "rgb")
-        for _ in range(2):
-            self.detect(image, Selection())
+        for network_hw in dict.fromkeys(map(self.network_hw, sizes_hw)):
+            image = ColourImage(np.full((*network_hw, 3), PADDING_VALUE, np.uint8), "rgb")
+            for _ in range(2):
+                self.detect(image, Selection())
 
     def close(self) -> None:
         """Free the network. Idempotent."""
@@ -97,3 +164,17 @@ def check_image_size(image_size: int, stride: int) -> None:
     """Raise ValueError unless `image_size` is a positive multiple of `stride`."""
     if problem := image_size_problem(image_size, stride, whose="this model"):
         raise ValueError(f"Image size {problem}")
+
+
+def _result_of(
+    detect: Callable[..., Detections],
+) -> Callable[..., Detections | InferenceError]:
+    """`detect`, returning an InferenceError instead of raising it."""
+
+    def result(*arguments: object) -> Detections | InferenceError:
+        try:
+            return detect(*arguments)
+        except InferenceError as error:
+            return error
+
+    return result

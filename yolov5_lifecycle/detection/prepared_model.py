@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
+from yolov5_lifecycle.detection.batch_choice import choose_batches
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.selection import model_problems, selection
@@ -15,6 +16,7 @@ from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
+from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
@@ -31,9 +33,9 @@ class PreparedModel:
 
     @property
     def facts(self) -> dict[str, str]:
-        """Resolved weights, runtime, device and precision, for the log and diagnostics."""
+        """Resolved weights, runtime, device, precision and measured batches, for log and diagnostics."""
         runtime = self.detector.runtime
-        return {
+        facts = {
             "weights": str(self.weights_path),
             "sha256": self.weights_sha256,
             "classes": str(len(self.detector.class_names)),
@@ -41,7 +43,9 @@ class PreparedModel:
             "runtime choice": self.detector.choice,
             "device": runtime.device,
             "precision": runtime.precision,
+            "batches": self.detector.batches.reason,
         }
+        return {name: value for name, value in facts.items() if value}
 
     def serves(self, settings: Settings) -> bool:
         """Whether this model serves `settings` without a reload."""
@@ -68,7 +72,10 @@ Prepare = Callable[[Settings, Sequence[tuple[int, int]]], PreparedModel]
 
 
 def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
-    """Find, load and build the model that `settings` select, and warm it up at image sizes `sizes_hw`.
+    """Find, load and build the model that `settings` select, and warm it up.
+
+    `sizes_hw`: height and width of the images of each camera, equal ones repeated. With the setting
+    `max_batch` above 1 it is measured which batches are faster, see `choose_batches`.
 
     Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
     """
@@ -85,10 +92,12 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
         device=settings.device,
         precision=settings.precision,
         image_size=settings.image_size,
+        cameras=len(sizes_hw),
     )
     try:
-        for size_hw in dict.fromkeys(sizes_hw):
-            detector.warm_up(size_hw)
+        detector.warm_up(sizes_hw)
+        if settings.max_batch > 1:
+            detector.batches = choose_batches(detector, sizes_hw, max_batch=settings.max_batch)
     except BaseException:  # its traceback keeps the detector alive
         detector.close()
         raise
@@ -102,9 +111,11 @@ def load_detector(
     precision: str = "auto",
     image_size: int = 640,
     runtime: str = "auto",
+    cameras: int = 1,
 ) -> Detector:
     """Load a detector for `model`; the other arguments are the settings of the same names.
 
+    `cameras` is their number, twice which is the maximum number of networks for input shapes that are kept.
     With `auto` the fastest runtime is measured and cached, see `choose_runtime`. Raises DeviceError and
     RuntimeAbsentError (both ValueErrors), ValueError for the image size, InferenceError when measuring fails.
     """
@@ -114,7 +125,9 @@ def load_detector(
     if runtime == "auto":
         frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
         choice = choose_runtime(model, device=device, precision=precision, frame_hw=frame_hw)
-    loaded = load_runtime(model, choice.runtime, device=device, precision=precision)
+    # Besides the network of every camera there are those for batches and for a camera that changes its size.
+    kept = max(MIN_KEPT, 2 * cameras)
+    loaded = load_runtime(model, choice.runtime, device=device, precision=precision, kept=kept)
     return Detector(
         loaded, class_names=model.class_names, image_size=image_size, stride=stride, choice=choice.reason
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -45,6 +46,16 @@ def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> I
     return message
 
 
+def depth_image_message(depth_mm: NDArray[np.uint16], header: Header) -> Image:
+    """16UC1 image message of depths (H, W) in millimetres, 0 where there is no measurement."""
+    height, width = depth_mm.shape
+    message = Image(
+        header=header, height=height, width=width, encoding="16UC1", is_bigendian=0, step=2 * width
+    )
+    message.data = _array_of(depth_mm.astype("<u2"))
+    return message
+
+
 def compressed_image_message(jpeg: NDArray[np.uint8], encoding: str, header: Header) -> CompressedImage:
     """CompressedImage message of JPEG bytes, which image_transport decompresses to `encoding`."""
     # As image_transport formats it: source encoding, codec and colour order, the latter empty for mono8.
@@ -54,7 +65,7 @@ def compressed_image_message(jpeg: NDArray[np.uint8], encoding: str, header: Hea
     return message
 
 
-def _array_of(values: NDArray[np.uint8]) -> array[int]:
+def _array_of(values: NDArray[Any]) -> array[int]:
     # Setters iterate over every byte of anything but an array (ros2/rclpy#836): 127 ms for 640x480 pixels.
     buffer = array("B")
     buffer.frombytes(np.ascontiguousarray(values).data.cast("B"))

@@ -103,8 +103,7 @@ class SettingsParameters:
 
     def value_for(self, camera: str, name: str) -> Any:
         """Value of a setting for a camera in `cameras`; see `value`."""
-        own = self._current.values.get(f"{camera}{SEPARATOR}{name}")
-        return self.value(name) if own is None else own
+        return self._current.values.get(f"{camera}{SEPARATOR}{name}", self.value(name))
 
     def propose(self, asked: Sequence[Parameter], *, suggestions: int = MAX_SUGGESTIONS) -> Proposal:
         """Validate a service request, except for the checks that need the model; changes nothing.
@@ -116,7 +115,7 @@ class SettingsParameters:
         settings = SCHEMA.found(parameter.name for parameter in rest)
         wanted = [coerced(parameter, settings) for parameter in rest]
         values = {**self._current.values, **plain_values(wanted, settings)}
-        unknown = tuple(p.name for p in wanted if not self._is_parameter(p.name, values))
+        unknown = tuple(p.name for p in wanted if not self._is_parameter(p, values))
         problems = [
             SCHEMA.unknown(name, values, may_suggest=index < suggestions)
             for index, name in enumerate(unknown)
@@ -149,7 +148,8 @@ class SettingsParameters:
 
     def present(self, parameters: Sequence[Parameter]) -> list[Parameter]:
         """Current values of these parameters; those that are not declared are unset."""
-        return [self._node.get_parameter_or(p.name, deletion(p.name)) for p in parameters]
+        has, get = self._node.has_parameter, self._node.get_parameter
+        return [get(p.name) if has(p.name) else deletion(p.name) for p in parameters]
 
     def table(self) -> str:
         """Name, value and source of every setting and override, one per line."""
@@ -208,10 +208,14 @@ class SettingsParameters:
         is_unset = parameter.type_ is Parameter.Type.NOT_SET
         return is_unset and self._unusable is not None and self._unusable.may_be_deleted(parameter.name)
 
-    def _is_parameter(self, name: str, values: Mapping[str, object]) -> bool:
-        """Whether `name` may be set if the other values are `values`."""
-        is_override = SEPARATOR in name and SCHEMA.find(name) is not None
-        return SCHEMA.is_known(name, values) if is_override else self._node.has_parameter(name)
+    def _is_parameter(self, parameter: Parameter, values: Mapping[str, object]) -> bool:
+        """Whether `parameter` may be set or deleted if the other values are `values`."""
+        name = parameter.name
+        is_declared: bool = self._node.has_parameter(name)
+        if SEPARATOR not in name or SCHEMA.find(name) is None:
+            return is_declared
+        is_unset = parameter.type_ is Parameter.Type.NOT_SET
+        return SCHEMA.is_known(name, values) or (is_declared and is_unset)
 
     def _stays(self, parameter: Parameter) -> bool:
         """Whether `parameter` deletes an override that is not set, or is read-only and has this value.
@@ -221,10 +225,13 @@ class SettingsParameters:
         name = parameter.name
         if not self._node.has_parameter(name):
             return parameter.type_ is Parameter.Type.NOT_SET
-        if not self._node.describe_parameter(name).read_only:
+        if not self._is_read_only(name):
             return False
         present = self._node.get_parameter(name)
         return (parameter.type_, parameter.value) == (present.type_, present.value)
+
+    def _is_read_only(self, name: str) -> bool:
+        return self._node.has_parameter(name) and bool(self._node.describe_parameter(name).read_only)
 
     # rclpy's callbacks compare their parameters with the accepted proposal. Parameters without a proposal
     # were set in-process, through the node's methods.
@@ -240,7 +247,9 @@ class SettingsParameters:
     def _declared(self, parameters: Sequence[Parameter]) -> list[Parameter]:
         """What to set when `parameters` are asked for; overrides among it that are new have been declared."""
         proposal = self._proposal_of(parameters)
-        if not proposal.problems and has_overrides(proposal.after.values):
+        names = [parameter.name for parameter in proposal.parameters]
+        is_refused = proposal.problems or (proposal.is_direct and any(map(self._is_read_only, names)))
+        if has_overrides(names) and not is_refused:
             declare_missing(self._node, proposal.parameters)
             self._accepted = proposal
         return [*proposal.parameters]

@@ -13,8 +13,14 @@ from pathlib import Path
 import torch
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.cache_folder import NO_PLACE, cache_folder, read_cache, write_cache
-from yolov5_lifecycle.runtimes.fingerprint import installed_build, processor
+from yolov5_lifecycle.runtimes.cache import (
+    NO_PLACE,
+    cache_folder,
+    installed_build,
+    processor,
+    read_cache,
+    write_cache,
+)
 from yolov5_lifecycle.runtimes.registry import REQUIREMENTS, installed_runtimes
 from yolov5_lifecycle.runtimes.speed import measure_ms
 from yolov5_lifecycle.runtimes.torch_device import resolve_device, resolve_precision

@@ -1,6 +1,12 @@
-"""Runtime of the ONNX engines, which compile the network for each input size."""
+"""Runtime of the ONNX engines, which compile the network for each input shape."""
 
 from __future__ import annotations
+
+import hashlib
+import logging
+import threading
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -9,15 +15,17 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.cache_folder import cache_folder
-from yolov5_lifecycle.runtimes.compiled_store import CompiledStore
-from yolov5_lifecycle.runtimes.compiler import Compiler, Engine, Run
-from yolov5_lifecycle.runtimes.networks_by_size import NetworksBySize
+from yolov5_lifecycle.models.network import Detect, Network, fuse
+from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
+from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
+from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
+from yolov5_lifecycle.runtimes.sparse_head import DetectionHead, Features
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
 
 _PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
+
+_log = logging.getLogger(__name__)
 
 
 class CompiledRuntime:
@@ -26,22 +34,27 @@ class CompiledRuntime:
     device = "cpu"
     precision = "fp32"
 
-    def __init__(self, compiler: Compiler, engine: Engine) -> None:
+    def __init__(self, compiler: Compiler, engine: Engine, *, kept: int = MIN_KEPT) -> None:
         self._engine = engine
-        self._compiled = NetworksBySize(
-            lambda size_hw: _Compiled(compiler.run(size_hw), compiler.head, size_hw)
+        self._compiled = NetworksByShape(
+            lambda shape: _Compiled(compiler.run(shape), compiler.head, shape), kept=kept
         )
 
     @classmethod
-    def load(cls, model: Model, engine: Engine, *, device: str, precision: str) -> CompiledRuntime:
-        """Load `model`; raises DeviceError for a device or precision that the engine does not support."""
+    def load(
+        cls, model: Model, engine: Engine, *, device: str, precision: str, kept: int = MIN_KEPT
+    ) -> CompiledRuntime:
+        """Load `model`; `kept`: see `NetworksByShape`.
+
+        Raises DeviceError for a device or precision that the engine does not support.
+        """
         if device not in ("auto", "cpu"):
             raise DeviceError(
                 f"Runtime '{engine.name}' runs on the CPU only, found device {device[:40]!r}. "
                 "Use device 'cpu' or runtime 'torch'."
             )
         resolve_precision(precision, torch.device("cpu"))
-        return cls(Compiler(model, engine, CompiledStore(cache_folder("compiled"))), engine)
+        return cls(Compiler(model, engine, CompiledStore(cache_folder("compiled"))), engine, kept=kept)
 
     @property
     def name(self) -> str:
@@ -51,16 +64,30 @@ class CompiledRuntime:
         self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
     ) -> NDArray[np.float32]:
         """See `Runtime`; the first frame of each size waits for the compiler."""
-        height, width, _ = frame.shape
+        (rows,) = self.run_batch((frame,), (order,), (min_objectness,))
+        return rows
+
+    def run_batch(
+        self,
+        frames: Sequence[NDArray[np.uint8]],
+        orders: Sequence[Order],
+        min_objectness: Sequence[float],
+    ) -> list[NDArray[np.float32]]:
+        """See `Runtime`; the first batch of each shape waits for the compiler."""
+        shape = shape_of_batch(frames, orders, min_objectness)
         try:
             # Denormal floats are zero in this thread; the engine sees to its own threads.
-            with self._compiled.running((height, width)) as compiled:
-                return compiled(frame, order, min_objectness)
+            with self._compiled.running(shape) as compiled:
+                return compiled(frames, orders, min_objectness)
         except InferenceError:  # it was closed
             raise
         except self._engine.errors as error:
             problem = str(error).partition("\n")[0]
         raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
+
+    def keep_batches(self, sizes: Collection[int]) -> None:
+        """See `Runtime`."""
+        self._compiled.keep_batches(sizes)
 
     def close(self) -> None:
         """See `Runtime`."""
@@ -68,13 +95,85 @@ class CompiledRuntime:
 
 
 class _Compiled:
-    """A compiled network for one input size, with its detection head and input buffer."""
+    """A compiled network for one input shape, with its detection head and input buffer."""
 
-    def __init__(self, run: Run, head: DetectionHead, size_hw: tuple[int, int]) -> None:
+    def __init__(self, run: Run, head: DetectionHead, shape: Shape) -> None:
         self._run = run
         self._head = head
-        self._planes = np.empty((1, 3, *size_hw), np.uint8)
+        batch, height, width = shape
+        self._planes = np.empty((batch, 3, height, width), np.uint8)
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float) -> NDArray[np.float32]:
-        cv2.split(frame, [self._planes[0, plane] for plane in _PLANES[order]])  # written in place
-        return self._head(self._run(self._planes), min_objectness)
+    def __call__(
+        self,
+        frames: Sequence[NDArray[np.uint8]],
+        orders: Sequence[Order],
+        min_objectness: Sequence[float],
+    ) -> list[NDArray[np.float32]]:
+        for planes, frame, order in zip(self._planes, frames, orders, strict=True):
+            cv2.split(frame, [planes[plane] for plane in _PLANES[order]])  # written in place
+        features = self._run(self._planes)
+        return [
+            self._head([level[index : index + 1] for level in features], least)
+            for index, least in enumerate(min_objectness)
+        ]
+
+
+class Compiler:
+    """Compiles the network of `model` with `engine` and caches the result in `store`.
+
+    `head` is the network's last layer, which is not compiled.
+    """
+
+    def __init__(self, model: Model, engine: Engine, store: CompiledStore) -> None:
+        self._network = model.network().requires_grad_(False)
+        self._engine = engine
+        self._store = store
+        self._fusing = threading.Lock()  # an abandoned thread may compile concurrently with its successor
+        self._identity = _identity(model, engine)
+        detect = self._network.model[-1]
+        assert isinstance(detect, Detect)
+        self.head = DetectionHead(detect)
+
+    def run(self, shape: Shape) -> Run:
+        """The compiled network for batches of `shape`; raises the engine's errors."""
+        key = hashlib.sha256(f"{self._identity} {shape}".encode()).hexdigest()
+        kept = self._store.read(key)
+        if kept is not None:
+            try:
+                return self._engine.restore(kept)
+            except self._engine.errors as error:
+                _log.warning("A compiled model that was kept cannot be loaded, it is recompiled: %s", error)
+        with self._fusing:
+            fuse(self._network)
+        run, content = self._engine.build(onnx_graph(self._network, shape))
+        if content:
+            self._store.keep(key, content)
+        return run
+
+
+def _identity(model: Model, engine: Engine) -> str:
+    """A string of everything that a compiled model depends on except the input shape."""
+    weights = hashlib.sha256()
+    for name, tensor in sorted(model.state_dict.items()):
+        weights.update(name.encode() + tensor.numpy().tobytes())
+    makers = (engine.name, engine.build.__module__, onnx_graph.__module__, Network.__module__)
+    builds = [installed_build(maker) for maker in makers]
+    return repr([builds, processor(), model.architecture, weights.hexdigest()])
+
+
+Run = Callable[[NDArray[np.uint8]], Sequence[Features]]
+"""Planes (batch, 3, h, w) RGB -> the features of each level, which the next run may overwrite."""
+
+
+@dataclass(frozen=True)
+class Engine:
+    """An inference engine, named like its package; `build` and `restore` may raise `errors`.
+
+    `build` compiles a serialized ONNX model and also returns the bytes to cache, empty for none; `restore`
+    loads those bytes.
+    """
+
+    name: str
+    build: Callable[[bytes], tuple[Run, bytes]]
+    restore: Callable[[bytes], Run]
+    errors: tuple[type[Exception], ...]

@@ -1,4 +1,4 @@
-"""ONNX export of the network without its last layer, at a fixed input size."""
+"""ONNX export of the network without its last layer, at a fixed input shape."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ _OPSET = 13
 _IR_VERSION = 8
 
 
-def onnx_graph(network: Network, size_hw: tuple[int, int]) -> bytes:
-    """A serialized ONNX model of a fused `network` for frames of `size_hw`, multiples of the largest stride.
+def onnx_graph(network: Network, shape: tuple[int, int, int]) -> bytes:
+    """A serialized ONNX model of a fused `network` for a number of frames, their height and their width.
 
-    Its input `planes` is uint8 (1, 3, h, w) RGB in 0..255. Its outputs, float32 (1, channels, ny, nx), are
-    the inputs of the network's last layer, `Detect`, which is not exported.
+    Height and width are multiples of the largest stride. The input `planes` is uint8 (batch, 3, h, w) RGB in
+    0..255. The outputs, float32 (batch, channels, ny, nx), are the inputs of the network's last layer,
+    `Detect`, which is not exported.
     """
-    graph = _Graph(size_hw)
+    graph = _Graph(shape)
     pixels = graph.add("Cast", "planes", to=TensorProto.FLOAT)
     pixels = graph.add("Mul", pixels, graph.constant(np.float32(1 / 255)))
     *layers, detect = network.architecture.layers
@@ -37,12 +38,14 @@ def onnx_graph(network: Network, size_hw: tuple[int, int]) -> bytes:
 class _Graph:
     """Builder of an ONNX graph; values are referenced by name."""
 
-    def __init__(self, size_hw: tuple[int, int]) -> None:
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        self._batch, *size_hw = shape
         opset = helper.make_opsetid("", _OPSET)
         self._model = onnx.ModelProto(ir_version=_IR_VERSION, opset_import=[opset])
         self._graph = self._model.graph  # built in place, as copying large weights is slow
         self._graph.name = "yolov5"
-        self._graph.input.append(helper.make_tensor_value_info("planes", TensorProto.UINT8, [1, 3, *size_hw]))
+        planes = helper.make_tensor_value_info("planes", TensorProto.UINT8, [self._batch, 3, *size_hw])
+        self._graph.input.append(planes)
 
     def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
         """Add a node; return the name of its output."""
@@ -59,7 +62,8 @@ class _Graph:
 
     def serialized(self, outputs: Sequence[str]) -> bytes:
         self._graph.output.extend(
-            helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, None, None, None]) for name in outputs
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, [self._batch, None, None, None])
+            for name in outputs
         )
         serialized: bytes = self._model.SerializeToString()
         return serialized

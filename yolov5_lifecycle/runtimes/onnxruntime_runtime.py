@@ -12,7 +12,7 @@ import onnxruntime
 import torch
 from onnxruntime.capi import onnxruntime_pybind11_state as state
 
-from yolov5_lifecycle.runtimes.compiler import Engine, Run
+from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Run
 from yolov5_lifecycle.unfinished import remove_abandoned_folders, temporary_folder
 
 _log = logging.getLogger(__name__)

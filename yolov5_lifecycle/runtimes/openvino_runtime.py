@@ -5,7 +5,7 @@ from __future__ import annotations
 import openvino
 import torch
 
-from yolov5_lifecycle.runtimes.compiler import Engine, Run
+from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Run
 
 
 def openvino_engine() -> Engine:

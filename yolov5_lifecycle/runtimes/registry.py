@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.fingerprint import installed_build
+from yolov5_lifecycle.runtimes.cache import installed_build
+from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT
 from yolov5_lifecycle.runtimes.runtime import Runtime
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 
@@ -26,18 +27,20 @@ def installed_runtimes() -> list[str]:
     return [name for name, packages in REQUIREMENTS.items() if all(map(installed_build, packages))]
 
 
-def load_runtime(model: Model, runtime: str, *, device: str, precision: str) -> Runtime:
+def load_runtime(model: Model, runtime: str, *, device: str, precision: str, kept: int = MIN_KEPT) -> Runtime:
     """Load `model` in the runtime torch, onnxruntime or openvino; other arguments as in the settings.
+
+    Of the networks for different input shapes the `kept` ones used last are kept.
 
     Raises RuntimeAbsentError and DeviceError, both ValueErrors.
     """
     if runtime == "torch":
-        return TorchRuntime.load(model, device=device, precision=precision)
+        return TorchRuntime.load(model, device=device, precision=precision, kept=kept)
     if runtime not in REQUIREMENTS:
         words = ", ".join(("auto", *REQUIREMENTS))
         raise RuntimeAbsentError(f"Runtime must be one of {words}, found {runtime[:40]!r}.")
     try:
-        return _load_compiled(model, runtime, device=device, precision=precision)
+        return _load_compiled(model, runtime, device=device, precision=precision, kept=kept)
     except ImportError as error:
         problem = str(error).partition("\n")[0]
     raise RuntimeAbsentError(
@@ -46,7 +49,7 @@ def load_runtime(model: Model, runtime: str, *, device: str, precision: str) -> 
     )
 
 
-def _load_compiled(model: Model, runtime: str, *, device: str, precision: str) -> Runtime:
+def _load_compiled(model: Model, runtime: str, *, device: str, precision: str, kept: int) -> Runtime:
     """Load an ONNX engine, imported here because its packages are optional. Raises ImportError."""
     for package in REQUIREMENTS[runtime]:
         if installed_build(package) is None:  # importing an unrelated folder of that name would succeed
@@ -57,4 +60,4 @@ def _load_compiled(model: Model, runtime: str, *, device: str, precision: str) -
         from yolov5_lifecycle.runtimes.onnxruntime_runtime import onnxruntime_engine as engine
     else:
         from yolov5_lifecycle.runtimes.openvino_runtime import openvino_engine as engine
-    return CompiledRuntime.load(model, engine(), device=device, precision=precision)
+    return CompiledRuntime.load(model, engine(), device=device, precision=precision, kept=kept)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -41,6 +42,21 @@ class Runtime(Protocol):
         In that order: all rows whose objectness is not below `min_objectness`, in [0, 1], up to rounding;
         which other rows are returned depends on the runtime. Raises InferenceError.
         """
+
+    def run_batch(
+        self,
+        frames: Sequence[NDArray[np.uint8]],
+        orders: Sequence[Order],
+        min_objectness: Sequence[float],
+    ) -> list[NDArray[np.float32]]:
+        """The predictions of each frame, as a call with it alone returns them up to rounding, in one run.
+
+        Raises ValueError unless there is at least one frame, all of one shape (h, w, 3), each with an order
+        and an objectness; InferenceError when the run fails, for all frames together.
+        """
+
+    def keep_batches(self, sizes: Collection[int]) -> None:
+        """Free the networks for batches, except for those with a number of frames that is in `sizes`."""
 
     def close(self) -> None:
         """Free the network; later calls raise InferenceError. Idempotent."""

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from yolov5_lifecycle.models.network import Detect
 
 Features = NDArray[np.float32]
-"""Feature map of one detection level, (1, channels, ny, nx)."""
+"""Feature map of one detection level, (batch, channels, ny, nx)."""
 
 
 class DetectionHead:
@@ -28,7 +28,7 @@ class DetectionHead:
         ]
 
     def __call__(self, features: Sequence[Features], min_objectness: float) -> NDArray[np.float32]:
-        """The rows specified by `Runtime`, all anchors of a cell at once, from the features of each level."""
+        """The rows specified by `Runtime`, all anchors of a cell at once, from the features of one image."""
         with np.errstate(all="ignore"):  # NaN propagates to the caller, which checks the rows
             min_logit = np.log(min_objectness) - np.log1p(-min_objectness)
             rows = [

@@ -1,22 +1,30 @@
-"""Speed measurement of the runtimes."""
+"""Speed measurement of runtimes and of batches."""
 
 from __future__ import annotations
 
 import logging
 import statistics
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes.registry import RuntimeAbsentError, load_runtime
-from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError, Runtime
 
 _ROUNDS = 9
+_WARM_UPS = 2
 _NOTHING_FOUND = 1.0  # as min_objectness: detections in a grey image must not affect the timing
 _ENOUGH_S = 2.0  # large networks are measured in fewer rounds
+_MAX_BATCHES_S = 4.0
+
+Key = TypeVar("Key")
+Run = Callable[[], object]
+_log = logging.getLogger(__name__)
 
 
 def measure_ms(
@@ -26,37 +34,97 @@ def measure_ms(
 
     A runtime that cannot be loaded or run is skipped with a warning; torch raises InferenceError.
     """
-    frame = np.full((*frame_hw, 3), 114, np.uint8)
+    frame = _grey(frame_hw)
     warm = {name: _warm_runtime(model, name, precision, frame) for name in runtimes}
     running = {name: runtime for name, runtime in warm.items() if runtime is not None}
-    taken_ms = _take_turns(running, frame)
+    taken_ms = _take_turns(
+        {name: partial(runtime, frame, "rgb", _NOTHING_FOUND) for name, runtime in running.items()}
+    )
     for runtime in running.values():
         runtime.close()
     return taken_ms
 
 
+def measure_batches_ms(
+    runtime: Runtime,
+    sizes: Sequence[int],
+    *,
+    frames_hw: Sequence[tuple[int, int]],
+    max_s: float = _MAX_BATCHES_S,
+) -> dict[int, float]:
+    """Median milliseconds per frame, the mean of all `frames_hw`, by the number of frames in a batch.
+
+    Measured for single frames and for those of the ascending `sizes` that can be in about `max_s` seconds.
+    One that fails is left out with a warning. Raises DeviceLostError, and InferenceError when single frames
+    fail.
+    """
+    single = _runs(runtime, 1, frames_hw)
+    single_s = min(_seconds(partial(_run_all, single)) for _ in range(_WARM_UPS))
+    runs = {1: single}
+    for size in sizes:
+        expected_s = single_s * (sum(runs) + size) * (_WARM_UPS + 1)
+        if expected_s < max_s and _is_warm(batches := _runs(runtime, size, frames_hw)):
+            runs[size] = batches
+    taken_ms = _take_turns({size: partial(_run_all, batches) for size, batches in runs.items()})
+    return {size: round(ms / (size * len(frames_hw)), 2) for size, ms in taken_ms.items()}
+
+
 def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uint8]) -> Runtime | None:
     try:
         runtime = load_runtime(model, name, device="cpu", precision=precision)
-        for _ in range(2):
+        for _ in range(_WARM_UPS):
             runtime(frame, "rgb", _NOTHING_FOUND)
     except (InferenceError, RuntimeAbsentError) as error:
         if name == "torch":
             raise
-        logging.getLogger(__name__).warning("Runtime '%s' is left out: %s", name, error)
+        _log.warning("Runtime '%s' is left out: %s", name, error)
         return None
     return runtime
 
 
-def _take_turns(runtimes: Mapping[str, Runtime], frame: NDArray[np.uint8]) -> dict[str, float]:
-    """Median milliseconds by runtime, measured in turns so that machine load affects all equally."""
-    seconds: dict[str, list[float]] = {name: [] for name in runtimes}
+def _runs(runtime: Runtime, size: int, frames_hw: Sequence[tuple[int, int]]) -> list[Run]:
+    """One run of a batch of `size` grey frames for each of `frames_hw`."""
+    return [
+        partial(runtime.run_batch, [_grey(frame_hw)] * size, ["rgb"] * size, [_NOTHING_FOUND] * size)
+        for frame_hw in frames_hw
+    ]
+
+
+def _is_warm(batches: Sequence[Run]) -> bool:
+    """Whether `batches` could be run, which they were; else a warning is logged."""
+    try:
+        for _ in range(_WARM_UPS):
+            _run_all(batches)
+    except DeviceLostError:
+        raise
+    except InferenceError as error:
+        _log.warning("A size of batch is left out: %s", error)
+        return False
+    return True
+
+
+def _run_all(runs: Iterable[Run]) -> None:
+    for run in runs:
+        run()
+
+
+def _grey(frame_hw: tuple[int, int]) -> NDArray[np.uint8]:
+    return np.full((*frame_hw, 3), 114, np.uint8)
+
+
+def _take_turns(runs: Mapping[Key, Run]) -> dict[Key, float]:
+    """Median milliseconds of each run, measured in turns so that machine load affects all equally."""
+    seconds: dict[Key, list[float]] = {key: [] for key in runs}
     begin = time.perf_counter()
     for _ in range(_ROUNDS):
-        for name, runtime in runtimes.items():
-            before = time.perf_counter()
-            runtime(frame, "rgb", _NOTHING_FOUND)
-            seconds[name].append(time.perf_counter() - before)
+        for key, run in runs.items():
+            seconds[key].append(_seconds(run))
         if time.perf_counter() - begin > _ENOUGH_S:
             break
-    return {name: round(1e3 * statistics.median(taken), 2) for name, taken in seconds.items()}
+    return {key: round(1e3 * statistics.median(taken), 2) for key, taken in seconds.items()}
+
+
+def _seconds(run: Run) -> float:
+    before = time.perf_counter()
+    run()
+    return time.perf_counter() - before

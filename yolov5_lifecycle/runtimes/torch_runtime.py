@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 
 import cv2
 import numpy as np
@@ -14,15 +16,18 @@ from torch import Tensor, nn
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network, fuse
-from yolov5_lifecycle.runtimes.cuda_graph import RecordedNetwork
-from yolov5_lifecycle.runtimes.networks_by_size import NetworksBySize
+from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
 
 _PRECISIONS = {torch.float32: "fp32", torch.float16: "fp16"}
+_WARM_UPS = 3  # libraries select algorithms and allocate memory, which is not allowed during capture
+_CAPTURE_PATIENCE_S = 10.0
+_ONE_AT_A_TIME = threading.Lock()
+_HAS_FAILED = threading.Event()
 
 Forward = Callable[[Tensor], Tensor]
-"""A frame (h, w, 3) RGB -> all predictions (N, 5 + C), which the next frame may overwrite."""
+"""Frames (batch, h, w, 3) RGB -> all predictions (batch, N, 5 + C), which the next run may overwrite."""
 
 _log = logging.getLogger(__name__)
 
@@ -32,24 +37,26 @@ class TorchRuntime:
 
     name = "torch"
 
-    def __init__(self, network: Network, *, device: torch.device, dtype: torch.dtype) -> None:
+    def __init__(
+        self, network: Network, *, device: torch.device, dtype: torch.dtype, kept: int = MIN_KEPT
+    ) -> None:
         self._device = device
         self._dtype = dtype
         prepared = _prepared(network, device, dtype)
-        self._forwards: NetworksBySize[Forward] = NetworksBySize(
-            lambda size_hw: _forward(prepared, size_hw, device=device, dtype=dtype)
+        self._forwards: NetworksByShape[Forward] = NetworksByShape(
+            lambda shape: _forward(prepared, shape, device=device, dtype=dtype), kept=kept
         )
 
     @classmethod
-    def load(cls, model: Model, *, device: str, precision: str) -> TorchRuntime:
-        """Load `model` on the device and in the precision of the settings.
+    def load(cls, model: Model, *, device: str, precision: str, kept: int = MIN_KEPT) -> TorchRuntime:
+        """Load `model` on the device and in the precision of the settings; `kept`: see `NetworksByShape`.
 
         Raises DeviceError, also when the device runs out of memory, and DeviceLostError.
         """
         torch_device = resolve_device(device)
         dtype = resolve_precision(precision, torch_device)
         try:
-            return cls(model.network(), device=torch_device, dtype=dtype)
+            return cls(model.network(), device=torch_device, dtype=dtype, kept=kept)
         except (torch.OutOfMemoryError, torch.AcceleratorError) as error:
             problem = _first_line(error)
         if _is_lost(torch_device):
@@ -71,26 +78,40 @@ class TorchRuntime:
         self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
     ) -> NDArray[np.float32]:
         """See `Runtime`; DeviceLostError when CUDA no longer works in this process."""
-        height, width, _ = frame.shape
-        rgb = cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) if order == "bgr" else frame
+        (rows,) = self.run_batch((frame,), (order,), (min_objectness,))
+        return rows
+
+    def run_batch(
+        self,
+        frames: Sequence[NDArray[np.uint8]],
+        orders: Sequence[Order],
+        min_objectness: Sequence[float],
+    ) -> list[NDArray[np.float32]]:
+        """See `Runtime`; DeviceLostError when CUDA no longer works in this process."""
+        shape = shape_of_batch(frames, orders, min_objectness)
         try:
-            with torch.inference_mode(), self._forwards.running((height, width)) as forward:
-                return _likely(forward(torch.from_numpy(rgb)), min_objectness)
+            with torch.inference_mode(), self._forwards.running(shape) as forward:
+                raw = forward(_stacked(frames, orders))
+                return [_likely(rows, least) for rows, least in zip(raw, min_objectness, strict=True)]
         except InferenceError:  # it was closed
             raise
         except torch.OutOfMemoryError as error:
             problem = f"{_first_line(error)} Use a smaller image_size or model."
         except RuntimeError as error:
             problem = _first_line(error)
-        # The tensors of this frame are freed only outside the except block (pytorch/pytorch#18853).
+        # The tensors of this batch are freed only outside the except block (pytorch/pytorch#18853).
         raise self._failure(problem)
+
+    def keep_batches(self, sizes: Collection[int]) -> None:
+        """See `Runtime`."""
+        self._forwards.keep_batches(sizes)
 
     def close(self) -> None:
         """See `Runtime`."""
         self._forwards.close()
 
     def _failure(self, problem: str) -> InferenceError:
-        """The error to raise for a failed frame."""
+        """The error to raise for a failed run."""
         if _is_lost(self._device):
             return DeviceLostError(_lost(self._device, problem))
         if self._device.type == "cuda":
@@ -98,25 +119,87 @@ class TorchRuntime:
         return InferenceError(f"torch failed on {self.device}: {problem}")
 
 
-def _forward(
-    network: Network, size_hw: tuple[int, int], *, device: torch.device, dtype: torch.dtype
-) -> Forward:
-    """Forward pass of `network` on uint8 RGB frames (h, w, 3), as a CUDA graph where possible."""
+def _stacked(frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order]) -> Tensor:
+    """Frames (h, w, 3) as one RGB tensor (batch, h, w, 3); a single one in RGB is not copied."""
+    rgb = [
+        torch.from_numpy(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) if order == "bgr" else frame)
+        for frame, order in zip(frames, orders, strict=True)
+    ]
+    return torch.stack(rgb) if len(rgb) > 1 else rgb[0].unsqueeze(0)
+
+
+def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: torch.dtype) -> Forward:
+    """Forward pass of `network` on uint8 RGB frames (batch, h, w, 3), as a CUDA graph where possible."""
 
     def eager(rgb: Tensor) -> Tensor:
-        # The frame is channels-last already.
-        pixels = rgb.to(device).permute(2, 0, 1).unsqueeze(0).to(dtype) / 255
-        predictions: Tensor = network(pixels)[0]
+        # The frames are channels-last already.
+        pixels = rgb.to(device).permute(0, 3, 1, 2).to(dtype) / 255
+        predictions: Tensor = network(pixels)
         return predictions
 
     if device.type != "cuda":
         return eager
     try:
-        return RecordedNetwork(eager, size_hw, device)
+        return RecordedNetwork(eager, shape, device)
     except RuntimeError as error:
         problem = _first_line(error.__context__ or error)  # the latter may only mention an earlier error
     _log.warning("The network is run step by step, as CUDA could not record it: %s", problem)
     return eager
+
+
+class RecordedNetwork:
+    """A CUDA graph of `forward` for uint8 RGB frames (batch, h, w, 3): one launch instead of one per kernel.
+
+    Raises RuntimeError when `forward` fails or cannot be captured.
+    """
+
+    def __init__(self, forward: Forward, shape: Shape, device: torch.device) -> None:
+        self._frames = torch.zeros((*shape, 3), dtype=torch.uint8, device=device)
+        with _alone(), torch.cuda.device(device):
+            self._graph = torch.cuda.CUDAGraph()
+            # torch's default capture stream belongs to the first GPU that captured, and stays the current
+            # stream after a failed capture.
+            stream = torch.cuda.Stream()
+            stream.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(stream):
+                for _ in range(_WARM_UPS):
+                    forward(self._frames)
+                # thread_local, as other threads may allocate GPU memory meanwhile, e.g. to load a model.
+                recording = torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local")
+                with _last_if_it_fails(), recording:
+                    self._predictions = forward(self._frames)
+            torch.cuda.current_stream().wait_stream(stream)
+
+    def __call__(self, frames: Tensor) -> Tensor:
+        """The output of `forward`, in memory that the next run overwrites."""
+        self._frames.copy_(frames)
+        self._graph.replay()
+        return self._predictions
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Allow one capture at a time per process, as torch requires, and none after a failed one."""
+    if not _ONE_AT_A_TIME.acquire(timeout=_CAPTURE_PATIENCE_S):
+        raise RuntimeError(f"Another recording has not ended within {_CAPTURE_PATIENCE_S:g} s.")
+    try:
+        if _HAS_FAILED.is_set():
+            raise RuntimeError("An earlier recording of this process has failed.")
+        yield
+    finally:
+        _ONE_AT_A_TIME.release()
+
+
+@contextmanager
+def _last_if_it_fails() -> Iterator[None]:
+    """Disable capture after a failure, which corrupts the allocator state (pytorch/pytorch#180395)."""
+    try:
+        yield
+    except torch.OutOfMemoryError:  # leaves the allocator intact
+        raise
+    except RuntimeError:
+        _HAS_FAILED.set()
+        raise
 
 
 def _likely(raw: Tensor, min_objectness: float) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ MAX_CAMERAS = 16
 MAX_LENGTH = 64
 """Max characters of a name."""
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*_?")
 _TOPICS = ("image", "image_raw", "detections", "detections_3d", "label_info")
 _FOREIGN = ("qos_overrides", "use_sim_time", "start_type_description_service")
 """Beginnings of the names of parameters that ROS itself declares on every node."""
@@ -19,7 +19,7 @@ _FOREIGN = ("qos_overrides", "use_sim_time", "start_type_description_service")
 def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:
     """What `names` must be but are not, or an empty string; `settings` are the names of the settings."""
     for name in names:
-        if len(name) > MAX_LENGTH or not _NAME.fullmatch(name) or "__" in name:
+        if len(name) > MAX_LENGTH or not _NAME.fullmatch(name):
             return (
                 f"must be names of at most {MAX_LENGTH} letters, digits and single underscores that begin "
                 f"with a letter: rename {_shown(name)}."

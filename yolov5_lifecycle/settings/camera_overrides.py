@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from pydantic import BaseModel, PrivateAttr, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel
 
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
-from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, Schema, Setting, SettingsError
+from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, Schema, Setting, SettingsError
 from yolov5_lifecycle.settings.suggestion import nearest
 
 MAX_SUGGESTIONS = 20
@@ -18,45 +18,14 @@ MAX_SUGGESTIONS = 20
 _CAMERAS = "cameras"
 _NONE: Mapping[str, object] = MappingProxyType({})
 
-Model = TypeVar("Model", bound="OverridableSettings")
-
-
-class OverridableSettings(BaseModel):
-    """Settings of which a camera may have its own."""
-
-    _overrides: dict[str, object] = PrivateAttr(default_factory=dict)
-    """Values by dotted name."""
-    _overridden: dict[str, Any] = PrivateAttr(default_factory=dict)
-    """Settings of the cameras that have overrides, by camera."""
-
-    def with_overrides(
-        self: Model, overridden: Mapping[str, Model], overrides: Mapping[str, Iterable[str]]
-    ) -> Model:
-        """Copy with the settings `overridden` by camera; `overrides` names those that are its own."""
-        copy = self.model_copy()
-        copy._overridden = dict(overridden)
-        copy._overrides = {
-            f"{camera}{SEPARATOR}{name}": getattr(overridden[camera], name)
-            for camera, names in overrides.items()
-            for name in names
-        }
-        return copy
-
-    def without_cameras(self: Model) -> Model:
-        """Copy without cameras and overrides."""
-        copy = self.model_copy(update={_CAMERAS: ()})
-        copy._overridden, copy._overrides = {}, {}
-        return copy
-
-    @model_serializer(mode="wrap")
-    def _with_dotted_names(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {**dump(self), **self._overrides}
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class OverridableSchema(Schema[Model]):
     """Schema of settings with the field `cameras`, whose values may have dotted names.
 
     The settings of each camera with overrides are validated as a whole, like those of a node with one camera.
+    Then those of the node are, with the valid overrides by dotted name as the context.
     """
 
     def is_known(self, name: str, values: Mapping[str, object]) -> bool:
@@ -89,6 +58,16 @@ class OverridableSchema(Schema[Model]):
         reason = self._reason(name, _cameras(values))
         return Problem(problem.setting, f"there is no such parameter: {reason}") if reason else problem
 
+    def differing(
+        self, ours: Mapping[str, object], others: Mapping[str, object], change: Change
+    ) -> list[str]:
+        """Names of the overrides that have this `change` and differ in `ours` and `others`."""
+        return [
+            name
+            for name, setting in self.found({**ours, **others}).items()
+            if setting.change is change and ours.get(name) != others.get(name)
+        ]
+
     def _reason(self, name: str, cameras: Sequence[str]) -> str:
         """Why there is no parameter `name`, if that has to do with `cameras`, otherwise an empty string."""
         camera, separator, setting = name.partition(SEPARATOR)
@@ -117,24 +96,24 @@ class OverridableSchema(Schema[Model]):
 
     def _with_overrides(self, values: Mapping[str, object]) -> Model:
         own = {name: value for name, value in values.items() if SEPARATOR not in name}
-        overrides, unknown = self._divided(values)
-        node, problems = self._attempt(own)
-        of_node = set(problems)
+        given, unknown = self._divided(values)
         common = {name: value for name, value in own.items() if name in self.by_name} | {_CAMERAS: ()}
-        overridden: dict[str, Model] = {}
-        for camera, given in overrides.items():
-            settings, found = self._attempt({**common, **given})
-            problems += [
-                Problem(f"{camera}{SEPARATOR}{problem.setting}", problem.message)
-                for problem in found
-                if problem not in of_node
-            ]
-            if settings is not None:
-                overridden[camera] = settings
+        overrides, of_cameras = dict[str, object](), list[tuple[str, Problem]]()
+        for camera, changed in given.items():
+            settings, found = self._attempt({**common, **changed})
+            of_cameras += [(camera, problem) for problem in found]
+            overrides |= {f"{camera}{SEPARATOR}{name}": getattr(settings, name, None) for name in changed}
+        node, problems = self._attempt(own, overrides)
+        of_node = set(problems)
+        problems += [
+            Problem(f"{camera}{SEPARATOR}{problem.setting}", problem.message)
+            for camera, problem in of_cameras
+            if problem not in of_node
+        ]
         problems += unknown
         if problems or node is None:
             raise SettingsError(problems)
-        return node.with_overrides(overridden, overrides)
+        return node
 
     def _divided(self, values: Mapping[str, object]) -> tuple[dict[str, dict[str, object]], list[Problem]]:
         """Values of the overrides by camera and setting, and problems of the unknown ones."""
@@ -154,11 +133,19 @@ class OverridableSchema(Schema[Model]):
         ]
         return {camera: given for camera, given in overrides.items() if given}, problems
 
-    def _attempt(self, values: Mapping[str, object]) -> tuple[Model | None, list[Problem]]:
+    def _attempt(
+        self, values: Mapping[str, object], overrides: Mapping[str, object] = _NONE
+    ) -> tuple[Model | None, list[Problem]]:
         try:
-            return self._validated(values), []
+            return self._validated(values, overrides), []
         except SettingsError as error:
             return None, error.problems
+
+
+def overrides_of(camera: str, overrides: Mapping[str, object]) -> dict[str, object]:
+    """Values of the `overrides` for one camera, by the names of the settings."""
+    prefix = f"{camera}{SEPARATOR}"
+    return {name.removeprefix(prefix): value for name, value in overrides.items() if name.startswith(prefix)}
 
 
 def _cameras(values: Mapping[str, object]) -> tuple[str, ...]:

@@ -171,11 +171,13 @@ class Schema(Generic[Model]):
         return self._with_overrides(prepared) if has_overrides else self._validated(prepared)
 
     def problem(self, name: str, value: object) -> Problem | None:
-        """Why `value` of the setting `name` is invalid by itself, or None."""
+        """Why `value` of the setting `name` is invalid whatever the other values are, or None."""
+        values = {name: tuple(value) if isinstance(value, list) else value}
         try:
-            self.validated({name: value})
-        except SettingsError as error:
-            return next((problem for problem in error.problems if problem.setting == name), None)
+            self._model.model_validate(values)
+        except ValidationError as error:
+            details = error.errors(include_url=False, include_input=False)[0]
+            return None if details["type"] == "contradiction" else self._problems(details, values)[0]
         return None
 
     def is_known(self, name: str, values: Mapping[str, object]) -> bool:
@@ -206,9 +208,9 @@ class Schema(Generic[Model]):
         """Like `_validated`, of values with dotted names."""
         return self._validated(values)
 
-    def _validated(self, values: Mapping[str, object]) -> Model:
+    def _validated(self, values: Mapping[str, object], context: Mapping[str, object] | None = None) -> Model:
         try:
-            return self._model.model_validate(dict(values))
+            return self._model.model_validate(dict(values), context=context)
         except ValidationError as error:
             found = error.errors(include_url=False, include_input=False)
             problems = [problem for details in found for problem in self._problems(details, values)]

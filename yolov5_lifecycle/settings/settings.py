@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from yolov5_lifecycle.models.architecture import SIZES, Size, image_size_problem
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, camera_names_rule
-from yolov5_lifecycle.settings.camera_overrides import OverridableSchema, OverridableSettings
+from yolov5_lifecycle.settings.camera_overrides import OverridableSchema, overrides_of
 from yolov5_lifecycle.settings.schema import Change, Problem, Scope, contradiction, violation
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
 
 
-class Settings(OverridableSettings):
+class Settings(BaseModel):
     """A valid configuration of the detector. To change it, pass all values to `validated` again."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    _overrides: dict[str, object] = PrivateAttr(default_factory=dict)
 
     model_size: Annotated[Size, Change.RELOAD] = Field(
         "n", description="Official model size; selects the file in weights_dir when weights is empty."
@@ -217,6 +220,15 @@ class Settings(OverridableSettings):
             raise contradiction(problems)
         return self
 
+    def model_post_init(self, context: Mapping[str, object] | None, /) -> None:
+        """Take the valid overrides that `validated` passes."""
+        self._overrides = dict(context or {})
+
+    @property
+    def overrides(self) -> Mapping[str, object]:
+        """Values of the overrides by dotted name, such as `front.max_rate`."""
+        return self._overrides
+
     @property
     def camera_names(self) -> tuple[str, ...]:
         """Names of the cameras; one empty name without `cameras`."""
@@ -226,40 +238,38 @@ class Settings(OverridableSettings):
         """Settings of one of `camera_names`, as of a node with this camera alone; KeyError for others."""
         if name not in self.camera_names:
             raise KeyError(f"expected a camera of {self.camera_names}, found {name!r}")
-        if not self.cameras:
+        if not name:
             return self
-        return self._overridden[name] if name in self._overridden else self.without_cameras()
+        own = overrides_of(name, self._overrides)
+        return Settings.model_construct(**{**dict(self), "cameras": (), **own})
 
     def differing(self, other: Settings, change: Change) -> list[str]:
-        """Names of the settings whose `Change` is `change` and whose values differ, also of overrides."""
+        """Names of the settings whose `Change` is `change` and whose values differ, also of overrides.
+
+        With `max_batch`, other `cameras` need a reload, too: the speed of batches is measured for them.
+        """
         names = [
             setting.name
             for setting in SETTINGS
             if setting.change is change and getattr(self, setting.name) != getattr(other, setting.name)
         ]
-        if self._overrides == other._overrides:
+        if change is Change.RELOAD and other.max_batch > 1 and self.cameras != other.cameras:
+            names.append("cameras")
+        if self.overrides == other.overrides:
             return names
-        return names + [
-            name
-            for name in {**self._overrides, **other._overrides}
-            if self._overrides.get(name) != other._overrides.get(name) and _change_of(name) is change
-        ]
+        return names + SCHEMA.differing(self.overrides, other.overrides, change)
 
     def digest(self) -> str:
         """Twelve hexadecimal digits that identify this configuration."""
-        return hashlib.sha256(json.dumps(self.model_dump(), sort_keys=True).encode()).hexdigest()[:12]
+        return hashlib.sha256(
+            json.dumps({**self.model_dump(), **self.overrides}, sort_keys=True).encode()
+        ).hexdigest()[:12]
 
 
 SCHEMA = OverridableSchema(Settings, synonyms=SYNONYMS, not_settings=NOT_SETTINGS)
 SETTINGS = SCHEMA.settings
 SETTINGS_BY_NAME = SCHEMA.by_name
 validated = SCHEMA.validated
-
-
-def _change_of(override: str) -> Change:
-    setting = SCHEMA.find(override)
-    assert setting is not None
-    return setting.change
 
 
 def _contradictions(settings: Settings) -> list[Problem]:

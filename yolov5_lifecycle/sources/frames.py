@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.sources.scene import Truth
+from yolov5_lifecycle.sources.scene_depth import DepthFrame
 
 
 class SourceError(ValueError):
@@ -15,10 +16,11 @@ class SourceError(ValueError):
 
 @dataclass(frozen=True)
 class SourceFrame:
-    """One image and, for the synthetic scene only, its ground truth."""
+    """One image and, for the synthetic scene only, its ground truth and, on request, its depth."""
 
     image: ColourImage
     truth: Truth | None = None
+    depth: DepthFrame | None = None
 
 
 @dataclass(frozen=True)

@@ -99,10 +99,14 @@ class Scene:
     def frame(self, index: int) -> tuple[NDArray[np.uint8], Truth]:
         """RGB image (H, W, 3) number `index`, owned by the caller, and its ground truth."""
         pixels = self._background.copy()
-        shapes = [path.shape(index) for path in self._paths]
+        shapes = self.shapes(index)
         for shape in shapes:
             shape.draw(pixels)
         return pixels, _truth(shapes, self.size_hw)
+
+    def shapes(self, index: int) -> list[Shape]:
+        """The shapes in image number `index`, in the order of the ground truth."""
+        return [path.shape(index) for path in self._paths]
 
 
 def cluttered_background(rng: np.random.Generator, size_hw: tuple[int, int]) -> NDArray[np.uint8]:

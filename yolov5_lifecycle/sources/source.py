@@ -17,6 +17,7 @@ from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.sources.frames import ImageSource, SourceError, SourceFrame
 from yolov5_lifecycle.sources.network_stream import Report, Wait, is_stream, open_stream, sleep
 from yolov5_lifecycle.sources.scene import Scene
+from yolov5_lifecycle.sources.scene_depth import SceneDepth
 
 SYNTHETIC = "synthetic"
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
@@ -39,6 +40,7 @@ def open_source(
     *,
     size_hw: tuple[int, int] | None = None,
     seed: int = 0,
+    depth: bool = False,
     loop: bool = True,
     report: Report = _keep_silent,
     wait: Wait = sleep,
@@ -47,14 +49,19 @@ def open_source(
 
     Every image is resized to `size_hw`; None keeps the size of the source (the scene: 480 x 640). With
     `loop`, files restart at their end and a stream is reconnected; otherwise the iterator ends. A device and
-    the scene never end. `report` receives problems that do not end the source: skipped images of a folder, a
-    lost stream. `wait` is called before a stream is reconnected.
+    the scene never end. `depth` adds the depth of the scene; no other source has any. `report` receives
+    problems that do not end the source: skipped images of a folder, a lost stream. `wait` is called before a
+    stream is reconnected.
 
     Raises SourceError here when `source` cannot be opened, and in the iterator when it becomes unreadable.
     Both may block for as long as the device or disk takes.
     """
     if source == SYNTHETIC:
-        return _synthetic(seed, size_hw or _DEFAULT_SCENE_HW)
+        return _synthetic(seed, size_hw or _DEFAULT_SCENE_HW, depth)
+    if depth:
+        raise SourceError(
+            f"Only the source '{SYNTHETIC}' has depth, not '{in_one_line(source)}': leave out one of them."
+        )
     if (device := _device_number(source)) is not None:
         return _device(device, size_hw)
     path = Path(source).expanduser()
@@ -97,16 +104,18 @@ def _devices() -> str:
     return f" There are: {', '.join(map(str, found))}." if found else " There is no /dev/video* here."
 
 
-def _synthetic(seed: int, size_hw: tuple[int, int]) -> ImageSource:
+def _synthetic(seed: int, size_hw: tuple[int, int], with_depth: bool) -> ImageSource:
     try:
         scene = Scene(seed, size_hw)
     except ValueError as error:
         raise SourceError(str(error)) from None
-    frames = (
-        SourceFrame(ColourImage(pixels, "rgb"), truth)
-        for pixels, truth in map(scene.frame, itertools.count())
-    )
-    return ImageSource(frames, IMAGE_RATE_HZ)
+    space = SceneDepth(seed, scene) if with_depth else None
+
+    def frame(index: int) -> SourceFrame:
+        pixels, truth = scene.frame(index)
+        return SourceFrame(ColourImage(pixels, "rgb"), truth, space.frame(index) if space else None)
+
+    return ImageSource(map(frame, itertools.count()), IMAGE_RATE_HZ)
 
 
 def _device(number: int, size_hw: tuple[int, int] | None) -> ImageSource:

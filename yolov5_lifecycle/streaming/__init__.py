@@ -1,1 +1,1 @@
-"""Frame pipeline: inference thread with a newest-frame slot, frame balance and rates."""
+"""Frames over time: one inference thread serves the cameras in turns; balance and rates of each."""

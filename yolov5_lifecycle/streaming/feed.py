@@ -156,13 +156,12 @@ class Schedule(Generic[Frame, Result]):
 
         With `batch` the frame that is next takes others with the same key along, those next to it first.
         """
-        slots = [*self.waiting] if len(self.waiting) == 1 else self._next_slots(batch)
-        turns = [slot.turn() for slot in slots]
-        job = self.job = Job(turns, self.clock())
-        for slot in slots:
+        slots = self.waiting if len(self.waiting) == 1 else self._next_slots(batch)
+        job = self.job = Job([slot.turn() for slot in slots], self.clock())
+        for turn in job.turns:
             self._turns += 1
-            slot.begin(job, self._turns)
-            del self.waiting[slot]
+            turn.slot.begin(job, self._turns)
+            del self.waiting[turn.slot]
         return job
 
     def finish(self, job: Job[Frame, Result]) -> None:

@@ -79,6 +79,16 @@ def test_images_of_another_size_than_the_calibration_end_the_process_with_the_re
         pytest.param({"encoding": "yuv"}, ["encoding: 'yuv'", "one of rgb8, bgr8"], id="choice"),
         pytest.param({"rate": "fast"}, ["rate: 'fast'"], id="type"),
         pytest.param({"camera_info_url": "x.yaml"}, ["camera_info_url: ", "file:///PATH"], id="calibration"),
+        pytest.param(
+            {"source": "/nowhere.mp4", "depth": True},
+            ["depth, source: only the source 'synthetic' has depth, not '/nowhere.mp4'"],
+            id="depth of a file",
+        ),
+        pytest.param(
+            {"camera_info_url": "package://a/b.yaml", "depth": True},
+            ["depth, camera_info_url", "camera of the scene"],
+            id="depth and a calibration",
+        ),
         pytest.param({"width": 640}, ["width and height go together"], id="one side"),
         pytest.param({"use_sim_time": "1"}, ["'use_sim_time'"], id="a parameter of ROS's own"),
         pytest.param({"sorce": "0"}, ["sorce", "Did you mean 'source'?"], id="unknown name"),

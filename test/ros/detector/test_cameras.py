@@ -18,7 +18,7 @@ from support.served_node import (
     prediction,
 )
 
-from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Batches
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 
 CAMERAS = ("front", "rear")
@@ -231,7 +231,7 @@ def test_a_new_model_serves_all_cameras_and_is_warmed_up_for_the_size_of_each(
     cameras["rear"].send(wide)
     served.wait_for(lambda: bool(cameras["rear"].detections), "the wide image")
     assert served.set(image_size=320) == (True, "")
-    assert prepare.sources_hw == [[USUAL_SOURCE_HW] * 2, [USUAL_SOURCE_HW, (48, 128)]]
+    assert prepare.sizes_hw == [[USUAL_SOURCE_HW] * 2, [USUAL_SOURCE_HW, (48, 128)]]
     prepare.running.run = lambda: prediction("dog", 0.9)
     assert [class_ids_of(camera.detect()) for camera in cameras.values()] == [["dog"], ["dog"]]
 
@@ -255,6 +255,48 @@ def test_a_camera_whose_frame_hangs_can_be_removed_and_the_others_go_on(
     served.wait_for_log(f"inference did not end within {REST_TIMEOUT_S:g} s")
     assert class_ids_of(cameras["rear"].detect()) == ["dog"]
     released.set()
+
+
+def test_frames_that_wait_together_run_as_one_batch_each_with_its_own_settings(
+    served: ServedNode, prepare: Preparations, cameras: dict[str, CameraClient]
+) -> None:
+    prepare.batches = Batches((2,), "of 2: scripted")
+    served.bring_to("active")
+    assert served.set(**{"rear.confidence_threshold": 0.95}) == (True, "")
+    front, rear = cameras["front"], cameras["rear"]
+    for camera in (front, rear):
+        camera.detect()
+        camera.wait_for(camera.send())
+    runs, released = threading.Event(), threading.Event()
+
+    def run_once_released() -> np.ndarray:
+        runs.set()
+        assert released.wait(PATIENCE_S)
+        return prediction("cat", 0.9)
+
+    prepare.running.run = run_once_released
+    served.wait_for(lambda: bool(front.send()) and runs.is_set(), "a frame in progress")
+    seconds = front.send(), rear.send()
+    served.wait_for(lambda: (front.counts()["pending"], rear.counts()["pending"]) == (2, 1), "both to wait")
+    prepare.running.batches.clear()
+    released.set()
+    for camera, sec in zip((front, rear), seconds, strict=True):
+        camera.wait_for(sec)
+    assert prepare.running.batches == [2]
+    assert [class_ids_of(camera.detections[-1]) for camera in (front, rear)] == [["cat"], []]
+    assert [camera.counts()["pending"] for camera in (front, rear)] == [0, 0]
+
+
+def test_other_cameras_are_measured_again_if_frames_may_run_in_batches(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+    assert served.set(cameras=["front", "left"]) == (True, "")
+    assert len(prepare.sizes_hw) == 1
+    assert served.set(max_batch=2) == (True, "")
+    assert served.set(cameras=["front", "left", "rear"]) == (True, "")
+    assert [len(sizes_hw) for sizes_hw in prepare.sizes_hw] == [2, 2, 3]
+    assert class_ids_of(CameraClient(served, "left").detect()) == ["cat"]
 
 
 def test_ids_of_tracks_are_unique_among_cameras(served: ServedNode, cameras: dict[str, CameraClient]) -> None:

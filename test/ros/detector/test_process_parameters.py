@@ -21,7 +21,7 @@ from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.architecture import SIZES
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, pairwise_iou
-from yolov5_lifecycle.runtimes.cache_folder import cache_folder
+from yolov5_lifecycle.runtimes.cache import cache_folder
 
 
 def test_a_raised_threshold_applies_to_the_next_frame(active: DetectorProcess) -> None:

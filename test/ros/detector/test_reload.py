@@ -53,7 +53,7 @@ def test_a_model_is_warmed_up_for_images_like_the_last_one(served: ServedNode, p
     assert served.transition("deactivate")
     assert served.transition("activate")
     image_hw = image().height, image().width
-    assert prepare.sources_hw == [[USUAL_SOURCE_HW], [image_hw], [image_hw]]
+    assert prepare.sizes_hw == [[USUAL_SOURCE_HW], [image_hw], [image_hw]]
 
 
 def test_a_reload_is_logged(served: ServedNode, prepare: Preparations) -> None:

@@ -79,7 +79,7 @@ def test_shutdown_from_active_frees_the_model(served: ServedNode, prepare: Prepa
 
 
 def test_an_unexpected_exception_in_activate_leads_back_to_unconfigured(ros_domain: int) -> None:
-    def broken(settings: object, source_hw: object) -> None:
+    def broken(settings: object, sizes_hw: object) -> None:
         raise KeyError("surprise")
 
     with ServedNode(broken) as served:  # type: ignore[arg-type]

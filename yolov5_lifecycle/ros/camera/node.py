@@ -87,6 +87,7 @@ class CameraNode(PrintableNode):
             self._settings.source,
             size_hw=self._settings.size_hw,
             seed=self._settings.seed,
+            depth=self._settings.depth,
             loop=self._settings.loop,
             report=self.get_logger().warning,
             wait=self._stop.wait,

@@ -1,4 +1,4 @@
-"""The camera's publishers: images, raw and compressed, camera info, ground truth of the synthetic scene."""
+"""The camera's publishers: images, raw and compressed, camera info, and what is known of the scene."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
@@ -19,11 +18,14 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.encodings import encoded
 from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.ros.camera.depth_outputs import DepthOutputs
+from yolov5_lifecycle.ros.camera.publishers import camera_info_publisher, overridable_publisher
 from yolov5_lifecycle.ros.camera.settings import CameraSettings, Transport
 from yolov5_lifecycle.ros.messages import compressed_image_message, detection_array, image_message
 from yolov5_lifecycle.sources.calibration import Calibration
 from yolov5_lifecycle.sources.frames import SourceError, SourceFrame
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth
+from yolov5_lifecycle.sources.scene_depth import DepthFrame
 
 _RELIABILITIES = {"reliable": ReliabilityPolicy.RELIABLE, "best_effort": ReliabilityPolicy.BEST_EFFORT}
 
@@ -58,12 +60,12 @@ IMAGE_FORMS: dict[Transport, list[ImageForm]] = {
 
 
 class CameraOutputs:
-    """Owns the publishers of the images, of `camera_info` in the same namespace, and of `~/truth`.
+    """Owns the publishers of the images, of `camera_info` in the same namespace, of `~/truth` and of depth.
 
-    Image topics and `camera_info` follow the remapping of `image_raw`, as with image_transport. `camera_info`
-    has the calibration of the settings, if any, and is transient local. `~/truth` has the shapes of the
-    synthetic scene with their true identities, sent before their image. `forms` create the image messages,
-    only for subscribers.
+    Image topics, `camera_info` and those of depth follow the remapping of `image_raw`, as with
+    image_transport. `camera_info` has the calibration of the scene with depth, else that of the settings, if
+    any, and is transient local. `~/truth` has the shapes of the synthetic scene with their true identities.
+    It is sent before the image, and so is depth. `forms` create the image messages, only for subscribers.
 
     Raises RuntimeError or ParameterException for invalid `qos_overrides`, and SettingsError for an invalid
     calibration.
@@ -82,15 +84,16 @@ class CameraOutputs:
         topic = node.resolve_topic_name("image_raw")
         offered = _RELIABILITIES[settings.reliability]
         self._images = [
-            (self._publisher(form.message_type, f"{topic}{form.suffix}", reliability=offered), form.message)
+            (
+                overridable_publisher(node, form.message_type, f"{topic}{form.suffix}", reliability=offered),
+                form.message,
+            )
             for form in forms[settings.image_transport]
         ]
-        self._infos = self._publisher(
-            CameraInfo,
-            f"{topic.rpartition('/')[0]}/camera_info",
-            durability=DurabilityPolicy.TRANSIENT_LOCAL,
-        )
+        folder = topic.rpartition("/")[0]
+        self._infos = camera_info_publisher(node, folder)
         self._truths = node.create_publisher(Detection2DArray, "~/truth", 10)
+        self._depth = DepthOutputs(node, f"{folder}/depth", offered) if settings.depth else None
 
     @property
     def image_topics(self) -> list[str]:
@@ -109,24 +112,30 @@ class CameraOutputs:
         """
         _check_calibrated(frame, self._calibration)
         header = Header(stamp=self._node.get_clock().now().to_msg(), frame_id=self._settings.frame_id)
-        if frame.truth is not None and self._truths.get_subscription_count():
-            self._truths.publish(detection_array(_certain(frame.truth), CLASS_NAMES, header))
+        calibration = self._calibration if frame.depth is None else frame.depth.calibration
+        info = camera_info(header, frame.image.size_hw, calibration)
+        if frame.truth is not None:
+            self._publish_scene(frame.truth, frame.depth, info)
         for publisher, message in self._images:
             if publisher.get_subscription_count():
                 publisher.publish(message(frame.image, self._settings.encoding, header))
-        self._infos.publish(camera_info(header, frame.image.size_hw, self._calibration))
+        self._infos.publish(info)
 
     def wait_until_delivered(self, timeout_s: float) -> None:
         """Wait until all reliable subscribers have acknowledged everything, at most `timeout_s`."""
         deadline_s = time.monotonic() + timeout_s
-        for publisher in (*(publisher for publisher, _ in self._images), self._infos, self._truths):
+        of_depth = self._depth.publishers if self._depth else ()
+        images = (publisher for publisher, _ in self._images)
+        for publisher in (*images, self._infos, self._truths, *of_depth):
             left_s = max(0.0, deadline_s - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left_s))
 
-    def _publisher(self, message_type: type, topic: str, **policies: Any) -> Any:
-        overridable = QoSOverridingOptions.with_default_policies()
-        qos = QoSProfile(depth=1, **policies)
-        return self._node.create_publisher(message_type, topic, qos, qos_overriding_options=overridable)
+    def _publish_scene(self, truth: Truth, depth: DepthFrame | None, info: CameraInfo) -> None:
+        truths = detection_array(_certain(truth), CLASS_NAMES, info.header)
+        if self._truths.get_subscription_count():
+            self._truths.publish(truths)
+        if self._depth is not None and depth is not None:
+            self._depth.publish(depth, truths, info)
 
 
 def camera_info(header: Header, size_hw: tuple[int, int], calibration: Calibration | None) -> CameraInfo:

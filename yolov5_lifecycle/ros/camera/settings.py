@@ -9,12 +9,14 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rclpy.node import Node
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.declaration import declare
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.parameter_file import QOS_PREFIX
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, SettingsError, contradiction
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 from yolov5_lifecycle.sources.calibration import Calibration, CalibrationError, read_calibration
+from yolov5_lifecycle.sources.source import SYNTHETIC
 
 Transport = Literal["raw", "compressed", "both"]
 
@@ -48,6 +50,11 @@ class CameraSettings(BaseModel):
         "false: play once to all subscribers and exit.",
     )
     seed: Annotated[int, Change.READ_ONLY] = Field(0, ge=0, description="Seed of the synthetic scene.")
+    depth: Annotated[bool, Change.READ_ONLY] = Field(
+        False,
+        description="Also publish depth images of the synthetic scene, on depth/image_raw and "
+        "depth/camera_info, and the places of its shapes in space, on ~/ground_truth_3d.",
+    )
     image_transport: Annotated[Transport, Change.READ_ONLY] = Field(
         "raw", description="raw: on image_raw. compressed: as JPEG on image_raw/compressed. both: on both."
     )
@@ -70,6 +77,20 @@ class CameraSettings(BaseModel):
     def _has_no_or_both_sides(self) -> CameraSettings:
         if bool(self.width) != bool(self.height):
             raise contradiction([Problem("width, height", "width and height go together: set both or none.")])
+        return self
+
+    @model_validator(mode="after")
+    def _has_depth_of_the_scene_only(self) -> CameraSettings:
+        problems = []
+        if self.depth and self.source != SYNTHETIC:
+            source = in_one_line(self.source)
+            problem = f"only the source '{SYNTHETIC}' has depth, not '{source}': leave out one of them."
+            problems.append(Problem("depth, source", problem))
+        if self.depth and self.camera_info_url:
+            problem = "with depth, camera_info describes the camera of the scene: leave out one of them."
+            problems.append(Problem("depth, camera_info_url", problem))
+        if problems:
+            raise contradiction(problems)
         return self
 
     @cached_property

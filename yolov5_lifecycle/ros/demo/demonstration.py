@@ -13,8 +13,10 @@ from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.ros.demo.driven_detector import DrivenDetector
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, recall, stamp_ns
-from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.demo.outcome import DemonstrationError
 from yolov5_lifecycle.ros.messages import image_of_message
 
 WATCHED_MESSAGES = 120
@@ -26,10 +28,6 @@ _IMAGE_SIZES = (320, 416)
 _SILENCE_S = 1.5
 _LONGEST_GAP_S = 2.0
 _SEVERAL = 3
-
-
-class DemonstrationError(RuntimeError):
-    """The detector misbehaved; the message describes the expected and the actual behaviour."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ class Demonstration:
     """Drives `detector` with the camera's images and checks its output; calls `report` once per step."""
 
     def __init__(
-        self, observer: Observer, detector: RemoteLifecycleNode, *, report: Callable[[str], None]
+        self, observer: Observer, detector: DrivenDetector, *, report: Callable[[str], None]
     ) -> None:
         self._observer = observer
         self._detector = detector
@@ -67,22 +65,18 @@ class Demonstration:
         self._report("waiting for the camera and the detector")
         self._observer.wait_for(lambda: bool(self._truths), "messages on /camera/truth")
         self._detector.wait_until_reachable()
-        self._expect_state("unconfigured")
-        self._transition("configure", "inactive")
-        self._transition("activate", "active")
+        self._detector.expect_state("unconfigured")
+        self._detector.transition("configure", "inactive")
+        self._detector.transition("activate", "active")
         phases = [self._watch()]
         annotated = self._annotated_image()
         phases += [self._narrow(), self._swap()]
         self._stop()
-        self._transition("activate", "active")
+        self._detector.transition("activate", "active")
         phases.append(self._watch_again())
         self._stop()
-        self._transition("cleanup", "unconfigured")
+        self._detector.transition("cleanup", "unconfigured")
         return phases, annotated
-
-    def shut_down(self) -> None:
-        """Request the last transition; the process answers for a few more seconds, then ends."""
-        self._transition("shutdown", "finalized")
 
     def _watch(self) -> Phase:
         self._report(f"watching {WATCHED_MESSAGES} messages")
@@ -109,7 +103,7 @@ class Demonstration:
 
     def _narrow(self) -> Phase:
         before = self._detector.parameter("confidence_threshold")
-        self._set(confidence_threshold=_RAISED_THRESHOLD, classes=[_ONLY_CLASS])
+        self._detector.set(confidence_threshold=_RAISED_THRESHOLD, classes=[_ONLY_CLASS])
         seen = self._next(_LATER_MESSAGES)
         for sighting in seen:
             if (
@@ -127,14 +121,14 @@ class Demonstration:
         self._report(
             f"the next {len(seen)} messages have circles only, none scored below {_RAISED_THRESHOLD}"
         )
-        self._set(confidence_threshold=before, classes=[])
+        self._detector.set(confidence_threshold=before, classes=[])
         return Phase(f"{_ONLY_CLASS} >= {_RAISED_THRESHOLD}", seen)
 
     def _swap(self) -> Phase:
         """Change the image size, which loads another model beside the running one."""
         size = next(size for size in _IMAGE_SIZES if size != self._detector.parameter("image_size"))
         begun_ns = time.time_ns()
-        self._set(image_size=size)
+        self._detector.set(image_size=size)
         took_s = (time.time_ns() - begun_ns) / 1e9
         seen = self._next(_LATER_MESSAGES)
         around = [sighting for sighting in self._sightings if sighting.stamp_ns > begun_ns - 1_000_000_000]
@@ -152,31 +146,13 @@ class Demonstration:
         return Phase("activated again", seen, recall(seen, self._truths))
 
     def _stop(self) -> None:
-        self._transition("deactivate", "inactive")
+        self._detector.transition("deactivate", "inactive")
         answered_ns = time.time_ns()
         self._observer.work_for(_SILENCE_S)
         late = [seen for seen in self._sightings if seen.stamp_ns > answered_ns]
         if late:
             raise DemonstrationError(f"{len(late)} messages of images taken after the node was deactivated")
         self._report(f"messages stopped: none in {_SILENCE_S:g} s")
-
-    def _transition(self, label: str, goal: str) -> None:
-        self._report(label)
-        if not self._detector.change_state(label):
-            raise DemonstrationError(f"the detector refused to {label}; its log says why")
-        if goal != "finalized":
-            self._expect_state(goal)
-
-    def _expect_state(self, expected: str) -> None:
-        state = self._detector.state()
-        if state != expected:
-            raise DemonstrationError(f"expected the detector to be {expected}, but it is {state}")
-
-    def _set(self, **values: object) -> None:
-        self._report("set " + ", ".join(f"{name}: {value}" for name, value in values.items()))
-        refusal = self._detector.set_parameters(**values)
-        if refusal:
-            raise DemonstrationError(f"setting {values} was refused: {refusal}")
 
     def _next(self, count: int) -> tuple[Sighting, ...]:
         """Wait for at least `count` messages whose images are stamped after this call."""

@@ -24,6 +24,7 @@ class Sighting:
     class_names: tuple[str, ...]
     scores: tuple[float, ...]
     boxes_xyxy: NDArray[np.float64]  # (n, 4), pixels of the source
+    ids: tuple[str, ...] = ()  # of tracks or true objects, "" without one
 
     @classmethod
     def now(cls, message: Detection2DArray) -> Sighting:
@@ -36,6 +37,7 @@ class Sighting:
             class_names=tuple(hypothesis.class_id for hypothesis in best),
             scores=tuple(hypothesis.score for hypothesis in best),
             boxes_xyxy=np.array([_xyxy(detection.bbox) for detection in message.detections]).reshape(-1, 4),
+            ids=tuple(detection.id for detection in message.detections),
         )
 
     @property
@@ -48,6 +50,18 @@ class Sighting:
         ious = pairwise_iou(truth.boxes_xyxy, self.boxes_xyxy)
         same = np.array(truth.class_names)[:, None] == np.array(self.class_names)[None, :]
         return int(((ious >= MATCHING_IOU) & same).any(axis=1).sum())
+
+
+def matched(truth: Sighting, seen: Sighting) -> list[tuple[int, int]]:
+    """Rows of true and of seen objects that belong together: one to one, same class, IoU >= MATCHING_IOU."""
+    ious = pairwise_iou(truth.boxes_xyxy, seen.boxes_xyxy)
+    ious[np.array(truth.class_names)[:, None] != np.array(seen.class_names)[None, :]] = 0
+    pairs: list[tuple[int, int]] = []
+    while ious.size and ious.max() >= MATCHING_IOU:
+        row, column = map(int, np.unravel_index(ious.argmax(), ious.shape))
+        pairs.append((row, column))
+        ious[row, :] = ious[:, column] = 0
+    return pairs
 
 
 def stamp_ns(header: Header) -> int:

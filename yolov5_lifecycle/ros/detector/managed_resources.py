@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 from rclpy.lifecycle import LifecycleNode
 
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.process.memory import resident_mb
 from yolov5_lifecycle.ros.detector.camera import Camera
@@ -53,7 +54,7 @@ class ManagedResources:
         self.loader = ModelLoader(
             node,
             prepare,
-            sizes_hw=lambda: [camera.last_image.size_hw for camera in self._cameras.values()],
+            sizes_hw=self._sizes_hw,
             on_device_lost=on_device_lost,
         )
         self.detection: Detection | None = None
@@ -158,6 +159,11 @@ class ManagedResources:
             abandoned_threads=self._worker.abandoned_threads(),
             resident_mb=resident_mb(),
         )
+
+    def _sizes_hw(self, settings: Settings) -> list[tuple[int, int]]:
+        """The size of each camera's last image; a usual one for cameras that `settings` add."""
+        present = {name: camera.last_image.size_hw for name, camera in self._cameras.items()}
+        return [present.get(name, USUAL_SOURCE_HW) for name in settings.camera_names]
 
     def _names(self) -> tuple[str, ...]:
         """The cameras that the parameters name; valid even if other settings are not."""

@@ -22,8 +22,8 @@ REFUSALS = (ValueError, OSError, RuntimeError)
 class ModelLoader:
     """Prepares one model at a time in its own thread, from construction to `close`.
 
-    Models are warmed up with `sizes_hw()`, the size of each camera's last image. `on_device_lost(reason)` is
-    called when no further model can be prepared.
+    Models are warmed up with `sizes_hw(settings)`, the size of the last image of each camera in `settings`.
+    `on_device_lost(reason)` is called when no further model can be prepared.
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class ModelLoader:
         node: Node,
         prepare: Prepare,
         *,
-        sizes_hw: Callable[[], Sequence[tuple[int, int]]],
+        sizes_hw: Callable[[Settings], Sequence[tuple[int, int]]],
         on_device_lost: Callable[[str], None],
     ) -> None:
         self._node = node
@@ -42,7 +42,7 @@ class ModelLoader:
 
     def begin(self, settings: Settings) -> Preparation:
         """Queue the preparation of the model for `settings`."""
-        return self._background.submit(lambda: self._prepare(settings, self._sizes_hw()))
+        return self._background.submit(lambda: self._prepare(settings, self._sizes_hw(settings)))
 
     async def load(self, wanted: Callable[[], Settings | None]) -> Preparation | None:
         """Prepare the model for `wanted()`, repeated if other settings are wanted once it is done.

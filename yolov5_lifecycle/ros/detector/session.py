@@ -72,8 +72,8 @@ class Detection:
         self.publish_label_info(settings)
 
     def rest(self) -> bool:
-        """Wait for the frame in progress; return False if it hangs, which deactivate handles."""
-        return self._worker.rest(REST_TIMEOUT_S)
+        """Wait for the frame in progress; return False if a thread hangs, which may still use the model."""
+        return self._worker.rest(REST_TIMEOUT_S) and self._worker.abandoned_threads() == 0
 
     def publish_label_info(self, settings: Settings) -> None:
         self._label_info.publish(
@@ -91,7 +91,8 @@ class Detection:
         rested = self._worker.stop(REST_TIMEOUT_S)
         self._worker.batch = None
         if self.preparation.exception() is None:
-            self.model.close(is_at_rest=rested)
+            # The thread of a camera that was removed may hang in the model, too.
+            self.model.close(is_at_rest=rested and self._worker.abandoned_threads() == 0)
         return rested
 
     def _detect(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:

@@ -1,0 +1,220 @@
+"""Several cameras on one node beside as many nodes with one camera each, and how the cameras share a node.
+
+python -m benchmark.cameras [--counts 1 2 4 8] [--rate 10] [--max-batch 1] [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from benchmark.camera_fleet import LAYOUTS, Fleet, Layout, Passage, active_fleet
+from benchmark.fairness import equal_shares, others_rates, slow_beside_fast
+from benchmark.report import Goal, Row, goal_table, row, table, write_report
+
+REPORT = Path(__file__).parents[1] / "build" / "bench" / "cameras.json"
+IMAGE_HW = (480, 640)
+FOLLOWED = 4
+"""Number of cameras whose comparison has goals."""
+_SHARING_HZ = 20.0
+_SLOW_HZ, _FAST_HZ = 5.0, 120.0
+_SMALL_SIZE = 320
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Extent of a run: durations in seconds, and how often each measurement is repeated in turns."""
+
+    rounds: int
+    passage_s: float
+    shares_s: float
+
+
+FULL = Plan(rounds=3, passage_s=10.0, shares_s=60.0)
+QUICK = Plan(rounds=1, passage_s=4.0, shares_s=10.0)
+
+
+class CameraBench:
+    """One run: measurements are collected in `rows`, comparisons in `goals`."""
+
+    def __init__(self, weights: Path, image: Path, folder: Path, plan: Plan, *, max_batch: int = 1) -> None:
+        self.rows: list[Row] = []
+        self.goals: list[Goal] = []
+        self._weights = weights
+        self._image = image
+        self._folder = folder
+        self._plan = plan
+        self._max_batch = max_batch
+
+    def choose_runtime(self) -> None:
+        """Let one detector measure the runtimes, alone; the others use its choice."""
+        with active_fleet("a node each", ["first"], weights=self._weights, cache=self._folder):
+            pass
+
+    def layouts(self, count: int, rate_hz: float) -> None:
+        """One node and a node each, in turns."""
+        passages: dict[Layout, list[Passage]] = {layout: [] for layout in LAYOUTS}
+        for number in range(self._plan.rounds):
+            for layout in LAYOUTS if number % 2 == 0 else reversed(LAYOUTS):
+                passages[layout].append(self._passage(layout, count, rate_hz))
+        for layout, passed in passages.items():
+            self.rows += layout_rows(layout, count, passed)
+        ratios = ratios_of(*(passages[layout] for layout in LAYOUTS))
+        for what, values in ratios.items():
+            self.rows.append(row(_cameras(count), f"one node / a node each, {what}", 0, values, unit="x"))
+        if count == FOLLOWED:
+            self.goals += layout_goals({what: statistics.median(values) for what, values in ratios.items()})
+
+    def fairness(self) -> None:
+        """The cameras of one node: equal ones, a slow beside a fast one, a misbehaving one."""
+        names, passages = _names(FOLLOWED), [self._plan.passage_s] * self._plan.rounds
+        with self._shared(names) as fleet:
+            total_hz, rows, goals = equal_shares(
+                fleet, names, self._image, rate_hz=_SHARING_HZ, duration_s=self._plan.shares_s
+            )
+            self._add(rows, goals)
+            rates_hz = _SLOW_HZ, _FAST_HZ
+            self._add(
+                *slow_beside_fast(
+                    fleet, (names[0], names[1]), self._image, rates_hz=rates_hz, passages=passages
+                )
+            )
+        # A smaller network, at rates that the larger one could just keep up with: none is in a hurry.
+        rate_hz = round(total_hz / FOLLOWED, 1)
+        with self._shared(names, image_size=_SMALL_SIZE) as fleet:
+            self._add(*others_rates(fleet, names, self._image, rate_hz=rate_hz, passages=passages))
+
+    def _shared(self, names: Sequence[str], **parameters: object) -> AbstractContextManager[Fleet]:
+        given = {"max_batch": self._max_batch} | parameters
+        return active_fleet("one node", names, weights=self._weights, cache=self._folder, **given)
+
+    def _add(self, rows: Sequence[Row], goals: Sequence[Goal]) -> None:
+        self.rows += rows
+        self.goals += goals
+
+    def _passage(self, layout: Layout, count: int, rate_hz: float) -> Passage:
+        """Measure with new processes, so that nothing but this layout is in memory."""
+        names = _names(count)
+        given = {"max_batch": self._max_batch} if layout == "one node" else {}
+        fleet_of = active_fleet(layout, names, weights=self._weights, cache=self._folder, **given)
+        with fleet_of as fleet, ExitStack() as stack:
+            for name in names:
+                stack.enter_context(fleet.camera(name, self._image, rate_hz=rate_hz))
+            fleet.wait_for(names)
+            return fleet.watch(self._plan.passage_s)
+
+
+def layout_rows(layout: Layout, count: int, passages: Sequence[Passage]) -> list[Row]:
+    """The figures of one layout: latencies of all images, the others once for each passage."""
+    figures = {
+        "detections": ([passage.rate_hz for passage in passages], "Hz"),
+        "latency": ([latency for passage in passages for latency in passage.latencies_ms], "ms"),
+        "CPU": ([100 * passage.cpu_s / passage.duration_s for passage in passages], "% of a core"),
+        "CPU a detection": ([_cpu_ms(passage) for passage in passages], "ms of a core"),
+        "memory (PSS)": ([passage.proportional_mb for passage in passages], "MB"),
+        "memory (RSS)": ([passage.resident_mb for passage in passages], "MB"),
+    }
+    return [
+        row(_cameras(count), f"{layout}, {what}", 0, values, unit=unit)
+        for what, (values, unit) in figures.items()
+    ]
+
+
+def ratios_of(one_node: Sequence[Passage], a_node_each: Sequence[Passage]) -> dict[str, list[float]]:
+    """Figures of one node divided by those of a node each, in every round."""
+    figures: dict[str, Callable[[Passage], float]] = {
+        "detections": lambda passage: passage.rate_hz,
+        "median": lambda passage: statistics.median(passage.latencies_ms),
+        "p95": lambda passage: row("", "", 0, passage.latencies_ms).p95,
+        "CPU": _cpu_ms,
+        "PSS": lambda passage: passage.proportional_mb,
+        "RSS": lambda passage: passage.resident_mb,
+    }
+    pairs = list(zip(one_node, a_node_each, strict=True))
+    return {what: [figure(one) / figure(each) for one, each in pairs] for what, figure in figures.items()}
+
+
+def layout_goals(ratios: dict[str, float]) -> list[Goal]:
+    """Goals for the medians of the ratios, by their names in `ratios_of`."""
+    whose = f"{FOLLOWED} cameras, one node / a node each"
+    return [
+        Goal(f"{whose}: detections", 0, ratios["detections"], False, 1.0),
+        Goal(f"{whose}: memory (PSS)", 0, ratios["PSS"], True, 0.4),
+        Goal(f"{whose}: latency p95", 0, ratios["p95"], True, 1.0),
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print and write the report; returns 0."""
+    options = parser().parse_args(arguments)
+    plan = QUICK if options.quick else FULL
+    counts = options.counts or ((1, FOLLOWED) if options.quick else (1, 2, FOLLOWED, 8))
+    with tempfile.TemporaryDirectory(prefix="bench-") as name:
+        folder = Path(name)
+        bench = CameraBench(*_materials(folder), folder, plan, max_batch=options.max_batch)
+        bench.choose_runtime()
+        for count in counts:
+            _say(f"measuring: {_cameras(count)}, one node and a node each")
+            bench.layouts(count, options.rate)
+        _say(f"measuring: {bench.fairness.__doc__}")
+        bench.fairness()
+    _say(f"\n{table(bench.rows)}\n\n{goal_table(bench.goals)}")
+    write_report(REPORT, vars(options), bench.rows, bench.goals)
+    _say(f"\n{REPORT}")
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The argument parser."""
+    parser = argparse.ArgumentParser(prog="benchmark.cameras", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--counts", type=int, nargs="+", metavar="N", help="of cameras; default: 1 2 4 8")
+    parser.add_argument(
+        "--rate", type=float, default=10.0, metavar="HZ", help="of every camera; default: %(default)g"
+    )
+    parser.add_argument(
+        "--max-batch", type=int, default=1, metavar="N", help="of the one node; default: %(default)s"
+    )
+    parser.add_argument("--quick", action="store_true", help="1 and 4 cameras, one round, shorter")
+    return parser
+
+
+def _materials(folder: Path) -> tuple[Path, Path]:
+    """Weights and image, made in a process that ends, as torch must not stay in this one."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(_made_materials, folder).result()
+
+
+def _made_materials(folder: Path) -> tuple[Path, Path]:
+    from benchmark.models import untrained_weights
+    from benchmark.node import image_file
+
+    return untrained_weights("n", folder), image_file(IMAGE_HW, folder)
+
+
+def _names(count: int) -> list[str]:
+    return [f"camera_{number}" for number in range(1, count + 1)]
+
+
+def _cameras(count: int) -> str:
+    return f"{count} camera{'s' if count > 1 else ''}"
+
+
+def _cpu_ms(passage: Passage) -> float:
+    return 1e3 * passage.cpu_s / len(passage.arrivals)
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,231 @@
+"""Random actions on several cameras: some are always there, some come and go, one is hostile."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
+from typing import Any
+
+from rcl_interfaces.srv import ListParameters
+from rclpy.parameter import Parameter
+from support.detector_process import NODE, scene_image
+
+from soak.camera_client import CameraClient, grey_image
+from soak.hostile_images import damaged_message, hostile_image, odd_image
+from soak.service_requests import Fuzz
+from soak.subject import Subject, camera
+from soak.track_ids import TrackIds
+
+STEADY = ("front", "rear")
+"""Cameras that never stop, and whose images must be detected whatever the others do."""
+_COMING = ("left", "door")
+_HOSTILE = "gate"
+NAMES = (*STEADY, *_COMING, _HOSTILE)
+_SENDING = (*STEADY, "left")  # nobody publishes for the door
+RATE_HZ = 5.0
+_BAD_CAMERAS = (["front", "front"], ["front", ""], ["front", "a b"], ["front", "/rear"], ["front", "1st"])
+_SIZES_HW = ((240, 320), (320, 240), (64, 640), (480, 480), (37, 501), (200, 320))
+_HARMLESS: dict[str, tuple[Any, ...]] = {
+    "confidence_threshold": (0.1, 0.25, 0.5),
+    "iou_threshold": (0.3, 0.6),
+    "max_detections": (5, 1000),
+    "classes": (["circle"], ["0", "3"]),
+    "agnostic_nms": (True, False),
+    "tracker": ("none", "bytetrack"),
+    "track_timeout": (0.5, 1.0),
+    "track_high_threshold": (0.2, 0.5),
+    "track_low_threshold": (0.05, 0.3),
+}
+"""Overrides that cost a camera no frame; the last one may contradict the one before it."""
+_DISTURBING: dict[str, tuple[Any, ...]] = {
+    "max_rate": (0.0, 2.0),
+    "lazy": (True, False),
+    "depth": (True, False),
+    "depth_slop_s": (0.0, 0.1),
+    "image_reliability": ("auto", "best_effort", "reliable"),
+    "image_transport": ("raw", "compressed"),
+    "no_such_setting": (1,),
+    "max_rates": (1.0,),
+}
+_BAD_VALUES = (-1, 2.5, "x", True, ["circle"], [1, 2])
+
+
+class CamerasLife:
+    """One active subject with several cameras, and all actions on it. A context manager."""
+
+    def __init__(self, subject: Subject, seed: int) -> None:
+        self._subject = subject
+        self._fuzz = Fuzz(seed)
+        self._choose: Callable[[Any], Any] = self._fuzz.random.choice
+        self._lists = subject.observer.create_client(ListParameters, f"{NODE}/list_parameters")
+        self._processes = ExitStack()
+        self._present: Collection[str] = ()
+        self._overrides: set[str] = set()
+        self.problems: list[str] = []
+        self.track_ids = TrackIds()
+        self.clients = {name: CameraClient(subject, name, self.track_ids) for name in NAMES}
+        self.done: Counter[str] = Counter()
+        self._actions: dict[str, tuple[int, Callable[[], object]]] = {
+            "cameras": (3, self._change_cameras),
+            "refused cameras": (2, self._set_bad_cameras),
+            "overrides": (10, self._override),
+            "bad overrides": (3, self._set_bad_override),
+            "deleted overrides": (6, self._inherit),
+            "trackers": (2, self._change_tracker),
+            "reloads": (1, self._reload),
+            "depth images": (6, self._send_depth),
+            "hostile images": (8, self._send_hostile),
+            "other sizes": (4, self._send_other_sizes),
+            "floods": (2, self._flood),
+            "pauses": (6, lambda: subject.observer.work_for(self._fuzz.random.uniform(0, 1.0))),
+        }
+
+    def __enter__(self) -> CamerasLife:
+        self._subject.reset()
+        self._set(cameras=NAMES, tracker="bytetrack")
+        self._present = NAMES
+        self._subject.bring_to("active")
+        for name in _SENDING:
+            topic = f"{NODE}/{name}/image_raw"
+            process = camera(self._subject.domain, topic, rate=RATE_HZ, width=320, height=240)
+            self._processes.enter_context(process)
+        for name in _SENDING:
+            self._subject.observer.wait_for(
+                lambda: self.clients[name].heard > 0,  # noqa: B023
+                f"detections of {name}",
+            )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._processes.close()
+        for client in self.clients.values():
+            client.close()
+
+    @property
+    def kinds(self) -> list[str]:
+        """All kinds of actions."""
+        return [*self._actions]
+
+    def random_kinds(self, count: int) -> list[str]:
+        """Of the next actions, frequent ones more often."""
+        weights = [weight for weight, _ in self._actions.values()]
+        return self._fuzz.random.choices(self.kinds, weights, k=count)
+
+    def act(self, kind: str) -> None:
+        """Perform one action, with random values."""
+        self._actions[kind][1]()
+        self.done[kind] += 1
+
+    def check(self) -> None:
+        """The steady cameras and the hostile one are detected, and the status is of all that are there."""
+        self._compare("status", {*self._subject.statuses()} - {""}, {*self._present})
+        self._compare("parameters", self._declared_overrides(), self._overrides)
+        if _HOSTILE not in self._present:
+            self._set_cameras([*self._present, _HOSTILE])
+        for name in self._overrides_of(_HOSTILE):
+            self._delete(name)
+        self.clients[_HOSTILE].detect()
+
+    def _compare(self, what: str, found: Collection[str], expected: Collection[str]) -> None:
+        if {*found} != {*expected}:
+            self.problems.append(f"{what}: {sorted(found)} instead of {sorted(expected)}")
+
+    def _declared_overrides(self) -> list[str]:
+        listed = self._subject.observer.call(self._lists, ListParameters.Request(prefixes=[*NAMES]))
+        return list(listed.result.names)
+
+    def _set(self, **values: object) -> None:
+        if refusal := self._subject.node.set_parameters(**values):
+            self.problems.append(f"{values} was refused: {refusal}")
+
+    def _set_cameras(self, names: Collection[str]) -> None:
+        """The cameras in `names`; the diagnostics have told of those that were removed when it returns."""
+        begun_ns = time.time_ns()
+        self._set(cameras=[*names])
+        self._restarted({*NAMES} - {*self._present}, begun_ns)
+        self._overrides = {name for name in self._overrides if name.partition(".")[0] in names}
+        self._present = names
+        self._subject.statuses()
+
+    def _change_cameras(self) -> None:
+        others = [name for name in (*_COMING, _HOSTILE) if self._fuzz.random.random() < 0.6]
+        names = [*STEADY, *others]
+        self._fuzz.random.shuffle(names)
+        self._set_cameras(names)
+
+    def _set_bad_cameras(self) -> None:
+        self._expect_refusal(cameras=self._choose(_BAD_CAMERAS))
+
+    def _override(self) -> None:
+        """Set one; contradictions and settings that do not exist are refused, all else is accepted."""
+        name = self._choose([*self._present])
+        table = _HARMLESS if name in STEADY else _HARMLESS | _DISTURBING
+        setting = self._choose([*table])
+        value = self._choose(table[setting])
+        refusal = self._subject.node.set_parameters(**{f"{name}.{setting}": value})
+        if not refusal:
+            self._overrides.add(f"{name}.{setting}")
+        elif setting not in ("track_high_threshold", "track_low_threshold", "no_such_setting", "max_rates"):
+            self.problems.append(f"{name}.{setting} = {value} was refused: {refusal}")
+
+    def _set_bad_override(self) -> None:
+        name = self._choose([*self._present])
+        self._expect_refusal(**{f"{name}.track_match_threshold": self._choose(_BAD_VALUES)})
+        absent = [name for name in (*_COMING, _HOSTILE, "nobody") if name not in self._present]
+        self._expect_refusal(**{f"{self._choose(absent)}.max_rate": 1.0})
+
+    def _expect_refusal(self, **values: object) -> None:
+        if not self._subject.node.set_parameters(**values):
+            self.problems.append(f"{values} was accepted")
+
+    def _inherit(self) -> None:
+        if self._overrides:
+            self._delete(self._choose(sorted(self._overrides)))
+
+    def _delete(self, name: str) -> None:
+        """As `ros2 param delete` does; one that would contradict what is inherited is refused."""
+        message = Parameter(name, Parameter.Type.NOT_SET).to_parameter_msg()
+        (result,) = self._subject.set_one_by_one([message])
+        if result.successful:
+            self._overrides.discard(name)
+        elif "threshold" not in name:
+            self.problems.append(f"{name} was not deleted: {result.reason}")
+
+    def _overrides_of(self, camera_name: str) -> list[str]:
+        return sorted(name for name in self._overrides if name.startswith(f"{camera_name}."))
+
+    def _change_tracker(self) -> None:
+        self._set(tracker=self._choose(["none", "bytetrack"]))
+
+    def _reload(self) -> None:
+        begun_ns = time.time_ns()
+        before = self._subject.node.parameter("image_size")
+        self._set(image_size=256 if before == 320 else 320)
+        self._restarted(NAMES, begun_ns)
+
+    def _restarted(self, cameras: Collection[str], begun_ns: int) -> None:
+        """Note that their trackers are new; the stamps of the hostile camera mean nothing."""
+        self.track_ids.restart({*cameras} - {_HOSTILE}, begun_ns, time.time_ns())
+
+    def _send_depth(self) -> None:
+        for _ in range(5):
+            for name in self._present:
+                self.clients[name].send_depth()
+            self._subject.observer.work_for(0.05)
+
+    def _send_hostile(self) -> None:
+        for make in (hostile_image, damaged_message, odd_image):
+            self.clients[_HOSTILE].send(make(self._fuzz))
+            self._subject.observer.work_for(0.02)
+
+    def _send_other_sizes(self) -> None:
+        for _ in range(3):
+            self.clients[_HOSTILE].send(grey_image(self._choose(_SIZES_HW)))
+            self._subject.observer.work_for(0.1)
+
+    def _flood(self) -> None:
+        image = scene_image()
+        for _ in range(300):
+            self.clients[_HOSTILE].send(image)

@@ -1,0 +1,268 @@
+"""Settings of several cameras: their names, overrides, and what each camera gets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
+from yolov5_lifecycle.settings.schema import Change, SettingsError
+from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, Settings, validated
+
+FRONT_AND_REAR: dict[str, Any] = {"cameras": ("front", "rear")}
+
+
+def problems(values: dict[str, Any]) -> list[str]:
+    with pytest.raises(SettingsError) as refusal:
+        validated(values)
+    return [str(problem) for problem in refusal.value.problems]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        pytest.param(("front",), id="one"),
+        pytest.param(("Front", "front", "f", "front_2", "front_"), id="alike"),
+        pytest.param(("a" * 64,), id="long"),
+        pytest.param(("images", "my_depth", "masks"), id="similar-to-topics"),
+        pytest.param(tuple(f"camera{number}" for number in range(MAX_CAMERAS)), id="many"),
+    ],
+)
+def test_cameras_have_names(names: tuple[str, ...]) -> None:
+    assert validated({"cameras": names}).camera_names == names
+
+
+@pytest.mark.parametrize(
+    ("names", "problem"),
+    [
+        pytest.param(("",), "begin with a letter: rename ''", id="empty"),
+        pytest.param(("front", "2nd"), "begin with a letter: rename '2nd'", id="digit-first"),
+        pytest.param(("_front",), "rename '_front'", id="underscore-first"),
+        pytest.param(("my__camera",), "single underscores that begin with a letter: rename 'my__", id="two"),
+        pytest.param(("front-left",), "rename 'front-left'", id="hyphen"),
+        pytest.param(("front.left",), "rename 'front.left'", id="dot"),
+        pytest.param(("front/left",), "rename 'front/left'", id="slash"),
+        pytest.param(("vorn\u00e9",), "rename 'vorn\u00e9'", id="accent"),
+        pytest.param(("front\n",), r"rename 'front\n'", id="line-end"),
+        pytest.param(("a" * 65,), "at most 64 letters", id="long"),
+        pytest.param(("a" * 1_000_000,), "at most 64 letters", id="endless"),
+        pytest.param(("front", "rear", "front"), "each camera once: leave out one 'front'", id="repeated"),
+        pytest.param(("lazy",), "must not hold 'lazy', the name of a setting", id="setting"),
+        pytest.param(("depth",), "must not hold 'depth', the name of a setting", id="depth"),
+        pytest.param(("image",), "must not hold 'image', the name of a topic", id="topic"),
+        pytest.param(("detections",), "must not hold 'detections', the name of a topic", id="output"),
+        pytest.param(("qos_overrides",), "the name of a parameter of ROS: rename that", id="qos"),
+        pytest.param(("use_sim_time",), "the name of a parameter of ROS: rename that", id="time"),
+        pytest.param("front", "Did you mean [front]?", id="no-list"),
+        pytest.param((1,), "is not a list of at most 16 strings", id="number"),
+        pytest.param(tuple(f"c{number}" for number in range(17)), "a list of at most 16 strings", id="17"),
+    ],
+)
+def test_a_name_that_cannot_be_that_of_a_camera_is_refused(names: Any, problem: str) -> None:
+    (found,) = problems({"cameras": names})
+    assert found.startswith("cameras: ")
+    assert problem in found
+    assert len(found) < 500
+
+
+def test_no_setting_may_be_the_name_of_a_camera() -> None:
+    for setting in SETTINGS:
+        assert "the name of a setting" in problems({"cameras": (setting.name,)})[0]
+
+
+def test_settings_that_concern_one_camera_may_be_overridden() -> None:
+    of_cameras = {setting.name for setting in SETTINGS if setting.per_camera}
+    kinds = (Change.LIVE, Change.RESUBSCRIBE)
+    assert of_cameras == {s.name for s in SETTINGS if s.change in kinds} - {"max_consecutive_failures"}
+
+
+def test_without_cameras_the_settings_are_those_of_the_only_one() -> None:
+    settings = validated({"max_rate": 5.0})
+    assert settings.camera_names == ("",)
+    assert settings.for_camera("") == settings
+
+
+@pytest.mark.parametrize(
+    ("values", "name"), [({}, "front"), (FRONT_AND_REAR, ""), (FRONT_AND_REAR, "side")], ids=str
+)
+def test_there_are_no_settings_of_a_camera_that_does_not_exist(values: dict[str, Any], name: str) -> None:
+    with pytest.raises(KeyError, match="expected a camera"):
+        validated(values).for_camera(name)
+
+
+def test_a_camera_inherits_what_is_not_overridden() -> None:
+    given = {"classes": ["cat"], "max_rate": 5, "device": "cpu", "front.max_rate": 2, "front.classes": []}
+    settings = validated({**FRONT_AND_REAR, **given})
+    of_node = {"classes": ("cat",), "max_rate": 5.0, "device": "cpu"}
+    assert settings.for_camera("rear") == validated(of_node)
+    assert settings.for_camera("front") == validated({**of_node, "classes": (), "max_rate": 2.0})
+
+
+def test_the_settings_of_a_camera_are_those_of_a_node_with_it_alone() -> None:
+    front = validated({**FRONT_AND_REAR, "front.lazy": False}).for_camera("front")
+    assert (front.cameras, front.camera_names) == ((), ("",))
+    assert front.for_camera("") == front
+    assert front.model_dump() == Settings(lazy=False).model_dump()
+
+
+def test_what_changes_for_one_camera_leaves_the_others_equal() -> None:
+    before = validated({**FRONT_AND_REAR, "front.max_rate": 2.0})
+    after = validated({**FRONT_AND_REAR, "front.max_rate": 3.0})
+    assert before != after
+    assert before.for_camera("rear") == after.for_camera("rear")
+    assert before.for_camera("front") != after.for_camera("front")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "kind", "names"),
+    [
+        pytest.param({"front.max_rate": 2.0}, Change.LIVE, ["front.max_rate"], id="changed"),
+        pytest.param({"front.max_rate": 1.0, "rear.lazy": True}, Change.LIVE, ["rear.lazy"], id="added"),
+        pytest.param({}, Change.LIVE, ["front.max_rate"], id="removed"),
+        pytest.param({"front.max_rate": 1.0}, Change.LIVE, [], id="equal"),
+        pytest.param({"rear.depth": True}, Change.RESUBSCRIBE, ["rear.depth"], id="resubscribed"),
+        pytest.param({"cameras": ("front",)}, Change.CAMERAS, ["cameras"], id="cameras"),
+        pytest.param({"max_batch": 2}, Change.RELOAD, ["max_batch"], id="batch"),
+    ],
+)
+def test_differing_names_overrides(overrides: dict[str, Any], kind: Change, names: list[str]) -> None:
+    before = validated({**FRONT_AND_REAR, "front.max_rate": 1.0})
+    assert before.differing(validated({**FRONT_AND_REAR, **overrides}), kind) == names
+
+
+def test_the_digest_covers_overrides_in_any_order() -> None:
+    values = {**FRONT_AND_REAR, "front.max_rate": 2.0, "rear.lazy": False}
+    settings = validated(values)
+    assert settings.digest() == validated(dict(reversed(values.items()))).digest()
+    assert settings.digest() != validated(FRONT_AND_REAR).digest()
+    assert settings.digest() != validated({**values, "front.max_rate": 3.0}).digest()
+
+
+def test_the_values_of_settings_give_the_same_settings() -> None:
+    settings = validated({**FRONT_AND_REAR, "front.max_rate": 2, "rear.classes": ["a"], "front.classes": []})
+    assert validated({**settings.model_dump(), **settings.overrides}) == settings
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        pytest.param({"front.max_rate": -1.0}, "front.max_rate: -1.0 is not a number from 0", id="range"),
+        pytest.param({"rear.lazy": "yes"}, "rear.lazy: 'yes' is not true or false", id="type"),
+        pytest.param({"rear.classes": "cat"}, "rear.classes: 'cat' is not a list of .*\\[cat\\]", id="list"),
+        pytest.param({"front.max_rte": 1.0}, "front.max_rte: .*Did you mean 'front.max_rate'", id="setting"),
+        pytest.param({"frnt.max_rate": 1.0}, "frnt.max_rate: .*Did you mean 'front.max_rate'", id="camera"),
+        pytest.param({"raer.max_rte": 1.0}, "raer.max_rte: .*Did you mean 'rear.max_rate'", id="both"),
+        pytest.param({"front.conf": 0.5}, "Did you mean 'front.confidence_threshold'", id="of-other-nodes"),
+        pytest.param({"front.imgsz": 320}, "there is no such parameter\\.$", id="of-the-node-elsewhere"),
+        pytest.param({"front.weights": "x"}, "weights is a setting of the node, the same for all", id="node"),
+        pytest.param({"front.cameras": ["a"]}, "cameras is a setting of the node", id="cameras"),
+        pytest.param({"side.lazy": True}, "add the camera to cameras, which has front, rear", id="absent"),
+        pytest.param({".lazy": True}, ".lazy: there is no such parameter", id="nameless"),
+        pytest.param({"front.": True}, "front.: there is no such parameter", id="nothing"),
+        pytest.param({"front": {}}, "front is a camera; its settings are called front.", id="camera-alone"),
+    ],
+)
+def test_a_wrong_override_is_refused_with_what_was_meant(values: dict[str, Any], problem: str) -> None:
+    with pytest.raises(SettingsError, match=problem) as refusal:
+        validated({**FRONT_AND_REAR, **values})
+    assert len(refusal.value.problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        pytest.param("front.max_rate", "add the camera to cameras, which is empty.", id="override"),
+        pytest.param("foo.bar", "there is no such parameter.", id="other"),
+    ],
+)
+def test_without_cameras_there_are_no_overrides(name: str, reason: str) -> None:
+    (problem,) = problems({name: 1.0})
+    assert problem.endswith(reason)
+
+
+@pytest.mark.parametrize(
+    ("values", "found"),
+    [
+        pytest.param({"front.track_low_threshold": 0.3}, ["front"], id="override"),
+        pytest.param({"front.track_high_threshold": 0.05}, ["front"], id="inherited"),
+        pytest.param(
+            {
+                "track_high_threshold": 0.2,
+                "front.track_low_threshold": 0.22,
+                "rear.track_low_threshold": 0.21,
+            },
+            ["front", "rear"],
+            id="each-camera",
+        ),
+    ],
+)
+def test_contradictory_settings_of_a_camera_are_refused(values: dict[str, Any], found: list[str]) -> None:
+    names = [problem.partition(":")[0] for problem in problems({**FRONT_AND_REAR, **values})]
+    assert names == [f"{camera}.track_low_threshold" for camera in found]
+
+
+def test_a_problem_of_the_node_is_not_repeated_for_every_camera() -> None:
+    values = {"track_low_threshold": 0.3, "front.lazy": True, "rear.lazy": True}
+    assert len(problems({**FRONT_AND_REAR, **values})) == 1
+
+
+def test_every_problem_is_reported_at_once() -> None:
+    values = {"max_rate": -1.0, "front.lazy": 1, "rear.depth": 1, "side.lazy": True, "wieghts": "x"}
+    names = [problem.partition(":")[0] for problem in problems({**FRONT_AND_REAR, **values})]
+    assert names == ["max_rate", "wieghts", "front.lazy", "rear.depth", "side.lazy"]
+
+
+def test_of_thousands_of_unknown_overrides_the_first_are_explained() -> None:
+    unknown = {f"frnt{number}.max_rate": 1.0 for number in range(10_000)}
+    found = problems({**FRONT_AND_REAR, **unknown})
+    assert len(found) == 10_000
+    assert 0 < sum("Did you mean" in problem for problem in found) <= 20
+
+
+def test_thousands_of_cameras_with_overrides_are_refused() -> None:
+    cameras = tuple(f"c{number}" for number in range(5000))
+    found = problems({"cameras": cameras, **{f"{camera}.max_rate": 1.0 for camera in cameras}})
+    assert found[0].startswith("cameras: ")
+    assert all(len(problem) < 2000 for problem in found)
+
+
+def test_an_override_is_a_setting_of_its_own_name() -> None:
+    override, of_node = SCHEMA.find("front.max_rate"), SCHEMA.find("max_rate")
+    assert override is not None
+    assert of_node is not None
+    assert (override.name, override.type, override.allowed) == ("front.max_rate", float, of_node.allowed)
+    assert "front" in override.description
+    assert [SCHEMA.find(name) for name in ("front.weights", ".max_rate", "front.max_rate.x")] == [None] * 3
+
+
+# With the classes of a model
+
+
+@pytest.mark.parametrize(
+    ("values", "names"),
+    [
+        pytest.param({}, [], id="all"),
+        pytest.param({"classes": ["cat"], "front.classes": [], "rear.classes": ["dog"]}, [], id="known"),
+        pytest.param({"classes": ["cow"]}, ["classes"], id="inherited"),
+        pytest.param({"front.classes": ["cow"]}, ["front.classes"], id="overridden"),
+        pytest.param(
+            {"classes": ["cow"], "front.classes": ["pig"], "rear.classes": ["cow"]},
+            ["classes", "front.classes"],
+            id="both",
+        ),
+    ],
+)
+def test_the_classes_of_every_camera_must_be_those_of_the_model(
+    values: dict[str, Any], names: list[str]
+) -> None:
+    found = model_problems(validated({**FRONT_AND_REAR, **values}), ("cat", "dog"))
+    assert [problem.setting for problem in found] == names
+
+
+@pytest.mark.parametrize(
+    ("name", "depends"), [("classes", True), ("front.classes", True), ("front.lazy", False), ("lazy", False)]
+)
+def test_the_model_decides_about_classes(name: str, depends: bool) -> None:
+    assert depends_on_model(name) is depends

@@ -1,0 +1,163 @@
+"""Whatever several threads do with feeds, and however frames end, every frame is counted exactly once."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections import Counter
+from collections.abc import Hashable, Iterator, Sequence
+from contextlib import suppress
+from random import Random
+
+import pytest
+from support.scripted_camera import PATIENCE_S
+
+from yolov5_lifecycle.images.image import ImageError
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
+from yolov5_lifecycle.streaming.pipeline import Pipeline
+from yolov5_lifecycle.streaming.worker import Worker
+
+CAMERAS = 4
+THREADS = 2
+"""For each camera."""
+OFFERS = 400
+"""Of each thread."""
+SWITCH_S = 1e-5
+MOMENT_S = 1e-3
+HUNG = 6
+"""At most so many frames hang, as each takes a thread."""
+
+
+class Fate:
+    """How frames end: mostly well, some badly, and a few hang until `released`."""
+
+    def __init__(self, random: Random) -> None:
+        self.released = threading.Event()
+        self._random = random
+        self._left = threading.Semaphore(HUNG)
+
+    def meet(self, number: int) -> int:
+        chance = self._random.random()
+        if chance < 0.1:
+            raise ImageError("torn")
+        if chance < 0.2:
+            raise RuntimeError("zero")
+        if chance < 0.25 and self._left.acquire(blocking=False):
+            assert self.released.wait(PATIENCE_S)
+            if chance < 0.225:
+                raise RuntimeError("late")
+        return number
+
+
+class RandomCamera:
+    """A feed, what was offered to it, and what it was told."""
+
+    def __init__(self, worker: Worker[int, int], fate: Fate) -> None:
+        self.begun: list[int] = []
+        self.published: list[int] = []
+        self.reported: Counter[Outcome] = Counter()
+        self._ended = threading.Semaphore(0)
+        self.feed = worker.feed(on_failure=self._fail, on_success=self._succeed)
+        self._fate = fate
+
+    def detect(self, number: int) -> int:
+        self.begun.append(number)
+        return self._fate.meet(number)
+
+    def publish(self, result: int) -> None:
+        self.published.append(result)
+
+    def use(self, random: Random) -> None:
+        """Offer frames, and now and then start or stop the feed; some threads close it in the end."""
+        for number in range(1, OFFERS + 1):
+            self.feed.offer(number)
+            chance = random.random()
+            if chance < 0.1:
+                with suppress(RuntimeError):  # it is closed
+                    self.feed.start(self, max_rate_hz=random.choice([0.0, 0.0, 1e4]))
+            elif chance < 0.13:
+                self.feed.stop(random.choice([0.0, MOMENT_S]))
+            elif chance < 0.5:
+                self._ended.acquire(timeout=MOMENT_S)
+        if random.random() < 0.2:
+            self.feed.close()
+
+    def _fail(self, outcome: Outcome, error: Exception) -> None:
+        self.reported[outcome] += 1
+        self._ended.release()
+
+    def _succeed(self) -> None:
+        self.reported[Outcome.DETECTED] += 1
+        self._ended.release()
+
+
+class Together:
+    """All frames may run together; they end as they would alone."""
+
+    max_size = 3
+
+    def key(self, pipeline: Pipeline[int, int], frame: int) -> Hashable:
+        return ""
+
+    def detect(self, jobs: Sequence[tuple[Pipeline[int, int], int]]) -> Sequence[int | Exception]:
+        return [_detected(pipeline, frame) for pipeline, frame in jobs]
+
+
+def _detected(pipeline: Pipeline[int, int], frame: int) -> int | Exception:
+    try:
+        return pipeline.detect(frame)
+    except (ImageError, RuntimeError) as error:
+        return error
+
+
+def run_all(threads: list[threading.Thread]) -> None:
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()
+
+
+def inference_threads() -> set[threading.Thread]:
+    return {thread for thread in threading.enumerate() if thread.name == "inference"}
+
+
+@pytest.fixture
+def _many_switches() -> Iterator[None]:
+    """Threads take turns so often that none is ever alone."""
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    yield
+    sys.setswitchinterval(before_s)
+
+
+@pytest.mark.usefixtures("_many_switches")
+@pytest.mark.parametrize("is_batched", [False, True], ids=["alone", "in batches"])
+@pytest.mark.parametrize("seed", range(4))
+def test_every_frame_is_counted_once(seed: int, is_batched: bool) -> None:
+    before = inference_threads()
+    fate = Fate(Random(seed))
+    worker: Worker[int, int] = Worker()
+    worker.batch = Together() if is_batched else None
+    cameras = [RandomCamera(worker, fate) for _ in range(CAMERAS)]
+    run_all(
+        [
+            threading.Thread(target=camera.use, args=(Random(f"{seed} {index} {thread}"),))
+            for index, camera in enumerate(cameras)
+            for thread in range(THREADS)
+        ]
+    )
+    worker.stop(0.0)
+    fate.released.set()
+    worker.close(PATIENCE_S)
+    for thread in inference_threads() - before:
+        thread.join(PATIENCE_S)
+    for camera in cameras:
+        balance = camera.feed.balance()
+        assert balance.received == THREADS * OFFERS
+        assert balance.pending == 0
+        assert balance[Outcome.DETECTED] == len(camera.published) == camera.reported[Outcome.DETECTED]
+        assert balance[Outcome.REJECTED] == camera.reported[Outcome.REJECTED]
+        assert balance[Outcome.FAILED] >= camera.reported[Outcome.FAILED]
+        ended = (Outcome.DETECTED, Outcome.REJECTED, Outcome.FAILED)
+        assert sum(balance[outcome] for outcome in ended) == len(camera.begun)

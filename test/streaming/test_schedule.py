@@ -1,0 +1,181 @@
+"""Whose frame is next, whatever the cameras do: in turns, and none waits for another twice."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from yolov5_lifecycle.streaming.feed import Schedule, Slot
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
+from yolov5_lifecycle.streaming.pipeline import Batch, Pipeline
+
+
+class Unused:
+    """A pipeline that is not asked for anything."""
+
+    def detect(self, number: int) -> int:
+        raise AssertionError("no thread runs")
+
+    def publish(self, result: int) -> None:
+        raise AssertionError("no thread runs")
+
+
+class SameRemainder:
+    """Frames with the same remainder may run together."""
+
+    def __init__(self, max_size: int, divisor: int) -> None:
+        self.max_size = max_size
+        self._divisor = divisor
+
+    def key(self, pipeline: Pipeline[int, int], frame: int) -> Hashable:
+        return frame % self._divisor
+
+    def detect(self, jobs: Sequence[tuple[Pipeline[int, int], int]]) -> Sequence[int | Exception]:
+        raise AssertionError("no thread runs")
+
+
+class Turns:
+    """A schedule without a thread; cameras are numbers, and so are their frames."""
+
+    def __init__(self, cameras: int, batch: Batch[int, int] | None = None) -> None:
+        self.schedule: Schedule[int, int] = Schedule(clock=lambda: 0.0, replace_thread=self._replace)
+        self.replaced = 0
+        self.slots = [_slot() for _ in range(cameras)]
+        self._batch = batch
+        for slot in self.slots:
+            slot.start(Unused(), 0.0)
+
+    def offer(self, camera: int) -> None:
+        with self.schedule.changed:
+            self.schedule.offer(self.slots[camera], camera)
+
+    def serve(self) -> list[int]:
+        """Do one job; return its cameras, [] if none waits."""
+        with self.schedule.changed:
+            if not self.schedule.waiting:
+                return []
+            job = self.schedule.begin(self._batch)
+            self.schedule.finish(job)
+            return [self.slots.index(turn.slot) for turn in job.turns]
+
+    def waiting(self) -> set[int]:
+        return {self.slots.index(slot) for slot in self.schedule.waiting}
+
+    def _replace(self) -> None:
+        self.replaced += 1
+
+
+def _slot() -> Slot[int, int]:
+    return Slot(on_failure=lambda outcome, error: None, on_success=lambda: None)
+
+
+SERVE = -1
+MAX_CAMERAS = 6
+STEPS = st.lists(st.integers(SERVE, MAX_CAMERAS - 1), max_size=80)
+"""What happens: a frame of the camera of that number arrives, or the thread is free."""
+
+
+@given(
+    cameras=st.integers(1, MAX_CAMERAS),
+    jobs=st.integers(0, 50),
+    seed=st.integers(0, 1000),
+)
+def test_cameras_that_always_have_a_frame_are_served_equally_often(
+    cameras: int, jobs: int, seed: int
+) -> None:
+    turns, order = Turns(cameras), Random(seed)
+    served = Counter(dict.fromkeys(range(cameras), 0))
+    for _ in range(jobs):
+        for camera in order.sample(range(cameras), cameras):
+            turns.offer(camera)
+        served.update(turns.serve())
+    assert max(served.values()) - min(served.values()) <= 1
+
+
+@pytest.mark.parametrize(
+    "batch", [None, SameRemainder(2, 2), SameRemainder(8, 3)], ids=["alone", "two", "eight"]
+)
+@given(steps=STEPS)
+def test_a_waiting_frame_is_overtaken_at_most_once_by_each_camera(
+    batch: Batch[int, int] | None, steps: list[int]
+) -> None:
+    turns = Turns(MAX_CAMERAS, batch)
+    overtaken: dict[int, Counter[int]] = {}
+    for step in steps:
+        if step == SERVE:
+            served = turns.serve()
+            for camera in served:
+                overtaken.pop(camera, None)
+            for by_camera in overtaken.values():
+                by_camera.update(served[:1])
+                assert max(by_camera.values()) == 1
+        else:
+            turns.offer(step)
+            overtaken.setdefault(step, Counter())
+        assert overtaken.keys() == turns.waiting()
+
+
+def test_a_fast_camera_delays_a_slow_one_by_one_job() -> None:
+    turns = Turns(2)
+    fast, slow = 0, 1
+    turns.offer(fast)
+    for _ in range(20):
+        assert turns.serve() == [fast]
+        turns.offer(slow)
+        turns.offer(fast)
+        assert turns.serve() == [slow]
+        assert turns.serve() == [fast]
+        turns.offer(fast)
+
+
+@given(steps=STEPS)
+def test_cameras_without_frames_change_nothing(steps: list[int]) -> None:
+    few, many = Turns(MAX_CAMERAS), Turns(2 * MAX_CAMERAS)
+    for step in steps:
+        if step == SERVE:
+            assert few.serve() == many.serve()
+        else:
+            few.offer(step)
+            many.offer(step)
+
+
+@given(
+    served=st.permutations(range(MAX_CAMERAS)),
+    offered=st.lists(st.integers(0, MAX_CAMERAS - 1)),
+    max_size=st.integers(0, 4),
+    divisor=st.integers(1, 3),
+)
+def test_a_batch_has_the_next_frame_first_and_others_of_its_key_in_turn(
+    served: list[int], offered: list[int], max_size: int, divisor: int
+) -> None:
+    turns = Turns(MAX_CAMERAS, SameRemainder(max_size, divisor))
+    for camera in served:
+        turns.offer(camera)
+        assert turns.serve() == [camera]
+    for camera in offered:
+        turns.offer(camera)
+    in_turn = [camera for camera in served if camera in offered]
+    while cameras := turns.serve():
+        mates = [camera for camera in in_turn if camera % divisor == in_turn[0] % divisor]
+        assert cameras == mates[: max(1, max_size)]
+        in_turn = [camera for camera in in_turn if camera not in cameras]
+    assert in_turn == []
+
+
+def test_an_abandoned_job_is_no_rest_for_whoever_waits_for_it() -> None:
+    turns = Turns(1)
+    turns.offer(0)
+    schedule = turns.schedule
+    with schedule.changed:
+        job = schedule.begin()
+        assert not schedule.wait(job, 0.0)
+        assert not schedule.wait_or_abandon(job, 0.0)
+        assert not schedule.wait(job, 0.0)
+        assert not schedule.wait_or_abandon(job, 0.0)
+    assert turns.replaced == 1
+    assert turns.slots[0].counter.balance()[Outcome.FAILED] == 1

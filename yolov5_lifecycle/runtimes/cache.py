@@ -1,0 +1,138 @@
+"""Disk caches of timings and compiled models: their folder, files and keys."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import platform
+import re
+import stat
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+
+from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, write_whole
+from yolov5_lifecycle.unfinished import open_itself, remove_abandoned
+
+MAX_BYTES = 1 << 30
+NO_PLACE = (OSError, RuntimeError)
+"""Errors of cache reads and writes; RuntimeError when there is no home folder."""
+
+_DIGEST_BYTES = hashlib.sha256().digest_size
+_KEY = re.compile(r"[0-9a-f]{64}")
+# In /proc/cpuinfo: CPU model and features, on x86 and ARM.
+_RELEVANT_FIELDS = ("model name", "flags", "Features", "CPU implementer", "CPU part")
+
+_log = logging.getLogger(__name__)
+
+
+def cache_folder(name: str) -> Path:
+    """$XDG_CACHE_HOME/yolov5_lifecycle/`name`, default ~/.cache; ~ is not expanded."""
+    cache = os.environ.get("XDG_CACHE_HOME", "")
+    root = Path(cache if Path(cache).is_absolute() else "~/.cache")
+    return root / "yolov5_lifecycle" / name
+
+
+def read_cache(path: Path, max_bytes: int, *, head_bytes: int = 0) -> tuple[bytes, bytes] | None:
+    """The first `head_bytes` and the rest of the file at `path`, which may begin with ~.
+
+    None unless it is a readable regular file of at most `max_bytes`: symlinks are not followed, and pipes or
+    devices do not block.
+    """
+    try:
+        with open(path.expanduser(), "rb", opener=open_itself) as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode) or status.st_size > max_bytes:
+                return None
+            return file.read(head_bytes), file.read(status.st_size)
+    except NO_PLACE:
+        return None
+
+
+def write_cache(path: Path, *parts: bytes) -> None:
+    """Write a file atomically, creating its folder if needed; `path` may begin with ~. Raises NO_PLACE.
+
+    Removes unfinished files of processes that were killed while writing there.
+    """
+    path = path.expanduser()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(OSError):
+        remove_abandoned(path.parent, prefix=UNFINISHED_PREFIX, suffix=UNFINISHED_SUFFIX)
+    write_whole(path, *parts, is_durable=False)
+
+
+class CompiledStore:
+    """Bytes by a key of 64 hexadecimal digits, one file each, in a `folder` that may begin with ~.
+
+    Beyond `max_bytes` in total, the least recently used files are evicted.
+    """
+
+    def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
+        self._folder = folder
+        self._max_bytes = max_bytes
+
+    def read(self, key: str) -> bytes | None:
+        """The content cached under `key`; None when it is missing or damaged."""
+        path = self._folder / key
+        found = read_cache(path, self._max_bytes, head_bytes=_DIGEST_BYTES)
+        if found is None:
+            return None
+        digest, kept = found
+        with suppress(*NO_PLACE):  # owned by another user, or on a read-only file system
+            os.utime(path.expanduser(), follow_symlinks=False)
+        return kept if hashlib.sha256(kept).digest() == digest else None
+
+    def keep(self, key: str, content: bytes) -> None:
+        """Cache `content` under `key`; a failure is only logged."""
+        if _DIGEST_BYTES + len(content) > self._max_bytes:
+            _log.warning("The compiled model is not kept: %d bytes are too many", len(content))
+            return
+        try:
+            write_cache(self._folder / key, hashlib.sha256(content).digest(), content)
+        except NO_PLACE as error:
+            _log.warning("The compiled model is not kept: %s", error)
+            return
+        with suppress(*NO_PLACE):  # another process may evict at the same time
+            self._evict(self._folder.expanduser() / key)
+
+    def _evict(self, newest: Path) -> None:
+        used_bytes = newest.stat().st_size
+        for size_bytes, path in _last_used_first(newest):
+            used_bytes += size_bytes
+            if used_bytes > self._max_bytes:
+                with suppress(OSError):
+                    path.unlink(missing_ok=True)
+
+
+def _last_used_first(newest: Path) -> list[tuple[int, Path]]:
+    """Size in bytes and path of the other cached files next to `newest`, most recently used first."""
+    found = []
+    for path in newest.parent.iterdir():
+        with suppress(OSError):  # another process may evict at the same time
+            status = path.lstat()
+            if _KEY.fullmatch(path.name) and stat.S_ISREG(status.st_mode) and path != newest:
+                found.append((status.st_mtime, status.st_size, path))
+    return [(size_bytes, path) for _, size_bytes, path in sorted(found, reverse=True)]
+
+
+def installed_build(package: str) -> str | None:
+    """File and modification time of what `import package` would load; differs between versions.
+
+    Independent of the distribution: onnxruntime may come from onnxruntime-gpu. None when the package is
+    missing or only a folder of that name.
+    """
+    spec = find_spec(package)
+    if spec is None or spec.origin is None:
+        return None
+    return f"{spec.origin} {Path(spec.origin).stat().st_mtime_ns}"
+
+
+def processor() -> str:
+    """Architecture, model name (if available) and features of the CPU."""
+    try:
+        first, *_ = Path("/proc/cpuinfo").read_text(errors="replace").split("\n\n")
+    except OSError:  # not Linux
+        return f"{platform.machine()} {platform.processor()}"
+    relevant = [line for line in first.splitlines() if line.startswith(_RELEVANT_FIELDS)]
+    return "\n".join([platform.machine(), *relevant])

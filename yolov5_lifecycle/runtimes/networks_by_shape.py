@@ -1,0 +1,106 @@
+"""Networks by input shape: made on first use, run with denormal floats flushed to zero, freed on close."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Generic, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.runtimes.runtime import InferenceError
+
+Made = TypeVar("Made")
+Shape = tuple[int, int, int]
+"""Number of frames in a batch, their height and their width."""
+
+MIN_KEPT = 4
+"""Networks that are kept for one camera: each holds as much memory as the weights."""
+
+
+class NetworksByShape(Generic[Made]):
+    """The networks that `make` returns for the shape of a batch; the `kept` ones used last are kept."""
+
+    def __init__(self, make: Callable[[Shape], Made], *, kept: int = MIN_KEPT) -> None:
+        self._cache: _ShapeCache[Made] | None = _ShapeCache(make, kept)
+
+    @contextmanager
+    def running(self, shape: Shape) -> Iterator[Made]:
+        """The network for batches of `shape`; in this thread denormal floats are zero meanwhile.
+
+        Raises the errors of `make`, and InferenceError once closed.
+        """
+        cache = self._cache  # an abandoned thread may run while another closes
+        if cache is None:
+            raise InferenceError("The runtime was closed; load the model again.")
+        with denormals_as_zero():
+            yield cache[shape]
+
+    def keep_batches(self, sizes: Collection[int]) -> None:
+        """Free the networks for several frames at once whose number is not in `sizes`."""
+        if self._cache is not None:
+            self._cache.keep_batches({1, *sizes})
+
+    def close(self) -> None:
+        """Free the networks. Idempotent."""
+        self._cache = None
+
+
+class _ShapeCache(Generic[Made]):
+    """Caches the result of `make` for a shape; evicts the least recently used."""
+
+    def __init__(self, make: Callable[[Shape], Made], kept: int) -> None:
+        self._make = make
+        self._max_kept = kept
+        self._kept: dict[Shape, Made] = {}
+
+    def __getitem__(self, shape: Shape) -> Made:
+        """The cached value, made if needed; raises the errors of `make`."""
+        made = self._kept.pop(shape, None)
+        if made is None:
+            while len(self._kept) >= self._max_kept:
+                del self._kept[next(iter(self._kept))]
+            made = self._make(shape)
+        self._kept[shape] = made
+        return made
+
+    def keep_batches(self, sizes: Collection[int]) -> None:
+        self._kept = {shape: made for shape, made in self._kept.items() if shape[0] in sizes}
+
+
+def shape_of_batch(
+    frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order], min_objectness: Sequence[float]
+) -> Shape:
+    """Number, height and width of `frames`; raises ValueError like `Runtime.run_batch`."""
+    shapes = {frame.shape for frame in frames}
+    if len(shapes) != 1 or not len(frames) == len(orders) == len(min_objectness):
+        raise ValueError(
+            "A batch needs frames of one shape, each with an order and an objectness, found "
+            f"{len(frames)} of shapes {sorted(shapes)}, {len(orders)} orders, {len(min_objectness)} numbers."
+        )
+    height, width, _ = frames[0].shape
+    return len(frames), height, width
+
+
+@contextmanager
+def denormals_as_zero() -> Iterator[None]:
+    """Flush denormal floats to zero in this thread, where the CPU supports it.
+
+    CPUs compute them ten times slower, and weights can force them.
+    """
+    was_on = are_zero()
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(was_on)
+
+
+def are_zero() -> bool:
+    """Whether this thread flushes denormal floats to zero; torch can set the mode but not query it."""
+    smallest = sys.float_info.min
+    return smallest / 2 == 0
