@@ -67,7 +67,7 @@ help:
 	@echo '              and what several cameras on one node cost'
 	@echo '              (BENCH_FLAGS="--quick"  CAMERAS_FLAGS="--quick"  TRACKING_FLAGS="--seeds 1")'
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
-	@echo 'make fuzz     coverage-guided fuzzing of the parsers of images, weights and settings'
+	@echo 'make fuzz     coverage-guided fuzzing of the parsers of images, weights and settings, of depth and of the tracker'
 	@echo 'make lint     ruff and mypy --strict'
 	@echo 'make install  the first step of the others: .venv with the pinned packages, messages and this package'
 	@echo 'make docs     regenerates what is derived from the settings: YAML file, schema, reference page'

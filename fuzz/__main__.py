@@ -8,6 +8,9 @@ import sys
 
 from fuzz.targets import TARGETS
 
+_PROCESS_S = 30
+"""atheris keeps the result of every comparison of arrays in memory, so that a process has to end soon."""
+
 
 def main() -> int:
     """Return 0 if no target failed, 1 otherwise."""
@@ -19,7 +22,7 @@ def main() -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(prog="make fuzz", description="Fuzz the parsers of untrusted bytes.")
+    parser = argparse.ArgumentParser(prog="make fuzz", description="Fuzz what takes untrusted data.")
     parser.add_argument(
         "--only",
         nargs="+",
@@ -33,9 +36,12 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _holds(name: str, seconds: int) -> bool:
+    """Search in one process after another, which go on with what those before have found."""
     print(f"{name} ...", flush=True)
-    command = [sys.executable, "-m", "fuzz.search", name, f"-max_total_time={seconds}"]
-    return subprocess.run(command, check=False).returncode == 0
+    command = [sys.executable, "-m", "fuzz.search", name]
+    durations_s = (min(seconds - begun_s, _PROCESS_S) for begun_s in range(0, seconds, _PROCESS_S))
+    searches = ([*command, f"-max_total_time={duration_s}"] for duration_s in durations_s)
+    return all(subprocess.run(search, check=False).returncode == 0 for search in searches)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ Inputs with new coverage are saved to build/fuzz/TARGET/corpus, failing inputs t
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
 
 import atheris
@@ -15,6 +16,9 @@ with atheris.instrument_imports(include=["yolov5_lifecycle"]):
 
 _KEPT = Path(__file__).parent / "corpus"
 _FOUND = Path("build") / "fuzz"
+_PATIENCE_S = 30
+_MEMORY_MB = 4096
+"""An input that takes longer or needs more is handled wrongly."""
 
 
 def main() -> None:
@@ -25,7 +29,9 @@ def main() -> None:
     corpus.mkdir(parents=True, exist_ok=True)
     for index, seed in enumerate(target.seeds()):
         (corpus / f"seed-{index}").write_bytes(seed)
-    flags = [f"-artifact_prefix={found}/bad-", *flags, str(corpus), str(_KEPT / name)]
+    limits = [f"-timeout={_PATIENCE_S}", f"-rss_limit_mb={_MEMORY_MB}"]
+    flags = [f"-artifact_prefix={found}/bad-", *limits, *flags, str(corpus), str(_KEPT / name)]
+    warnings.simplefilter("error")  # as in the tests
     atheris.Setup([name, *flags], target.check)
     atheris.Fuzz()
 

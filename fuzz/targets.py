@@ -1,4 +1,4 @@
-"""Fuzz targets: invariants for any bytes, for each reader of external data."""
+"""Fuzz targets: invariants for any bytes, for all that takes external data."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
 
 import torch
 from support import hostile_archives, hostile_safetensors
 from support.compressed_files import KINDS, compressed
 from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 
+from fuzz import depth_stream, tracked_images
+from fuzz.refusals import taken
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
 from yolov5_lifecycle.images.compressed import decode_compressed
@@ -25,9 +26,6 @@ from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError, assigned_value
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS, validated
-
-Taken = TypeVar("Taken")
-Refusal = TypeVar("Refusal", bound=Exception)
 
 _MAX_SEED_BYTES = 4096
 _RAW_IMAGE = struct.Struct("<BBHHI")
@@ -47,7 +45,7 @@ class Target:
 
 def check_compressed_image(data: bytes) -> None:
     """Expect an image within the limits, or a one-line error."""
-    image = _taken(lambda: decode_compressed(data), ImageError)
+    image = taken(lambda: decode_compressed(data), ImageError)
     if isinstance(image, ImageError):
         assert str(image).isprintable()
         assert "as its header says" not in str(image), "OpenCV must not decode what was not checked"
@@ -72,7 +70,7 @@ def check_raw_image(data: bytes) -> None:
         step=step,
         is_bigendian=bool(is_bigendian),
     )
-    image = _taken(decode, ImageError)
+    image = taken(decode, ImageError)
     if isinstance(image, ImageError):
         assert str(image).isprintable()
         return
@@ -82,7 +80,7 @@ def check_raw_image(data: bytes) -> None:
 
 def check_weights(read: Callable[[bytes], Model], data: bytes) -> None:
     """Expect a complete model, or a one-line error."""
-    model = _taken(lambda: read(data), WeightsError)
+    model = taken(lambda: read(data), WeightsError)
     if isinstance(model, WeightsError):
         assert str(model).isprintable()
         return
@@ -108,24 +106,16 @@ def check_safetensors(data: bytes) -> None:
 def check_settings(data: bytes) -> None:
     """Expect that lines of NAME=VALUE give settings that are stable when revalidated, or problems."""
     lines = data.decode(errors="replace").split("\n")
-    values = _taken(lambda: dict(map(assigned_value, lines)), ParameterFileError)
+    values = taken(lambda: dict(map(assigned_value, lines)), ParameterFileError)
     if isinstance(values, ParameterFileError):
         assert str(values).isprintable()
         return
-    settings = _taken(lambda: validated(values), SettingsError)
+    settings = taken(lambda: validated(values), SettingsError)
     if isinstance(settings, SettingsError):
         assert settings.problems
         assert all(len(problem.message) < 500 for problem in settings.problems)
         return
     assert validated(settings.model_dump()) == settings
-
-
-def _taken(take: Callable[[], Taken], refusal: type[Refusal]) -> Taken | Refusal:
-    """The result for the bytes, or the expected error; any other exception propagates."""
-    try:
-        return take()
-    except refusal as error:
-        return error
 
 
 def _compressed_images() -> Iterator[bytes]:
@@ -160,4 +150,6 @@ TARGETS = {
     "checkpoints": Target(check_checkpoint, lambda: [hostile_archives.valid_pickle()]),
     "safetensors": Target(check_safetensors, lambda: [_header()]),
     "settings": Target(check_settings, lambda: [_defaults()]),
+    "depth": Target(depth_stream.check_depth_stream, depth_stream.seeds),
+    "tracker": Target(tracked_images.check_tracked_images, tracked_images.seeds),
 }
