@@ -32,7 +32,8 @@ from support.pages import (
     topics_of_readme,
     typed,
 )
-from support.served_node import Preparations, ServedNode
+from support.preparations import Preparations
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.detection.nms import WORTH_TELLING
 from yolov5_lifecycle.detection.selection import ClassFilterError, class_ids

@@ -8,7 +8,8 @@ from fnmatch import fnmatchcase
 import pytest
 from rclpy.node import Node
 from support.colcon_workspace import REPOSITORY
-from support.served_node import Preparations, ServedNode
+from support.preparations import Preparations
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.checkpoints.archive import MAX_PICKLE_BYTES, MAX_RECORDS
 from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES

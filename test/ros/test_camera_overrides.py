@@ -13,7 +13,8 @@ from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.parameter import Parameter
-from support.served_node import CLASS_NAMES, Preparations, ServedNode
+from support.preparations import CLASS_NAMES, Preparations
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.parameters import SettingsParameters
 from yolov5_lifecycle.ros.services import MAX_ITEMS

@@ -17,7 +17,8 @@ from rcl_interfaces.srv import (
     SetParameters,
 )
 from rclpy.parameter import Parameter
-from support.served_node import CLASS_NAMES, Preparations, ServedNode
+from support.preparations import CLASS_NAMES, Preparations
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters

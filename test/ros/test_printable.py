@@ -15,7 +15,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 from support.detector_process import as_arguments, detector_process, parameter_file
-from support.served_node import Preparations, ServedNode
+from support.preparations import Preparations
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.commands.convert import main as convert
 from yolov5_lifecycle.offline.detect_bag import main as detect_bag

@@ -14,7 +14,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import NODE, PARAMETERS, as_arguments, detector_process
-from support.served_node import Preparations, ServedNode
+from support.preparations import Preparations
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.depth_input import DepthInput

@@ -11,7 +11,8 @@ from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from support.depth_messages import camera_info_message, depth_message, header, prediction_of
 from support.depth_scene import CAMERA, DepthScene, random_depth_scene
-from support.served_node import Preparations, ServedNode, image
+from support.preparations import Preparations
+from support.served_node import ServedNode, image
 
 PADDING_Y = 8  # a network input of 320 x 256 for images of 320 x 240
 DEPTH_ON = ("image_size:=320", "depth:=true", "depth_slop_s:=0.05")

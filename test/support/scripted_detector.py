@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from support.served_node import Preparations
+from support.preparations import Preparations
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.ros.detector.process import main
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError

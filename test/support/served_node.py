@@ -7,15 +7,12 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from numpy.typing import NDArray
 from rcl_interfaces.msg import Log
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import (
@@ -33,15 +30,12 @@ from rclpy.time import Time
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
-from support.scripted_runtime import ScriptedRuntime
-from yolov5_lifecycle.detection.detector import Batches, Detector
-from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
+from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.parameters import Validate
-from yolov5_lifecycle.settings.settings import Settings, validated
+from yolov5_lifecycle.settings.settings import validated
 
 PATIENCE_S = 60.0
-CLASS_NAMES = ("cat", "dog")
 STATES = ("unconfigured", "inactive", "active")
 
 
@@ -55,47 +49,6 @@ _SERVICES = {
     "set_parameters": SetParameters,
     "set_parameters_atomically": SetParametersAtomically,
 }
-
-
-def prediction(class_name: str, score: float) -> NDArray[np.float32]:
-    """One raw row: a box of 20 x 10 network pixels around (32, 32)."""
-    row = np.zeros((1, 5 + len(CLASS_NAMES)), np.float32)
-    row[0, :5] = (32, 32, 20, 10, 1.0)
-    row[0, 5 + CLASS_NAMES.index(class_name)] = score
-    return row
-
-
-class Preparations:
-    """Stands in for `prepare_model`: hands out scripted detectors; `refusal` and `gate` control it."""
-
-    def __init__(self) -> None:
-        self.refusal = ""
-        self.refusal_type: type[Exception] = ValueError
-        self.on_refusal: Callable[[], None] = lambda: None
-        self.gate = threading.Event()
-        self.gate.set()
-        self.begun = threading.Semaphore(0)
-        self.sizes_hw: list[list[tuple[int, int]]] = []
-        self.class_names = CLASS_NAMES
-        self.batches = Batches()
-        self.runtimes: list[ScriptedRuntime] = []
-
-    def __call__(self, settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
-        self.sizes_hw.append(list(sizes_hw))
-        self.begun.release()
-        assert self.gate.wait(PATIENCE_S)
-        if refusal := self.refusal:
-            self.on_refusal()
-            raise self.refusal_type(refusal)
-        runtime = ScriptedRuntime(lambda: prediction("cat", 0.9))
-        self.runtimes.append(runtime)
-        detector = Detector(runtime, class_names=self.class_names, image_size=settings.image_size, stride=32)
-        detector.batches = self.batches
-        return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64)
-
-    @property
-    def running(self) -> ScriptedRuntime:
-        return self.runtimes[-1]
 
 
 class ServedNode:

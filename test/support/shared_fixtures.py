@@ -11,8 +11,9 @@ from rosbags.rosbag2 import StoragePlugin
 
 from support.checkpoint_builder import official_model, saved, stripped
 from support.detector_process import PARAMETERS, DetectorProcess, as_arguments, detector_process
+from support.preparations import Preparations
 from support.recorded_scene import COUNT, raw, record
-from support.served_node import Preparations, ServedNode
+from support.served_node import ServedNode
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from support.served_node import Preparations, ServedNode, class_ids_of
+from support.preparations import Preparations
+from support.served_node import ServedNode, class_ids_of
 
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 

@@ -12,7 +12,8 @@ from sensor_msgs.msg import Image
 from support.depth_client import DEPTH_ON, DepthClient
 from support.depth_messages import camera_info_message, depth_message
 from support.depth_scene import CAMERA, DepthScene
-from support.served_node import CLASS_NAMES, Preparations, ServedNode, image
+from support.preparations import CLASS_NAMES, Preparations
+from support.served_node import ServedNode, image
 from vision_msgs.msg import Detection2D, Detection2DArray, Detection3DArray
 
 from yolov5_lifecycle.detection.detections import Detections

@@ -13,7 +13,8 @@ import pytest
 from bond.msg import Constants, Status
 from support.detector_process import PARAMETERS, DetectorProcess, as_arguments, detector_process
 from support.lifecycle_manager import LifecycleManager
-from support.served_node import PATIENCE_S, Preparations, ServedNode, prediction
+from support.preparations import Preparations, prediction
+from support.served_node import PATIENCE_S, ServedNode
 
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.bond import CONNECT_S, Bond, check_bond

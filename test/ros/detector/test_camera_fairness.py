@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.camera_client import CameraClient
-from support.served_node import PATIENCE_S, Preparations, ServedNode, image, prediction
+from support.preparations import Preparations, prediction
+from support.served_node import PATIENCE_S, ServedNode, image
 
 SIZES_HW = {"front": (48, 64), "rear": (64, 48), "left": (48, 128)}
 """Of the images, by camera; no two have the same shape."""

@@ -9,14 +9,8 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from support.camera_client import CameraClient
-from support.served_node import (
-    PATIENCE_S,
-    Preparations,
-    ServedNode,
-    class_ids_of,
-    image,
-    prediction,
-)
+from support.preparations import Preparations, prediction
+from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Batches
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S

@@ -8,7 +8,8 @@ from contextlib import contextmanager
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from support.camera_client import CameraClient, DepthCameraClient
-from support.served_node import Preparations, ServedNode, class_ids_of
+from support.preparations import Preparations
+from support.served_node import ServedNode, class_ids_of
 from vision_msgs.msg import Detection3DArray
 
 CAMERAS = ("front", "rear")

@@ -16,7 +16,8 @@ from support.depth_client import DEPTH_ON, PADDING_Y, SCENE, DepthClient
 from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header, prediction_of
 from support.depth_scene import CAMERA, DepthScene, Difficulty, random_depth_scene
 from support.hostile_depth import hostile_camera_infos, hostile_depths
-from support.served_node import PATIENCE_S, Preparations, ServedNode, class_ids_of, image
+from support.preparations import Preparations
+from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
 from vision_msgs.msg import Detection3DArray
 
 from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY

@@ -8,7 +8,8 @@ import time
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from support.served_node import PATIENCE_S, Preparations, ServedNode, class_ids_of, image, prediction
+from support.preparations import Preparations, prediction
+from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
 
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 

@@ -10,7 +10,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import String
-from support.served_node import Preparations, ServedNode
+from support.preparations import Preparations
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rclpy.parameter import Parameter
-from support.served_node import Preparations, ServedNode
+from support.preparations import Preparations
+from support.served_node import ServedNode
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from support.served_node import Preparations, ServedNode, class_ids_of, image, prediction
+from support.preparations import Preparations, prediction
+from support.served_node import ServedNode, class_ids_of, image
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
-from support.served_node import Preparations, ServedNode, class_ids_of, image
+from support.preparations import Preparations
+from support.served_node import ServedNode, class_ids_of, image
 
 from yolov5_lifecycle.ros.messages import image_of_message
 

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.served_node import Preparations, ServedNode, image, prediction
+from support.preparations import Preparations, prediction
+from support.served_node import ServedNode, image
 from vision_msgs.msg import Detection2DArray
 
 PARAMETERS = ("tracker:=bytetrack", "track_timeout:=60.0")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 
 import pytest
-from support.served_node import STATES, Preparations, ServedNode, class_ids_of
+from support.preparations import Preparations
+from support.served_node import STATES, ServedNode, class_ids_of
 
 LEGAL_NUMBERS = {"unconfigured": (1, 5), "inactive": (3, 2, 6), "active": (4, 7), "finalized": ()}
 """What lifecycle_msgs calls the transitions out of each state."""
