@@ -54,11 +54,18 @@ def test_depth_and_tracker_may_differ_by_camera(prepare: Preparations) -> None:
         assert [rear.detect().detections[0].id for _ in range(3)] == [""] * 3
         assert rear.placed == []
         assert served.client.count_subscribers(rear.topic("depth/image_raw")) == 0
-        statuses = served.statuses()
-        assert statuses["front"].message == "detecting"
-        assert statuses["rear"].message == (
-            "~/rear/detections_3d has a subscriber, but nothing is published on it: set depth to true"
-        )
+        statuses: dict[str, DiagnosticStatus] = {}
+
+        def are_told() -> bool:
+            front.place()
+            rear.detect()
+            statuses.update(served.statuses())
+            return [statuses[name].message for name in CAMERAS] == [
+                "detecting",
+                "~/rear/detections_3d has a subscriber, but nothing is published on it: set depth to true",
+            ]
+
+        served.wait_for(are_told, "the status of each")
         values = {name: {item.key for item in statuses[name].values} for name in CAMERAS}
         assert {"tracker", "depth topic"} <= values["front"]
         assert not {"tracker", "depth topic"} & values["rear"]
