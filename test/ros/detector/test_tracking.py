@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +12,14 @@ from numpy.typing import NDArray
 from support.preparations import Preparations, prediction
 from support.served_node import ServedNode, image
 from vision_msgs.msg import Detection2DArray
+
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
+from yolov5_lifecycle.ros.detector.pipeline import LastImage, Pipeline
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 PARAMETERS = ("tracker:=bytetrack", "track_timeout:=60.0")
 
@@ -127,3 +137,23 @@ def test_thresholds_that_contradict_each_other_are_refused(tracking: ServedNode)
     assert not done
     assert "track_low_threshold: 0.5 is above track_high_threshold, 0.25" in reason
     assert tracking.get("track_low_threshold") == 0.1
+
+
+def test_a_frame_that_is_abandoned_before_it_is_published_leaves_the_tracks_alone() -> None:
+    nothing: Any = None
+    tracker = ByteTracker(itertools.count(1))
+    pipeline = Pipeline(
+        detector=Preparations()(Settings(), [(48, 64)]).detector,
+        selection=Selection(),
+        outputs=nothing,
+        latencies=LatencyWindow(),
+        empty_frames=EmptyFrames(0.25),
+        last_image=LastImage(),
+        placing=None,
+        tracking=TrackedDetection(tracker, TrackerSettings()),
+    )
+    for sec in range(1, 6):
+        message = image()
+        message.header.stamp.sec = sec
+        assert len(pipeline.detect(ReceivedFrame(message, float(sec))).found) == 1
+    assert tracker.confirmed == 0

@@ -49,8 +49,7 @@ class BatchDetection:
                 if isinstance(detections, Exception):
                     results[index] = detections
                 else:
-                    pipeline, frame = jobs[index]
-                    results[index] = pipeline.detected(frame, images[index], detections)
+                    results[index] = DetectedFrame(jobs[index][1], images[index], detections)
         return [results[index] for index in range(len(jobs))]
 
     def _batches(self, images: Mapping[int, ColourImage]) -> Iterator[list[int]]:

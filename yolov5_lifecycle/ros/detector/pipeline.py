@@ -23,11 +23,11 @@ from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 @dataclass(frozen=True)
 class DetectedFrame:
-    """A frame with its image and what was detected in it."""
+    """A frame with its image and what was found in it with `Pipeline.wanted`."""
 
     frame: ReceivedFrame
     image: ColourImage
-    detections: Detections
+    found: Detections
 
 
 @dataclass
@@ -57,7 +57,7 @@ class Pipeline:
     def detect(self, frame: ReceivedFrame) -> DetectedFrame:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
         image = self.read(frame)
-        return self.detected(frame, image, self.detector.detect(image, self.wanted))
+        return DetectedFrame(frame, image, self.detector.detect(image, self.wanted))
 
     def read(self, frame: ReceivedFrame) -> ColourImage:
         """The image of `frame`. Raises ImageError for an unreadable one."""
@@ -72,15 +72,14 @@ class Pipeline:
         """What the detector is to report: with a tracker, also what may continue a track."""
         return self.selection if self.tracking is None else self.tracking.wider(self.selection)
 
-    def detected(self, frame: ReceivedFrame, image: ColourImage, found: Detections) -> DetectedFrame:
-        """The result for `frame`, given what was `found` in its image with `wanted`."""
-        if self.tracking is not None:
-            found = self.tracking.follow(found, self.selection, messages.stamp_s(frame.message.header))
-        return DetectedFrame(frame, image, found)
-
     def publish(self, result: DetectedFrame) -> None:
-        """Publish the detections and, if they have subscribers, their places and the annotated image."""
-        detections, header = result.detections, result.frame.message.header
+        """Publish the detections and, if they have subscribers, their places and the annotated image.
+
+        The tracker is updated here, as an abandoned frame, which may return at any time, is not published.
+        """
+        detections, header = result.found, result.frame.message.header
+        if self.tracking is not None:
+            detections = self.tracking.follow(detections, self.selection, messages.stamp_s(header))
         class_names = self.detector.class_names
         array = messages.detection_array(detections, class_names, header)
         self.outputs.detections.publish(array)
@@ -88,13 +87,13 @@ class Pipeline:
         self.latencies.add(now_s, (now_s - result.frame.received_s) * 1e3)
         self.empty_frames.add(now_s, len(detections), detections.best_missed)
         has_viewers = self.outputs.image_subscribers > 0
-        distances_m = self._publish_3d(result, array, has_viewers=has_viewers)
+        distances_m = self._publish_3d(array, detections, result.image, has_viewers=has_viewers)
         if has_viewers:
             drawn = annotate(result.image, detections, class_names, distances_m=distances_m)
             self.outputs.publish_image(ColourImage(drawn, result.image.order), header)
 
     def _publish_3d(
-        self, result: DetectedFrame, array: Detection2DArray, *, has_viewers: bool
+        self, array: Detection2DArray, detections: Detections, image: ColourImage, *, has_viewers: bool
     ) -> Sequence[float | None]:
         """Publish where the detections are in space; their distances in metres, () if nobody asks for them.
 
@@ -103,8 +102,7 @@ class Pipeline:
         has_subscribers = self.outputs.subscribers_3d > 0
         if self.placing is None or not (has_subscribers or has_viewers):
             return ()
-        boxes_xyxy = result.detections.boxes_xyxy
-        placed = self.placing.place(boxes_xyxy, result.image.size_hw, array.header.stamp)
+        placed = self.placing.place(detections.boxes_xyxy, image.size_hw, array.header.stamp)
         if has_subscribers and placed.frame_id is not None:
             self.outputs.detections_3d.publish(
                 messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
