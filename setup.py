@@ -51,11 +51,11 @@ setup(
     zip_safe=True,
     entry_points={
         "console_scripts": [
-            f"camera = {name}.ros.camera.command:main",
+            f"camera = {name}.ros.entry_points:camera",
             f"convert = {name}.commands.entry_points:convert",
             f"demo = {name}.commands.entry_points:demo",
             f"detect_bag = {name}.commands.entry_points:detect_bag",
-            f"detector = {name}.ros.detector.command:main",
+            f"detector = {name}.ros.entry_points:detector",
             f"fetch_weights = {name}.commands.entry_points:fetch_weights",
         ]
     },

@@ -22,7 +22,7 @@ from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters
-from yolov5_lifecycle.ros.refusal import MAX_REASON_LENGTH
+from yolov5_lifecycle.ros.proposal import MAX_REASON_LENGTH
 from yolov5_lifecycle.ros.services import MAX_ITEMS, MAX_RESULTS
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
 

@@ -21,8 +21,7 @@ from yolov5_lifecycle.ros.camera_overrides import (
 )
 from yolov5_lifecycle.ros.declaration import Source, declare
 from yolov5_lifecycle.ros.parameter_values import coerced, plain_values, ros_value
-from yolov5_lifecycle.ros.proposal import Configuration, Proposal
-from yolov5_lifecycle.ros.refusal import refusal
+from yolov5_lifecycle.ros.proposal import Configuration, Proposal, refusal
 from yolov5_lifecycle.ros.unusable_overrides import UnusableOverrides
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, Settings, validated

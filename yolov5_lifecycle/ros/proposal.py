@@ -1,10 +1,11 @@
-"""A request to change parameters, validated: what is there, what shall be there, why it must not be."""
+"""Validated request to change parameters, and the result that refuses one."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.settings.schema import Change, Problem
@@ -45,3 +46,15 @@ class Proposal:
     """Why the request must be refused; excludes problems that `base` already has."""
     is_direct: bool = False
     """Whether the request was made in-process, through the methods of the rclpy node."""
+
+
+MAX_REASON_LENGTH = 2000
+"""Max length of the refusal of one change, in characters."""
+
+
+def refusal(problems: Sequence[Problem]) -> SetParametersResult:
+    """Result that rejects a change because of `problems`, truncated to MAX_REASON_LENGTH."""
+    reason = " ".join(map(str, problems))
+    if len(reason) > MAX_REASON_LENGTH:
+        reason = f"{reason[:MAX_REASON_LENGTH]}... ({len(problems)} problems)"
+    return SetParametersResult(successful=False, reason=reason)

@@ -6,7 +6,8 @@ import gc
 import os
 import sys
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 import rclpy
@@ -15,15 +16,21 @@ from rclpy.executors import SingleThreadedExecutor
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.process.standard_streams import flush_output
-from yolov5_lifecycle.ros.command_line import explain, refuse
-from yolov5_lifecycle.ros.detector.finalized_period import FINALIZED_S, FinalizedPeriod
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
-from yolov5_lifecycle.ros.start_arguments import initialize, misaddressed_files, start_arguments
+from yolov5_lifecycle.ros.start_arguments import (
+    explain,
+    initialize,
+    misaddressed_files,
+    refuse,
+    start_arguments,
+)
 from yolov5_lifecycle.settings.settings import SETTINGS
 from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
+FINALIZED_S = 5.0
+"""Longer than a lifecycle manager waits for get_state; Nav2's waits up to 2 s."""
 _USAGE = """\
 detector: finds objects in the images on ~/image_raw and publishes them on ~/detections.
 Parameters are given as in `detector --ros-args -p device:=cpu --params-file config/yolov5.yaml`:"""
@@ -110,3 +117,31 @@ def _serve(node: DetectorNode, stop: threading.Event, finalized_s: float) -> int
 
 if __name__ == "__main__":
     main()
+
+
+class FinalizedPeriod:
+    """Timer that starts when a node is first seen finalized and runs for `duration_s` seconds.
+
+    `announce` is called once, with a log message, when the timer starts. `clock` returns monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        *,
+        announce: Callable[[str], object],
+        duration_s: float = FINALIZED_S,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._announce = announce
+        self._duration_s = duration_s
+        self._clock = clock
+        self._end_s: float | None = None
+
+    def is_over(self, state: str) -> bool:
+        """Whether the period is over for a node in the lifecycle state `state`."""
+        if state != "finalized":
+            return False
+        if self._end_s is None:
+            self._end_s = self._clock() + self._duration_s
+            self._announce(f"finalized: everything is released, the process ends in {self._duration_s:g} s")
+        return self._clock() >= self._end_s

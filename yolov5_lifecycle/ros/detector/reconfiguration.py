@@ -11,13 +11,12 @@ from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
+from yolov5_lifecycle.ros.detector.background import ReloadTurns
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation
-from yolov5_lifecycle.ros.detector.reload_turns import ReloadTurns
 from yolov5_lifecycle.ros.detector.session import Detection
 from yolov5_lifecycle.ros.parameter_values import read_parameters
 from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters
-from yolov5_lifecycle.ros.proposal import Proposal
-from yolov5_lifecycle.ros.refusal import refusal
+from yolov5_lifecycle.ros.proposal import Proposal, refusal
 from yolov5_lifecycle.ros.services import Handler
 from yolov5_lifecycle.ros.topics import remapping_problems
 from yolov5_lifecycle.settings.schema import Change, Problem

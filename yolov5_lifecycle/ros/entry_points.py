@@ -1,4 +1,4 @@
-"""Start of a node's process: prepared, then the node's modules are imported and run."""
+"""Entry points of the nodes: the process is prepared, then the modules of the node are imported and run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,27 @@ _ROS_THREADS = 12
 """Eight threads of Fast DDS, plus those of the node and rclpy."""
 
 
-def prepare_node_process(command: str) -> None:
+def detector() -> NoReturn:
+    """Run the command `detector`; exit with code 1 if an import fails."""
+    _prepare_node_process("detector")
+    try:
+        from yolov5_lifecycle.ros.detector import process
+    except ImportError as error:
+        _refuse_python("detector", error)
+    process.main()
+
+
+def camera() -> NoReturn:
+    """Run the command `camera`; exit with code 1 if an import fails."""
+    _prepare_node_process("camera")
+    try:
+        from yolov5_lifecycle.ros.camera import node
+    except ImportError as error:
+        _refuse_python("camera", error)
+    node.main()
+
+
+def _prepare_node_process(command: str) -> None:
     """Prepare the process; until the node handles signals itself, each ends it with code 0.
 
     The imports that follow take seconds, during which a signal would otherwise cause a traceback or kill
@@ -26,7 +46,7 @@ def prepare_node_process(command: str) -> None:
     warn_before_import(command)
 
 
-def refuse_python(command: str, error: ImportError) -> NoReturn:
+def _refuse_python(command: str, error: ImportError) -> NoReturn:
     """Exit with code 1 after reporting the failed import, the Python used and the Python required."""
     complain(
         command,
