@@ -74,7 +74,7 @@ def test_too_few_threads_are_said_in_one_line(command: str) -> None:
 )
 def test_a_python_that_lacks_a_package_is_named_in_one_line(command: str, package: str) -> None:
     without = f"import sys; sys.modules['{package}'] = None"
-    program = f"{without}; from yolov5_lifecycle.ros.{command}.command import main; main()"
+    program = f"{without}; from yolov5_lifecycle.ros.entry_points import {command}; {command}()"
     run = subprocess.run(
         [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=60
     )
