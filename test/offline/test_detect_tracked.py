@@ -33,7 +33,7 @@ every_spelling = pytest.mark.parametrize(
 
 
 def detector() -> Detector:
-    return prepare_once(SETTINGS, USUAL_SOURCE_HW).detector
+    return prepare_once(SETTINGS, (USUAL_SOURCE_HW,)).detector
 
 
 def tracked() -> list[Detections]:
