@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
+from yolov5_lifecycle.ros.topics import published, subscribed
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, Settings, validated
@@ -70,6 +71,11 @@ def test_a_name_that_cannot_be_that_of_a_camera_is_refused(names: Any, problem: 
 def test_no_setting_may_be_the_name_of_a_camera() -> None:
     for setting in SETTINGS:
         assert "the name of a setting" in problems({"cameras": (setting.name,)})[0]
+
+
+def test_no_part_of_a_topic_name_may_be_the_name_of_a_camera() -> None:
+    for topic in (*published(("",)), *subscribed(("",))):
+        assert problems({"cameras": (topic.split("/")[1],)})[0].startswith("cameras: "), topic
 
 
 def test_settings_that_concern_one_camera_may_be_overridden() -> None:

@@ -14,8 +14,8 @@ from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.ros.parameter_values import TYPES, coerced, plain_values, ros_value
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
-from yolov5_lifecycle.settings.parameter_file import FOREIGN_PREFIXES
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, Setting
+from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
 
 
 class Source(Enum):
@@ -31,8 +31,8 @@ class Source(Enum):
 class Declaration:
     """What a node started with: the value and source of each setting, and the overrides it cannot use.
 
-    A setting whose override is `invalid` has its default; for a camera, that of the node. `unknown`: those
-    whose names are no setting, by name.
+    A setting whose override is `invalid` has its default, one of a camera the value of the node. `unknown`:
+    the overrides that are not settings. All by name.
     """
 
     values: Mapping[str, object]
@@ -72,7 +72,7 @@ def declare(node: Node, schema: Schema[Any], *, arguments: Sequence[str] = ()) -
             sources[name] = _source(overrides[name], on_command_line)
             values |= plain_values([wanted], settings)
         del overrides[name]
-    unknown = {name: given for name, given in overrides.items() if not name.startswith(FOREIGN_PREFIXES)}
+    unknown = {name: given for name, given in overrides.items() if not name.startswith(ROS_PREFIXES)}
     return Declaration(values, sources, invalid, unknown)
 
 

@@ -13,10 +13,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.ros.topics import COLOUR_IMAGES, full_name, of_camera, published, subscribed
-from yolov5_lifecycle.settings.parameter_file import QOS_PREFIX
 from yolov5_lifecycle.settings.schema import Problem
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.settings.suggestion import did_you_mean
+from yolov5_lifecycle.settings.synonyms import QOS_PREFIX
 
 Kind = Literal["publisher", "subscription"]
 

@@ -6,36 +6,41 @@ import re
 from collections import Counter
 from collections.abc import Collection, Sequence
 
+from yolov5_lifecycle.settings.schema import SEPARATOR
+from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
+
 MAX_CAMERAS = 16
-MAX_LENGTH = 64
+MAX_NAME_LENGTH = 64
 """Max characters of a name."""
 
 _NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*_?")
 _TOPICS = ("image", "image_raw", "detections", "detections_3d", "label_info")
-_FOREIGN = ("qos_overrides", "use_sim_time", "start_type_description_service")
-"""Beginnings of the names of parameters that ROS itself declares on every node."""
+"""First parts of the names of the node's own topics; `depth` is a setting, too."""
 
 
 def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:
-    """What `names` must be but are not, or an empty string; `settings` are the names of the settings."""
+    """The first rule that `names` violate, or an empty string; `settings` are the names of the settings."""
     for name in names:
-        if len(name) > MAX_LENGTH or not _NAME.fullmatch(name):
+        if len(name) > MAX_NAME_LENGTH or not _NAME.fullmatch(name):
             return (
-                f"must be names of at most {MAX_LENGTH} letters, digits and single underscores that begin "
-                f"with a letter: rename {_shown(name)}."
+                f"must be names of at most {MAX_NAME_LENGTH} letters, digits and single underscores that "
+                f"begin with a letter: rename {_shown(name)}."
             )
-        if name in settings or name in _TOPICS or name.startswith(_FOREIGN):
-            return f"must not hold {name!r}, the name of {_taken_by(name, settings)}: rename that camera."
+        if owner := _owner(name, settings):
+            return f"must not hold {name!r}, the name of {owner}: rename that camera."
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
         return f"must name each camera once: leave out one {repeated[0]!r}."
     return ""
 
 
-def _taken_by(name: str, settings: Collection[str]) -> str:
+def _owner(name: str, settings: Collection[str]) -> str:
+    """What is already called `name`, or an empty string."""
     if name in settings:
         return "a setting"
-    return "a topic" if name in _TOPICS else "a parameter of ROS"
+    if name in _TOPICS:
+        return "a topic"
+    return "a parameter of ROS" if f"{name}{SEPARATOR}".startswith(ROS_PREFIXES) else ""
 
 
 def _shown(name: str) -> str:
-    return repr(name) if len(name) <= MAX_LENGTH else f"{name[:MAX_LENGTH]!r}..."
+    return repr(name) if len(name) <= MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]!r}..."

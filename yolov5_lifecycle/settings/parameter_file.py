@@ -16,10 +16,7 @@ from yolov5_lifecycle.settings.parameter_yaml import (
     parameter_value,
 )
 from yolov5_lifecycle.settings.settings import SCHEMA
-
-QOS_PREFIX = "qos_overrides."
-FOREIGN_PREFIXES = ("use_sim_time", QOS_PREFIX, "start_type_description_service")
-"""Parameters that ROS itself declares on every node."""
+from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
 
 MAX_DOUBLE_WILDCARDS = 3
 """`**` in a node name pattern; rclpy's matching time grows exponentially with their number."""
@@ -65,7 +62,7 @@ def file_values(path: Path, node: str) -> dict[str, object]:
         name: _coerced(name, value)
         for values in meant
         for name, value in values.items()
-        if not name.startswith(FOREIGN_PREFIXES)
+        if not name.startswith(ROS_PREFIXES)
     }
 
 

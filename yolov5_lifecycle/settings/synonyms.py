@@ -1,4 +1,4 @@
-"""Names of settings in other software."""
+"""Names of parameters that are not settings of the detector: those of other software, and of ROS itself."""
 
 from __future__ import annotations
 
@@ -37,3 +37,7 @@ NOT_SETTINGS = {
     "bond_heartbeat_period": _BOND,
 }
 """Parameters of other nodes that this node lacks, with what to do instead."""
+
+QOS_PREFIX = "qos_overrides."
+ROS_PREFIXES = ("use_sim_time", QOS_PREFIX, "start_type_description_service")
+"""What the names of the parameters that ROS declares on every node begin with."""

@@ -12,9 +12,9 @@ from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.declaration import declare
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
-from yolov5_lifecycle.settings.parameter_file import QOS_PREFIX
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, SettingsError, contradiction
 from yolov5_lifecycle.settings.suggestion import did_you_mean
+from yolov5_lifecycle.settings.synonyms import QOS_PREFIX
 from yolov5_lifecycle.sources.calibration import Calibration, CalibrationError, read_calibration
 from yolov5_lifecycle.sources.source import SYNTHETIC
 
