@@ -25,7 +25,7 @@ class OverridableSchema(Schema[Model]):
     """Schema of settings with the field `cameras`, whose values may have dotted names.
 
     The settings of each camera with overrides are validated as a whole, like those of a node with one camera.
-    Then those of the node are, with the valid overrides by dotted name as the context.
+    Then those of the node are validated, with the valid overrides by dotted name as pydantic's context.
     """
 
     def is_known(self, name: str, values: Mapping[str, object]) -> bool:
@@ -61,7 +61,7 @@ class OverridableSchema(Schema[Model]):
     def differing(
         self, ours: Mapping[str, object], others: Mapping[str, object], change: Change
     ) -> list[str]:
-        """Names of the overrides that have this `change` and differ in `ours` and `others`."""
+        """Names of the overrides whose `Change` is `change` and whose values differ."""
         return [
             name
             for name, setting in self.found({**ours, **others}).items()
@@ -69,7 +69,7 @@ class OverridableSchema(Schema[Model]):
         ]
 
     def _reason(self, name: str, cameras: Sequence[str]) -> str:
-        """Why there is no parameter `name`, if that has to do with `cameras`, otherwise an empty string."""
+        """Why there is no parameter `name` with these `cameras`; empty if they have nothing to do with it."""
         camera, separator, setting = name.partition(SEPARATOR)
         if separator and camera in cameras and setting in self.by_name:
             return f"{setting} is a setting of the node, the same for all cameras."
@@ -82,10 +82,11 @@ class OverridableSchema(Schema[Model]):
         return ""
 
     def _override(self, name: str) -> Setting | None:
-        if (setting := self._inherited(name)) is None:
+        setting = self._inherited(name)
+        if setting is None:
             return None
         camera, _, _ = name.partition(SEPARATOR)
-        described = f"{setting.description} For the camera {camera}; that of the node applies if not set."
+        described = f"{setting.description} For the camera {camera}; if not set, {setting.name} applies."
         return replace(setting, name=name, description=described)
 
     def _inherited(self, name: str) -> Setting | None:
@@ -96,46 +97,60 @@ class OverridableSchema(Schema[Model]):
 
     def _with_overrides(self, values: Mapping[str, object]) -> Model:
         own = {name: value for name, value in values.items() if SEPARATOR not in name}
-        given, unknown = self._divided(values)
-        common = {name: value for name, value in own.items() if name in self.by_name} | {_CAMERAS: ()}
-        overrides, of_cameras = dict[str, object](), list[tuple[str, Problem]]()
-        for camera, changed in given.items():
-            settings, found = self._attempt({**common, **changed})
-            of_cameras += [(camera, problem) for problem in found]
-            overrides |= {f"{camera}{SEPARATOR}{name}": getattr(settings, name, None) for name in changed}
-        node, problems = self._attempt(own, overrides)
-        of_node = set(problems)
-        problems += [
-            Problem(f"{camera}{SEPARATOR}{problem.setting}", problem.message)
-            for camera, problem in of_cameras
-            if problem not in of_node
+        given, unknown = self._by_camera(values)
+        overrides, of_cameras = self._validated_overrides(given, own)
+        node, of_node = self._attempt(own, overrides)
+        reported = set(of_node)
+        problems = [
+            *of_node,
+            *(
+                Problem(f"{camera}{SEPARATOR}{problem.setting}", problem.message)
+                for camera, found in of_cameras.items()
+                for problem in found
+                if problem not in reported  # the camera inherits it
+            ),
+            *unknown,
         ]
-        problems += unknown
         if problems or node is None:
             raise SettingsError(problems)
         return node
 
-    def _divided(self, values: Mapping[str, object]) -> tuple[dict[str, dict[str, object]], list[Problem]]:
-        """Values of the overrides by camera and setting, and problems of the unknown ones."""
+    def _by_camera(self, values: Mapping[str, object]) -> tuple[dict[str, dict[str, object]], list[Problem]]:
+        """Values of the overrides by camera and setting, and a problem for each unknown one."""
         cameras = _cameras(values)[:MAX_CAMERAS]  # more are refused anyway
-        overrides = {camera: dict[str, object]() for camera in cameras}
+        by_camera = {camera: dict[str, object]() for camera in cameras}
         unknown = []
         for name in filter(lambda name: SEPARATOR in name, values):
             camera, _, setting = name.partition(SEPARATOR)
-            if camera in overrides and self._inherited(name) is not None:
-                overrides[camera][setting] = values[name]
+            if camera in by_camera and self._inherited(name) is not None:
+                by_camera[camera][setting] = values[name]
             else:
                 unknown.append(name)
-        known = {_CAMERAS: cameras}
         problems = [
-            self.unknown(name, known, may_suggest=index < MAX_SUGGESTIONS)
+            self.unknown(name, {_CAMERAS: cameras}, may_suggest=index < MAX_SUGGESTIONS)
             for index, name in enumerate(unknown)
         ]
-        return {camera: given for camera, given in overrides.items() if given}, problems
+        return {camera: given for camera, given in by_camera.items() if given}, problems
+
+    def _validated_overrides(
+        self, given: Mapping[str, Mapping[str, object]], own: Mapping[str, object]
+    ) -> tuple[dict[str, object], dict[str, list[Problem]]]:
+        """Valid values of the overrides by dotted name, and the problems of each camera.
+
+        `given`: values by camera and setting; `own`: those of the node, which the cameras inherit.
+        """
+        inherited = {name: value for name, value in own.items() if name in self.by_name} | {_CAMERAS: ()}
+        overrides, problems = dict[str, object](), dict[str, list[Problem]]()
+        for camera, values in given.items():
+            settings, problems[camera] = self._attempt({**inherited, **values})
+            if settings is not None:
+                overrides |= {f"{camera}{SEPARATOR}{name}": getattr(settings, name) for name in values}
+        return overrides, problems
 
     def _attempt(
         self, values: Mapping[str, object], overrides: Mapping[str, object] = _NONE
     ) -> tuple[Model | None, list[Problem]]:
+        """The valid settings, or None and the problems."""
         try:
             return self._validated(values, overrides), []
         except SettingsError as error:
