@@ -17,40 +17,9 @@ REPOSITORY = Path(__file__).parents[1]
 _SEVERAL_CAMERAS = """\
 ## Several cameras
 
-One node detects the images of several cameras with one model:
-
-```yaml
-/**:
-  ros__parameters:
-    cameras: [front, rear]
-    confidence_threshold: 0.4
-    front: {max_rate: 10.0, classes: [person]}
-    rear: {image_transport: compressed}
-```
-
-Each camera has its own topics, such as `~/front/image_raw` and `~/front/detections`, instead of those without
-its name. A name has at most 64 letters, digits and single underscores, begins with a letter and is not that
-of a setting or topic.
-
-Parameters whose change is marked *per camera* may be overridden for one camera, such as `front.max_rate`.
-What is not overridden is that of the node. An empty list is a value: `front.classes: []` detects all classes
-of this camera.
-
-```console
-ros2 param set /yolov5 front.max_rate 5.0
-ros2 param describe /yolov5 front.max_rate
-ros2 param delete /yolov5 front.max_rate
-```
-
-`delete` lets the camera inherit the parameter again. `describe` answers for every override, set or not. A
-dump (`ros2 param dump /yolov5`) has those that are set, so that a node started with it has the same
-configuration. The log shows all of them when the node is configured.
-
-While the node runs, setting `cameras` adds and removes cameras; the others go on. A camera that is removed
-takes its overrides with it, and the log names them. An override needs its camera: set `cameras` first, or
-both in one request to `set_parameters_atomically`. At the start, an override of a camera that is missing
-fails `configure`, until the camera is added or the override is deleted. `detect_bag` uses the parameters of
-the node alone.
+Parameters marked *per camera* can be overridden for one camera, as `front.max_rate`; without an override the
+camera uses the value of the node. [Several cameras](cameras.md) explains how to set and delete overrides, and
+how to add and remove cameras while the node runs.
 """
 _JSON_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", tuple: "array"}
 
@@ -69,7 +38,7 @@ def yaml_file() -> str:
         lines.append(f"    {setting.name}: {json.dumps(setting.default)}")
     lines += [
         "",
-        "    # For one of the cameras, what is marked `per camera`:",
+        "    # What is marked `per camera` can be overridden for one camera:",
         "    # front: {max_rate: 5.0}",
     ]
     return "\n".join(lines) + "\n"

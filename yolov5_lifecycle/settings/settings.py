@@ -135,8 +135,8 @@ class Settings(BaseModel):
         1,
         ge=1,
         le=64,
-        description="Maximum number of frames of several cameras, of one network input size, that run as one "
-        "batch where that was measured to be faster per frame.",
+        description="Maximum number of frames, of cameras with the same network input size, that run as one "
+        "batch if that was measured to be faster. 1: no batches.",
     )
     image_transport: Annotated[Literal["raw", "compressed"], Change.RESUBSCRIBE, Scope.CAMERA] = Field(
         "raw", description="raw: ~/image_raw (Image). compressed: ~/image_raw/compressed (CompressedImage)."
@@ -244,9 +244,9 @@ class Settings(BaseModel):
         return Settings.model_construct(**{**dict(self), "cameras": (), **own})
 
     def differing(self, other: Settings, change: Change) -> list[str]:
-        """Names of the settings whose `Change` is `change` and whose values differ, also of overrides.
+        """Names of the settings and overrides whose `Change` is `change` and whose values differ.
 
-        With `max_batch`, other `cameras` need a reload, too: the speed of batches is measured for them.
+        With `max_batch`, a change of `cameras` is a reload: the speed of batches is measured for them.
         """
         names = [
             setting.name
