@@ -1,4 +1,4 @@
-"""Parameters that override a setting for one camera: declared while they have a value, described always."""
+"""Parameters that override a setting for one camera: declared while they have a value, always described."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ def undeclare_unset(node: Node, parameters: Iterable[Parameter]) -> None:
             node.undeclare_parameter(setting.name)
 
 
-def without_cameras(overrides: Iterable[str], values: Mapping[str, object]) -> list[str]:
-    """Those of `overrides` whose cameras are not in `values`; other names are left out."""
-    return [name for name in overrides if SEPARATOR in name and not SCHEMA.is_known(name, values)]
+def orphaned(names: Iterable[str], values: Mapping[str, object]) -> list[str]:
+    """The overrides among `names` whose cameras are not in `values`."""
+    return [name for name in names if SEPARATOR in name and not SCHEMA.is_known(name, values)]
 
 
-def without_unset(values: Mapping[str, object]) -> dict[str, object]:
-    """`values` without the overrides that are None."""
+def without_deleted(values: Mapping[str, object]) -> dict[str, object]:
+    """`values` without the overrides that are None, which is how a request deletes them."""
     return {name: value for name, value in values.items() if value is not None or SEPARATOR not in name}
 
 
 def describe(
     node: Node, values: Mapping[str, object], request: DescribeParameters.Request, response: Any
 ) -> Any:
-    """Response of the service `describe_parameters`, also about overrides of the cameras in `values` not set.
+    """Response of the service `describe_parameters`, also for every override of a camera in `values`.
 
     As with rclpy, it is empty if a name is unknown.
     """

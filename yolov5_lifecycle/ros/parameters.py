@@ -15,9 +15,9 @@ from yolov5_lifecycle.ros.camera_overrides import (
     declare_missing,
     deletion,
     describe,
+    orphaned,
     undeclare_unset,
-    without_cameras,
-    without_unset,
+    without_deleted,
 )
 from yolov5_lifecycle.ros.declaration import Source, declare
 from yolov5_lifecycle.ros.parameter_values import coerced, plain_values, ros_value
@@ -97,7 +97,7 @@ class SettingsParameters:
         return self._current.values[name]
 
     def describe(self, request: DescribeParameters.Request, response: Any) -> Any:
-        """Callback of the service `describe_parameters`; also describes overrides that are not set."""
+        """Response of the service `describe_parameters`; also describes overrides that are not set."""
         return describe(self._node, self._current.values, request, response)
 
     def value_for(self, camera: str, name: str) -> Any:
@@ -166,7 +166,7 @@ class SettingsParameters:
         if self._unusable is not None or has_overrides(values):
             parameters = [*parameters, *self._consequences(values, changed, withdrawn)]
             changed = self._changed(parameters)
-            values = without_unset({**base.values, **changed})
+            values = without_deleted({**base.values, **changed})
         after = self._configuration(values) if changed else base
         return Proposal(
             base=base,
@@ -186,11 +186,11 @@ class SettingsParameters:
     def _consequences(
         self, values: Mapping[str, object], changed: Collection[str], withdrawn: Collection[str]
     ) -> list[Parameter]:
-        """What else must be set with `values`: overrides that awaited a camera, deletion of orphaned ones."""
+        """What else must be set with `values`: overrides of an added camera, deletion of orphaned ones."""
         usable = self._unusable.usable_with(values) if self._unusable else []
         return [
             *(parameter for parameter in usable if parameter.name not in withdrawn),
-            *(deletion(name) for name in without_cameras(values, values) if name not in changed),
+            *(deletion(name) for name in orphaned(values, values) if name not in changed),
         ]
 
     def _configuration(self, values: Mapping[str, object]) -> Configuration:
@@ -244,13 +244,13 @@ class SettingsParameters:
         return accepted
 
     def _declared(self, parameters: Sequence[Parameter]) -> list[Parameter]:
-        """What to set when `parameters` are asked for; overrides among it that are new have been declared."""
+        """What rclpy is to set instead of `parameters`: those of their proposal, new overrides declared."""
         proposal = self._proposal_of(parameters)
         names = [parameter.name for parameter in proposal.parameters]
         is_refused = proposal.problems or (proposal.is_direct and any(map(self._is_read_only, names)))
         if has_overrides(names) and not is_refused:
             declare_missing(self._node, proposal.parameters)
-            self._accepted = proposal
+            self._accepted = proposal  # declaring ran the callbacks, which accepted another one
         return [*proposal.parameters]
 
     def _direct_proposal(self, parameters: Sequence[Parameter]) -> Proposal:
@@ -277,7 +277,7 @@ class SettingsParameters:
             del self._sources[name]
         if self._unusable is not None:
             self._unusable = self._unusable.after_setting(names, values)
-        if has_overrides(proposal.base.values) and (removed := without_cameras(proposal.base.values, values)):
+        if has_overrides(proposal.base.values) and (removed := orphaned(proposal.base.values, values)):
             self._node.get_logger().info(f"removed with its camera: {', '.join(removed)}")
         old, new = proposal.base.settings, proposal.after.settings
         if proposal.is_direct and old is not None and new is not None:

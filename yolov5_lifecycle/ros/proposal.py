@@ -39,7 +39,7 @@ class Proposal:
     parameters: tuple[Parameter, ...]
     """Parameters to set: coerced to the types of their settings, without those that need no change."""
     withdrawn: tuple[str, ...] = ()
-    """Unusable overrides of the start that the request deletes."""
+    """Unusable overrides, given at the start, that the request deletes."""
     unknown: tuple[str, ...] = ()
     """Requested names that are not parameters."""
     problems: tuple[Problem, ...] = ()

@@ -9,11 +9,10 @@ from itertools import islice
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.ros.parameter_values import coerced
-from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem
+from yolov5_lifecycle.settings.camera_overrides import CAMERAS
+from yolov5_lifecycle.settings.schema import SEPARATOR, Problem
 from yolov5_lifecycle.settings.settings import SCHEMA
-
-MAX_SUGGESTIONS = 20
-"""Max number of unknown names for which a similar name is looked for, 1 ms each."""
+from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS
 
 
 @dataclass(frozen=True)
@@ -21,13 +20,17 @@ class UnusableOverrides:
     """Parameters from files and the command line without effect, until they are set again or deleted."""
 
     invalid: Mapping[str, Problem]
-    """By the name of a setting, or of an override for one camera, which is not declared then."""
+    """By the name of a setting, which then has its default, or of an override, which then is not set."""
     unknown: Mapping[str, Parameter]
     """By names that are not parameters."""
 
     def problems(self, values: Mapping[str, object], node_name: str) -> list[Problem]:
-        """One per override; `values` are the present ones of the node with the full name `node_name`."""
-        names = [name for name in self.unknown if not (self._has_invalid_cameras() and SCHEMA.find(name))]
+        """One per override; `values` are the present ones of the node with the full name `node_name`.
+
+        While `cameras` is invalid, overrides for cameras are no problem: their cameras may be meant by it.
+        """
+        are_cameras_known = CAMERAS not in self.invalid
+        names = [name for name in self.unknown if are_cameras_known or SCHEMA.find(name) is None]
         return [
             *self.invalid.values(),
             *(
@@ -41,7 +44,7 @@ class UnusableOverrides:
         return name in self.unknown or (name in self.invalid and SEPARATOR in name)
 
     def usable_with(self, values: Mapping[str, object]) -> list[Parameter]:
-        """Overrides for cameras that were unknown before, but not with these `values`."""
+        """Overrides for cameras that were missing, but are in these `values`."""
         names = [name for name in self.unknown if name not in values and SCHEMA.is_known(name, values)]
         settings = SCHEMA.found(names)
         return [coerced(self.unknown[name], settings, may_be_unset=True) for name in names]
@@ -53,17 +56,15 @@ class UnusableOverrides:
         return UnusableOverrides(invalid, unknown) if invalid or unknown else None
 
     def after_setting(self, names: Collection[str], values: Mapping[str, object]) -> UnusableOverrides | None:
-        """Those that remain after `names` were set and the values are `values`, or None if there are none."""
-        replaced = [
+        """Those that remain after `names` were set and the values are `values`, or None if there are none.
+
+        Setting the parameter that was meant by an unknown name corrects that name.
+        """
+        corrected = [
             name for name in islice(self.unknown, MAX_SUGGESTIONS) if SCHEMA.meant(name, values) in names
         ]
-        removed = [name for name in self.invalid if not SCHEMA.is_known(name, values)]
-        return self.without({*names, *replaced, *removed})
-
-    def _has_invalid_cameras(self) -> bool:
-        """Whether it is unknown which cameras there should be."""
-        settings = SCHEMA.found(self.invalid)
-        return any(setting.change is Change.CAMERAS for setting in settings.values())
+        orphaned = [name for name in self.invalid if not SCHEMA.is_known(name, values)]
+        return self.without({*names, *corrected, *orphaned})
 
 
 def _unknown(name: str, values: Mapping[str, object], node_name: str, *, may_suggest: bool) -> Problem:

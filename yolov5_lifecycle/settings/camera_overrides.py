@@ -11,11 +11,10 @@ from pydantic import BaseModel
 
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, Schema, Setting, SettingsError
-from yolov5_lifecycle.settings.suggestion import nearest
+from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS, nearest
 
-MAX_SUGGESTIONS = 20
-"""Max number of unknown overrides for which a similar name is suggested, 1 ms each."""
-_CAMERAS = "cameras"
+CAMERAS = "cameras"
+"""The setting that names the cameras."""
 _NONE: Mapping[str, object] = MappingProxyType({})
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -78,7 +77,7 @@ class OverridableSchema(Schema[Model]):
             return f"{name} is a camera; its settings are called {name}{SEPARATOR}{example} and so on."
         if self._inherited(name) and not (cameras and nearest(camera, cameras)):
             present = f"has {', '.join(cameras)}" if cameras else "is empty"
-            return f"add the camera to {_CAMERAS}, which {present}."
+            return f"add the camera to {CAMERAS}, which {present}."
         return ""
 
     def _override(self, name: str) -> Setting | None:
@@ -127,7 +126,7 @@ class OverridableSchema(Schema[Model]):
             else:
                 unknown.append(name)
         problems = [
-            self.unknown(name, {_CAMERAS: cameras}, may_suggest=index < MAX_SUGGESTIONS)
+            self.unknown(name, {CAMERAS: cameras}, may_suggest=index < MAX_SUGGESTIONS)
             for index, name in enumerate(unknown)
         ]
         return {camera: given for camera, given in by_camera.items() if given}, problems
@@ -139,7 +138,7 @@ class OverridableSchema(Schema[Model]):
 
         `given`: values by camera and setting; `own`: those of the node, which the cameras inherit.
         """
-        inherited = {name: value for name, value in own.items() if name in self.by_name} | {_CAMERAS: ()}
+        inherited = {name: value for name, value in own.items() if name in self.by_name} | {CAMERAS: ()}
         overrides, problems = dict[str, object](), dict[str, list[Problem]]()
         for camera, values in given.items():
             settings, problems[camera] = self._attempt({**inherited, **values})
@@ -165,5 +164,5 @@ def overrides_of(camera: str, overrides: Mapping[str, object]) -> dict[str, obje
 
 def _cameras(values: Mapping[str, object]) -> tuple[str, ...]:
     """Names of the cameras in `values`, valid or not."""
-    names = values.get(_CAMERAS)
+    names = values.get(CAMERAS)
     return tuple(name for name in names if isinstance(name, str)) if isinstance(names, (list, tuple)) else ()

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from difflib import SequenceMatcher
 
+MAX_SUGGESTIONS = 20
+"""Of many unknown names in a file or at the start, those for which a similar one is sought, 1 ms each."""
 MAX_WORD_LENGTH = 100
 """Longer words get no suggestion and are never suggested."""
 MAX_CHARACTERS = 15_000
