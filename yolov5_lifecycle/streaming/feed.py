@@ -242,6 +242,11 @@ class Feed(Generic[Frame, Result]):
         with self._changed:
             self._schedule.offer(self._slot, frame)
 
+    def flush(self) -> None:
+        """Accept no more frames and flush the waiting one; `stop` waits for the current one."""
+        with self._changed:
+            self._schedule.stop([self._slot])
+
     def stop(self, timeout_s: float) -> bool:
         """Stop after the current frame of this feed and flush the waiting one; True when it ended in time.
 

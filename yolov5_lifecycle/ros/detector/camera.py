@@ -92,9 +92,14 @@ class Camera:
             self._outputs.close()
             self._outputs = None
 
+    def end(self) -> None:
+        """Receive no more images and drop the one that waits; then `close`."""
+        self.unsubscribe()
+        self._feed.flush()
+
     def close(self, timeout_s: float) -> bool:
         """End with a closed balance; False if the frame in progress hung and its thread was abandoned."""
-        self.unsubscribe()
+        self.end()
         rested = self._feed.stop(timeout_s)
         self._feed.close()
         self._failures.close()

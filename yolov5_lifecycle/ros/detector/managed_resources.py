@@ -118,12 +118,14 @@ class ManagedResources:
     def remove_cameras(self, *, except_for: Sequence[str]) -> None:
         """End all other cameras with a closed balance."""
         log = self._node.get_logger()
-        for name in [name for name in self._cameras if name not in except_for]:
-            camera = self._cameras.pop(name)
+        removed = [self._cameras.pop(name) for name in [*self._cameras] if name not in except_for]
+        for camera in removed:
+            camera.end()  # all at first: after a frame that hangs, that of the next would, too
+        for camera in removed:
             if not camera.close(REST_TIMEOUT_S):
                 log.error(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
                 self._on_abandoned()
-            log.info(f"camera {name or '(without a name)'} removed: {camera.balance()}")
+            log.info(f"camera {camera.name or '(without a name)'} removed: {camera.balance()}")
 
     def deactivate(self) -> bool:
         """Release the detection; False if its frame hangs and the thread was abandoned."""

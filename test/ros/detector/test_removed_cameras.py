@@ -1,0 +1,52 @@
+"""Cameras that are removed in the worst moment: they take nothing of the others along."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from support.camera_client import CameraClient
+from support.preparations import Preparations, prediction
+from support.served_node import PATIENCE_S, ServedNode, class_ids_of
+
+from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
+
+
+@pytest.fixture
+def prepare(ros_domain: int) -> Preparations:
+    return Preparations()
+
+
+def test_cameras_that_are_removed_together_while_inference_hangs_abandon_one_thread(
+    prepare: Preparations,
+) -> None:
+    hanging = ("front", "rear", "left", "right")
+    hangs, released = threading.Event(), threading.Event()
+
+    def hang() -> np.ndarray:
+        hangs.set()
+        assert released.wait(PATIENCE_S)
+        return prediction("cat", 0.9)
+
+    with ServedNode(prepare, parameters=[f"cameras:=[{', '.join(hanging)}, top]"]) as served:
+        cameras = {name: CameraClient(served, name) for name in (*hanging, "top")}
+        served.bring_to("active")
+        for camera in cameras.values():
+            camera.detect()
+        served.wait_for(lambda: cameras["top"].counts()["pending"] == 0, "the last frame of top")
+        prepare.running.run = hang
+
+        def all_wait() -> bool:
+            return all([cameras[name].send() and cameras[name].counts()["pending"] for name in hanging])
+
+        served.wait_for(lambda: bool(cameras["front"].send()) and hangs.is_set(), "a frame to hang")
+        served.wait_for(all_wait, "frames of all to wait")
+        assert served.set(cameras=["top"]) == (True, "")
+        prepare.running.run = lambda: prediction("dog", 0.9)
+        abandoned = "inference did not end within"
+        served.wait_for_log("camera right removed: ")
+        assert sum(f"{abandoned} {REST_TIMEOUT_S:g} s" in said for said in served.log) == 1
+        assert class_ids_of(cameras["top"].detect()) == ["dog"]
+        released.set()
+    assert served.escaped == []
