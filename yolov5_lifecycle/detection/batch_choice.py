@@ -18,11 +18,11 @@ def choose_batches(
     max_batch: int,
     measure: Callable[..., dict[int, float]] = measure_batches_ms,
 ) -> Batches:
-    """The sizes of batches that take at least 5 % less time per image; networks for others are freed.
+    """The sizes of batches that take at least 5 % less time per image; networks for other sizes are freed.
 
-    `sizes_hw`: height and width of the images of every camera, for which `detector` is warm. Batches are
-    measured of two images, and of as many as cameras share a network input size, up to `max_batch`. Raises
-    InferenceError when a single image fails.
+    `sizes_hw`: height and width of the images of every camera, for which `detector` is warm. Batches of two
+    images are measured, and of as many as there are cameras with the same network input size, up to
+    `max_batch`. Raises InferenceError when a single image fails.
     """
     if len(sizes_hw) < 2:
         return Batches((), "none: there is only one camera")

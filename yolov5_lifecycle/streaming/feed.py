@@ -1,4 +1,4 @@
-"""Feeds: the newest frame of each camera, within its rate limit, and whose frame is next."""
+"""The newest frame of each camera, its rate limit and counts, and the order in which cameras are served."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Slot(Generic[Frame, Result]):
         self.job: Job[Frame, Result] | None = None
         """The job in progress, if it has a frame of this camera."""
         self.last_turn = 0
-        """Number of its last turn among those of all slots."""
+        """Number of its latest turn; the turns of all slots are numbered together."""
         self._rate_limit = RateLimit(0.0)
 
     def start(self, pipeline: Pipeline[Frame, Result], max_rate_hz: float) -> None:
@@ -79,13 +79,13 @@ class Slot(Generic[Frame, Result]):
         return True
 
     def turn(self) -> Turn[Frame, Result]:
-        """The frame that waits, of a slot that is not stopped, with the pipeline of now."""
+        """The waiting frame with the current pipeline; for a slot that has a frame and is not stopped."""
         assert self.pipeline is not None, "a stopped slot has no turn"
         assert self.frame is not None, "a slot without a frame has no turn"
         return Turn(self, self.pipeline, self.frame)
 
     def begin(self, job: Job[Frame, Result], number: int) -> None:
-        """Hand the waiting frame over to `job`, in the turn `number` among those of all slots."""
+        """Hand the waiting frame over to `job`, as turn `number`; see `last_turn`."""
         self.frame = None
         self.job = job
         self.last_turn = number
@@ -93,7 +93,7 @@ class Slot(Generic[Frame, Result]):
 
 @dataclass(eq=False, slots=True)
 class Turn(Generic[Frame, Result]):
-    """The frame of `slot` that is processed, the pipeline for it, and how it ended."""
+    """One frame of `slot` in the thread: the pipeline that processes it, and how that ended."""
 
     slot: Slot[Frame, Result]
     pipeline: Pipeline[Frame, Result]
@@ -115,7 +115,7 @@ class Turn(Generic[Frame, Result]):
 
 @dataclass(eq=False, slots=True)
 class Job(Generic[Frame, Result]):
-    """What the thread works on since `begun_s` (monotonic seconds)."""
+    """One frame or batch that the thread has processed since `begun_s` (monotonic seconds)."""
 
     turns: Sequence[Turn[Frame, Result]]
     begun_s: float
@@ -154,7 +154,7 @@ class Schedule(Generic[Frame, Result]):
     def begin(self, batch: Batch[Frame, Result] | None = None) -> Job[Frame, Result]:
         """Begin the job that is next; there must be a waiting frame.
 
-        With `batch` the frame that is next takes others with the same key along, those next to it first.
+        With `batch`, waiting frames with the same key join the next one, those served longest ago first.
         """
         slots = self.waiting if len(self.waiting) == 1 else self._next_slots(batch)
         job = self.job = Job([slot.turn() for slot in slots], self.clock())

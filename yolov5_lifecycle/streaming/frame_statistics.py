@@ -32,7 +32,7 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class FrameBalance:
-    """Counts since the process started: `received` is always the sum of the outcomes and `pending`."""
+    """Counts since the counter was created: `received` is always the sum of the outcomes and `pending`."""
 
     received: int
     pending: int

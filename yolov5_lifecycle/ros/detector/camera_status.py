@@ -35,7 +35,7 @@ class CameraStatus:
     `camera`: its name in `cameras`, "" without one. `problem`: why it cannot be subscribed to, "" if it can.
     `last_problem`: of its frames; `recent_failure`: the same while it lasts.
     `topic`: the expected image topic, in every state; `input`: the subscription to it, None without one.
-    `lost`, `overtaken`: images sent but not taken since activation, as counted by `ImageLosses`.
+    `lost`, `overtaken`: images sent but not received since activation, as counted by `ImageLosses`.
     `latency`, `empty`: while active. `tracking`: values of the tracker, empty without one.
     `depth_status`: while active with the setting `depth`. `subscribers_3d`: subscriptions to detections in
     space. `busy_s`: time that inference has spent on the current image, in seconds.

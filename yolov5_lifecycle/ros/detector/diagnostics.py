@@ -48,16 +48,16 @@ class Diagnostics:
                 status=[diagnostic_status(summary, name) for summary in (of_node, *of_cameras)],
             )
         )
-        self._say(of_cameras or [of_node], is_active=status.state == "active")
+        self._log_reasons(of_cameras or [of_node] if status.state == "active" else [])
 
-    def _say(self, summaries: Sequence[Summary], *, is_active: bool) -> None:
+    def _log_reasons(self, summaries: Sequence[Summary]) -> None:
         logs = {summary.name: self._reasons.get(summary.name) or ReasonLog() for summary in summaries}
-        self._reasons = logs if is_active else {}
-        for summary in summaries if is_active else ():
-            told = summary.hint or summary.remark
-            if not logs[summary.name].is_new(told, self._clock()):
+        self._reasons = logs
+        for summary in summaries:
+            reason = summary.hint or summary.remark
+            if not logs[summary.name].is_new(reason, self._clock()):
                 continue
-            text = f"{summary.name}: {told}" if summary.is_of_camera else told
+            text = f"{summary.name}: {reason}" if summary.is_of_camera else reason
             if summary.hint:
                 self._node.get_logger().warning(text)
             else:
@@ -65,18 +65,18 @@ class Diagnostics:
 
 
 class ReasonLog:
-    """Which reasons have been logged: each once when it appears.
+    """Decides which reasons to log: each when it appears, and when it recurs after `_REPEAT_S`.
 
-    Changed numbers make no new reason, nor does, for `_REPEAT_S`, a recurrence.
+    A text in which only numbers changed is the same reason.
     """
 
     def __init__(self) -> None:
         self._reason = ""
         self._said_s: dict[str, float] = {}
 
-    def is_new(self, told: str, now_s: float) -> bool:
-        """Whether `told` is to be logged at `now_s` (monotonic seconds)."""
-        reason, before = re.sub(r"[\d.]+", "", told), self._reason
+    def is_new(self, text: str, now_s: float) -> bool:
+        """Whether to log `text` at `now_s` (monotonic seconds)."""
+        reason, before = re.sub(r"[\d.]+", "", text), self._reason
         self._reason = reason
         self._said_s = {said: when_s for said, when_s in self._said_s.items() if now_s - when_s < _REPEAT_S}
         if reason in ("", before) or reason in self._said_s:

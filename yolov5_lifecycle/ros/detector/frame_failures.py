@@ -16,7 +16,7 @@ RECENT_S = 2.0
 
 
 class FrameFailures:
-    """Ends the detection when no camera is served any more.
+    """Counts failed frames of each camera, and reports when the detection should end.
 
     Calls `on_too_many(reason)` when the frames of a camera have failed `max_consecutive()` times in a row and
     no other camera's last frame succeeded, and `on_device_lost(reason)` when no further frame can succeed.
@@ -43,7 +43,7 @@ class FrameFailures:
         self._cameras = {}
 
     def of_camera(self, name: str) -> CameraFailures:
-        """Those of the camera `name` in `cameras`, "" if it has none."""
+        """The failures of the camera `name` in `cameras`, "" for the one without a name."""
         return CameraFailures(self._node, name, self)
 
     def succeeded(self, camera: CameraFailures) -> None:
@@ -71,8 +71,8 @@ class FrameFailures:
 class CameraFailures:
     """Logs what goes wrong with the frames of one camera, throttled, and keeps the last problem.
 
-    `camera` is its name in `cameras`, "" if it has none. Keeps strings only: an exception would keep the
-    model alive through its traceback.
+    `camera` is its name in `cameras`, "" for the one without a name. Keeps strings only: an exception would
+    keep the model alive through its traceback.
     """
 
     def __init__(self, node: Node, camera: str, failures: FrameFailures) -> None:
@@ -106,7 +106,7 @@ class CameraFailures:
         return self.last_problem if time.monotonic() - self._happened_s < RECENT_S else ""
 
     def close(self) -> None:
-        """Count no longer; call when no frame is in progress."""
+        """Leave the count of failed frames; call when no frame is in progress."""
         self._failures.forget(self)
 
     def _note(self, problem: str) -> None:

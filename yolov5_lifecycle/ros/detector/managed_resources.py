@@ -67,8 +67,7 @@ class ManagedResources:
     def configure(self) -> None:
         """Create the publishers; raises rclpy's exception."""
         self._label_info = label_info_publisher(self._node)
-        self.add_cameras(self._names())
-        self.remove_cameras(except_for=self._names())
+        self._follow_parameters()
 
     async def load(self) -> bool:
         """Load the model while other callbacks are served; False if another transition came first.
@@ -107,7 +106,7 @@ class ManagedResources:
         return self.detection
 
     def add_cameras(self, names: Sequence[str]) -> None:
-        """Have at least these cameras, with publishers if configured; raises rclpy's exception."""
+        """Create the missing cameras of these; if configured, with publishers. Raises rclpy's exception."""
         for name in names:
             if name and name not in self._cameras:
                 self._node.get_logger().info(f"camera {name} added")
@@ -116,7 +115,7 @@ class ManagedResources:
                 camera.configure()
 
     def remove_cameras(self, *, except_for: Sequence[str]) -> None:
-        """End all other cameras with a closed balance."""
+        """End all cameras but these, each with a balance in which nothing is pending."""
         log = self._node.get_logger()
         removed = [self._cameras.pop(name) for name in [*self._cameras] if name not in except_for]
         for camera in removed:
@@ -155,9 +154,8 @@ class ManagedResources:
 
     def status(self, state: str, problem: str) -> Status:
         """Snapshot of the node in the lifecycle state `state`, with the last `problem` that was reported."""
-        if self._label_info is None:  # until configured, changes of `cameras` are not applied
-            self.add_cameras(self._names())
-            self.remove_cameras(except_for=self._names())
+        if self._label_info is None:
+            self._follow_parameters()  # a change that leaves other settings invalid is not applied until then
         return Status(
             state=state,
             problem=problem,
@@ -175,6 +173,12 @@ class ManagedResources:
         """The size of each camera's last image; a usual one for cameras that `settings` add."""
         present = {name: camera.last_image.size_hw for name, camera in self._cameras.items()}
         return [present.get(name, USUAL_SOURCE_HW) for name in settings.camera_names]
+
+    def _follow_parameters(self) -> None:
+        """Have exactly the cameras that the parameters name."""
+        names = self._names()
+        self.add_cameras(names)
+        self.remove_cameras(except_for=names)
 
     def _names(self) -> tuple[str, ...]:
         """The cameras that the parameters name; valid even if other settings are not."""

@@ -16,9 +16,10 @@ _REMEDIES = {
 
 @dataclass(frozen=True)
 class Summary:
-    """What is published as one DiagnosticStatus.
+    """Content of one DiagnosticStatus.
 
-    `problem` makes it an error, `hint` a warning; `remark` explains what is in order.
+    A `problem` makes it an error, a `hint` a warning; a `remark` explains why there is no output although
+    nothing is wrong.
     """
 
     name: str
@@ -39,7 +40,7 @@ class Status:
     """Snapshot of the node.
 
     `problem`: the last one that was reported. `settings`: from configure on; `model`: while active.
-    `cameras`: at least one, "" its name if the node has no others.
+    `cameras`: those that are named, otherwise one whose name is "".
     `abandoned_threads`: threads that hung during deactivate and are still running.
     `resident_mb`: RAM of the process, None if unknown.
     """
@@ -54,7 +55,7 @@ class Status:
 
     @property
     def of_node(self) -> Summary:
-        """The node, with its camera if that has no name; else in the words of the first with a problem."""
+        """Of the node: with all values of its only camera, or with the problem of the first that has one."""
         each = self.of_cameras
         if not each:
             one, problem = self._summary(self.cameras[0]), self.problem or self.cameras[0].problem
@@ -71,7 +72,7 @@ class Status:
 
     @property
     def of_cameras(self) -> list[Summary]:
-        """Each camera; none if the node has only the one without a name."""
+        """Of each named camera."""
         return [self._summary(camera) for camera in self.cameras if camera.camera]
 
     def _summary(self, camera: CameraStatus) -> Summary:
