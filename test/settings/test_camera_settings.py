@@ -53,6 +53,7 @@ def test_cameras_have_names(names: tuple[str, ...]) -> None:
         pytest.param(("depth",), "must not hold 'depth', the name of a setting", id="depth"),
         pytest.param(("image",), "must not hold 'image', the name of a topic", id="topic"),
         pytest.param(("detections",), "must not hold 'detections', the name of a topic", id="output"),
+        pytest.param(("detection",), "'detection', the name of the status of the node in", id="status"),
         pytest.param(("qos_overrides",), "the name of a parameter of ROS: rename that", id="qos"),
         pytest.param(("use_sim_time",), "the name of a parameter of ROS: rename that", id="time"),
         pytest.param("front", "Did you mean [front]?", id="no-list"),

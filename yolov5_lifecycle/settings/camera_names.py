@@ -12,6 +12,8 @@ MAX_LENGTH = 64
 
 _NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*_?")
 _TOPICS = ("image", "image_raw", "detections", "detections_3d", "label_info")
+NODE_STATUS = "detection"
+"""What the status of the node in /diagnostics is called, beside those of its cameras."""
 _FOREIGN = ("qos_overrides", "use_sim_time", "start_type_description_service")
 """Beginnings of the names of parameters that ROS itself declares on every node."""
 
@@ -24,7 +26,7 @@ def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:
                 f"must be names of at most {MAX_LENGTH} letters, digits and single underscores that begin "
                 f"with a letter: rename {_shown(name)}."
             )
-        if name in settings or name in _TOPICS or name.startswith(_FOREIGN):
+        if name in settings or name in (*_TOPICS, NODE_STATUS) or name.startswith(_FOREIGN):
             return f"must not hold {name!r}, the name of {_taken_by(name, settings)}: rename that camera."
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
         return f"must name each camera once: leave out one {repeated[0]!r}."
@@ -34,6 +36,8 @@ def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:
 def _taken_by(name: str, settings: Collection[str]) -> str:
     if name in settings:
         return "a setting"
+    if name == NODE_STATUS:
+        return "the status of the node in /diagnostics"
     return "a topic" if name in _TOPICS else "a parameter of ROS"
 
 
