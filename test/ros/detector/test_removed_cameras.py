@@ -38,7 +38,9 @@ def test_cameras_that_are_removed_together_while_inference_hangs_abandon_one_thr
         prepare.running.run = hang
 
         def all_wait() -> bool:
-            return all([cameras[name].send() and cameras[name].counts()["pending"] for name in hanging])
+            for name in hanging:
+                cameras[name].send()
+            return all(cameras[name].counts()["pending"] for name in hanging)
 
         served.wait_for(lambda: bool(cameras["front"].send()) and hangs.is_set(), "a frame to hang")
         served.wait_for(all_wait, "frames of all to wait")
@@ -49,4 +51,18 @@ def test_cameras_that_are_removed_together_while_inference_hangs_abandon_one_thr
         assert sum(f"{abandoned} {REST_TIMEOUT_S:g} s" in said for said in served.log) == 1
         assert class_ids_of(cameras["top"].detect()) == ["dog"]
         released.set()
+    assert served.escaped == []
+
+
+def test_a_node_is_configured_again_although_the_camera_of_a_qos_override_was_removed(
+    prepare: Preparations,
+) -> None:
+    qos = "qos_overrides./yolov5/rear/detections.publisher.depth:=3"
+    with ServedNode(prepare, parameters=["cameras:=[front, rear]", qos]) as served:
+        served.bring_to("active")
+        assert served.set(cameras=["front"]) == (True, "")
+        assert [served.transition(label) for label in ("deactivate", "cleanup", "configure")] == [True] * 3
+        assert served.set(cameras=["front", "rear"]) == (True, "")
+        assert served.transition("activate")
+        assert class_ids_of(CameraClient(served, "rear").detect()) == ["cat"]
     assert served.escaped == []
