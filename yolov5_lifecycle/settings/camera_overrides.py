@@ -163,8 +163,8 @@ def overrides_of(camera: str, overrides: Mapping[str, object]) -> dict[str, obje
 
 
 def _cameras(values: Mapping[str, object]) -> tuple[str, ...]:
-    """Names of the first MAXCAMERAS cameras in `values`, valid or not; more are refused anyway."""
+    """Names of the first MAX_CAMERAS cameras in `values`, valid or not; more are refused anyway."""
     names = values.get(CAMERAS)
     if not isinstance(names, (list, tuple)):
         return ()
-    return tuple(name for name in names[:MAXCAMERAS] if isinstance(name, str))
+    return tuple(name for name in names[:MAX_CAMERAS] if isinstance(name, str))
