@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import ItemsView
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from support.camera_client import CameraClient
 from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of
 
+from yolov5_lifecycle.ros.detector.camera import Camera
 from yolov5_lifecycle.ros.detector.frame_failures import CameraFailures
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
@@ -96,3 +98,27 @@ def failures_of(resources: ManagedResources, camera: str) -> CameraFailures:
 
 def fail() -> np.ndarray:
     raise RuntimeError("the network fails")
+
+
+def test_the_sizes_for_which_a_model_is_prepared_are_read_where_cameras_are_changed(
+    prepare: Preparations,
+) -> None:
+    """In another thread cameras could come and go meanwhile, and the request be refused for that."""
+    with ServedNode(prepare, parameters=["cameras:=[front, rear]"]) as served:
+        served.bring_to("inactive")
+        resources = served.node._resources
+        cameras = resources._cameras = ThreadsThatRead(resources._cameras)
+        assert served.transition("activate")
+        assert cameras.threads == {served.serving_thread}
+
+
+class ThreadsThatRead(dict[str, Camera]):
+    """Cameras that know which threads look at all of them."""
+
+    def __init__(self, cameras: dict[str, Camera]) -> None:
+        super().__init__(cameras)
+        self.threads: set[int] = set()
+
+    def items(self) -> ItemsView[str, Camera]:
+        self.threads.add(threading.get_ident())
+        return super().items()
