@@ -21,6 +21,7 @@ from benchmark.task import Task
 from benchmark.work import scene_image
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.network import Network, fuse
 
 IMAGE_SIZE = 640
@@ -33,7 +34,7 @@ def call_of(task: Task) -> Call:
     model = load_weights(Path(task.weights)).model
     network = Network(model.architecture)
     network.load_state_dict(model.state_dict)
-    stride = max(model.architecture.strides)
+    stride = size_multiple(model.architecture)
     letterbox = Letterbox.fit(task.image_hw, image_size=IMAGE_SIZE, stride=stride)
     rgb = letterbox.apply(scene_image(task.image_hw).pixels)[..., ::-1].copy()
     pixels = torch.from_numpy(rgb).permute(2, 0, 1)[None].float().contiguous() / 255

@@ -54,6 +54,7 @@ def test_cameras_have_names(names: tuple[str, ...]) -> None:
         pytest.param(("depth",), "must not hold 'depth', the name of a setting", id="depth"),
         pytest.param(("image",), "must not hold 'image', the name of a topic", id="topic"),
         pytest.param(("detections",), "must not hold 'detections', the name of a topic", id="output"),
+        pytest.param(("detection",), "'detection', the name of the status of the node in", id="status"),
         pytest.param(("qos_overrides",), "the name of a parameter of ROS: rename that", id="qos"),
         pytest.param(("use_sim_time",), "the name of a parameter of ROS: rename that", id="time"),
         pytest.param("front", "Did you mean [front]?", id="no-list"),
@@ -232,6 +233,29 @@ def test_thousands_of_cameras_with_overrides_are_refused() -> None:
     found = problems({"cameras": cameras, **{f"{camera}.max_rate": 1.0 for camera in cameras}})
     assert found[0].startswith("cameras: ")
     assert all(len(problem) < 2000 for problem in found)
+
+
+class Compared(str):
+    """The name of a camera that counts how often it is compared with what may have been meant."""
+
+    __slots__ = ()
+    comparisons = 0
+
+    def casefold(self) -> str:
+        Compared.comparisons += 1
+        return super().casefold()
+
+
+def test_unknown_overrides_are_compared_with_few_cameras_and_few_of_them() -> None:
+    values = {"cameras": tuple(Compared(f"camera{number}") for number in range(10_000))}
+    for index in range(1000):
+        SCHEMA.unknown(f"camara{index}.max_rate", values, may_suggest=index < 3)
+    assert 0 < Compared.comparisons <= 3 * 2 * MAX_CAMERAS
+
+
+def test_a_reason_shows_the_beginning_of_names_without_end() -> None:
+    values = {"cameras": ("a" * 1_000_000,) * MAX_CAMERAS}
+    assert len(str(SCHEMA.unknown("side.max_rate", values))) < 1200
 
 
 def test_an_override_is_a_setting_of_its_own_name() -> None:

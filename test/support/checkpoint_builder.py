@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
@@ -13,8 +13,8 @@ import torch
 from torch import nn
 
 from support.random_model import CLASS_NAMES, random_network
-from yolov5_lifecycle.models import network as own
 from yolov5_lifecycle.models.architecture import Architecture, Layer
+from yolov5_lifecycle.models.network import Network
 
 SMALL = Architecture(
     depth_multiple=0.33,
@@ -36,15 +36,34 @@ SMALL = Architecture(
 )
 """One layer of each kind: quick to write and to read."""
 _CLASSES: dict[str, type] = {}
-_OFFICIAL_NAMES: dict[type, str] = {
-    own.Conv: "models.common.Conv",
-    own.Bottleneck: "models.common.Bottleneck",
-    own.C3: "models.common.C3",
-    own.SPPF: "models.common.SPPF",
-    own.Concat: "models.common.Concat",
-    own.Detect: "models.yolo.Detect",
+_OFFICIAL_NAMES = {
+    **{
+        kind: f"models.common.{kind}"
+        for kind in (
+            *("Conv", "DWConv", "Focus", "Bottleneck", "CrossConv", "GhostConv", "GhostBottleneck"),
+            *("C3", "C3x", "C3Ghost", "C3SPP", "C3TR", "TransformerBlock", "TransformerLayer"),
+            *("BottleneckCSP", "SPP", "SPPF", "Concat", "Contract", "Expand", "DWConvTranspose2d"),
+        )
+    },
+    "MixConv2d": "models.experimental.MixConv2d",
+    "CrossCSP": "models.experimental.C3",
+    "Detect": "models.yolo.Detect",
 }
-_OWN_ATTRIBUTES = {"architecture", "strides", "outputs", "anchors_per_cell", "shortcut"}
+"""The classes of v7, by the names of ours."""
+_BEFORE_V6 = {
+    "DWConv": "models.common.Conv",
+    **{kind: f"models.experimental.{kind}" for kind in ("GhostConv", "GhostBottleneck", "CrossConv")},
+}
+_OF_TORCH = ("Upsample", "MaxPool2d", "ZeroPad2d", "ConvTranspose2d")
+_OWN_ATTRIBUTES = {
+    "architecture",
+    "strides",
+    "outputs",
+    "anchors_per_cell",
+    "steps",
+    "_kernels",
+    "_is_folded",
+}
 
 
 def foreign(name: str, **attributes: object) -> Any:
@@ -91,10 +110,13 @@ def official_model(
     seed: int = 0,
     kind: str = "models.yolo.DetectionModel",
     half: bool = True,
+    network: Network | None = None,
+    before_v6: bool = False,
 ) -> Any:
     """The whole pickled model: `vars(model)["_modules"]["model"]` are its layers, the last is the head."""
-    network = random_network(seed, architecture)
-    model = _official(network.half() if half else network, kind)
+    network = network or random_network(seed, architecture)
+    names_of_classes = _OFFICIAL_NAMES | (_BEFORE_V6 if before_v6 else {})
+    model = _official(network.half() if half else network, names_of_classes, kind)
     layers = vars(model)["_modules"]["model"]
     vars(layers)["_modules"] = {
         key: _placed(child, layer, int(key))
@@ -111,7 +133,18 @@ def official_model(
         save=[4, 6, 10, 14, 17, 20, 23],
         class_weights=torch.ones(architecture.classes),
     )
+    if before_v6:
+        del model.yaml["ch"], model.inplace
+        _add_anchor_grid(head(model), architecture)
     return model
+
+
+def _add_anchor_grid(detect: Any, architecture: Architecture) -> None:
+    """Before v6.0 a second buffer has the anchors in pixels."""
+    buffers = vars(detect)["_buffers"]
+    strides = torch.tensor(architecture.strides).view(-1, 1, 1)
+    grid = (buffers["anchors"].float() * strides).to(buffers["anchors"].dtype)
+    buffers["anchor_grid"] = grid.view(len(grid), 1, -1, 1, 1, 2)
 
 
 def layers_of(model: Any) -> dict[str, Any]:
@@ -133,7 +166,7 @@ def stripped(model: Any) -> dict[str, Any]:
 
 def official_yaml(architecture: Architecture) -> dict[str, Any]:
     rows = [_row(layer) for layer in architecture.layers]
-    backbone = 1 + next(index for index, row in enumerate(rows) if row[2] == "SPPF")
+    backbone = 1 + next((index for index, row in enumerate(rows) if row[2] == "SPPF"), 0)
     return {
         "nc": architecture.classes,
         "depth_multiple": architecture.depth_multiple,
@@ -141,7 +174,7 @@ def official_yaml(architecture: Architecture) -> dict[str, Any]:
         "anchors": [[side for anchor in level for side in anchor] for level in architecture.anchors_px],
         "backbone": rows[:backbone],
         "head": rows[backbone:],
-        "ch": 3,
+        "ch": architecture.image_channels,
     }
 
 
@@ -150,29 +183,34 @@ def _row(layer: Layer) -> list[Any]:
         "Upsample": ["None", 2, "nearest"],
         "Concat": [1],
         "Detect": ["nc", "anchors"],
-        "C3": [*layer.args[:1], *map(bool, layer.args[1:])],
+        "C3": [*layer.args[:1], *map(bool, layer.args[1:2]), *layer.args[2:]],
     }
-    arguments = special.get(layer.kind, list(layer.args))
+    arguments = special.get(layer.kind, [_listed(argument) for argument in layer.args])
     sources = layer.sources[0] if len(layer.sources) == 1 else list(layer.sources)
-    return [sources, layer.repeats, f"nn.{layer.kind}" if layer.kind == "Upsample" else layer.kind, arguments]
+    name = {"CrossCSP": "C3"}.get(layer.kind, layer.kind)
+    return [sources, layer.repeats, f"nn.{name}" if name in _OF_TORCH else name, arguments]
 
 
-def _official(module: nn.Module, name: str = "") -> Any:
+def _listed(argument: object) -> object:
+    return list(argument) if isinstance(argument, tuple) else argument
+
+
+def _official(module: nn.Module, names: Mapping[str, str], name: str = "") -> Any:
     """The module with the project's classes replaced by YOLOv5's; torch's own stay what they are."""
-    children = {key: _official(child) for key, child in vars(module)["_modules"].items()}
-    name = name or _OFFICIAL_NAMES.get(type(module), "")
+    children = {key: _official(child, names) for key, child in vars(module)["_modules"].items()}
+    own = type(module).__module__.startswith("yolov5_lifecycle.")
+    name = name or names.get(type(module).__name__, "") if own else ""
     if name:
         state = {key: value for key, value in vars(module).items() if key not in _OWN_ATTRIBUTES}
-        if isinstance(module, own.Concat):
+        if name.endswith(".Concat"):
             state["d"] = 1
-        if isinstance(module, own.Bottleneck):
-            state["add"] = module.shortcut
+        if name.endswith(".Conv") and isinstance(children["bn"], nn.Identity):  # as fuse() leaves it
+            del children["bn"]
         return foreign(name, **state | {"_modules": children})
-    if type(module) is nn.ModuleList and any(
-        "models." in type(child).__module__ for child in children.values()
-    ):
-        name = "torch.nn.modules.container.Sequential"
-    copy = type(module).__new__(nn.Sequential if name else type(module))
+    kind: type[nn.Module] = nn.ConvTranspose2d if own else type(module)
+    if kind is nn.ModuleList and any("models.yolo" in type(child).__module__ for child in children.values()):
+        kind = nn.Sequential
+    copy = kind.__new__(kind)
     vars(copy).update(vars(module) | {"_modules": children})
     return copy
 

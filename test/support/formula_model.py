@@ -78,7 +78,7 @@ def expected_nms() -> Mapping[str, Any]:
 def formula_model(size: str, *, detect_gain: float = 1.0, objectness_bias: float = 0.0) -> Model:
     """The model of `size`; the weights of its last layer times `detect_gain`, its objectness biased."""
     architecture = SIZES[size]
-    state = dict(_formula_tensors(blueprint(architecture).state_dict()))
+    state = dict(formula_tensors(blueprint(architecture).state_dict()))
     detect = f"model.{len(architecture.layers) - 1}"
     strides = torch.tensor(architecture.strides).view(-1, 1, 1)
     state[f"{detect}.anchors"] = torch.tensor(architecture.anchors_px).float() / strides
@@ -93,7 +93,7 @@ def formula_pixels(shape: tuple[int, ...]) -> Tensor:
     return torch.from_numpy(np.random.RandomState(11).rand(*shape).astype(np.float32))
 
 
-def _formula_tensors(blank: Mapping[str, Tensor]) -> Iterator[tuple[str, Tensor]]:
+def formula_tensors(blank: Mapping[str, Tensor]) -> Iterator[tuple[str, Tensor]]:
     for key, tensor in blank.items():
         if tensor.is_floating_point():
             yield key, torch.from_numpy(_formula(key, tuple(tensor.shape)).astype(np.float32))

@@ -101,6 +101,11 @@ class ServedNode:
         self._thread.start()
         return self
 
+    @property
+    def serving_thread(self) -> int | None:
+        """Identifier of the thread that serves the node."""
+        return self._thread.ident
+
     def __exit__(self, *_: object) -> None:
         self._stopping = True
         self._thread.join(PATIENCE_S)

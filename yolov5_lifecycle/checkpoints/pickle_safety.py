@@ -201,11 +201,11 @@ def _is_short_plain_list(value: _Value) -> bool:
 
 
 def _is_known_method(owner: _Value = "", method: _Value = "", *more: _Value) -> bool:
-    """Whether it is `forward` of the class Detect or `forward_fuse` of an object; neither is resolved."""
+    """Whether it is `forward` of the class Detect or that of a fused object; neither is resolved."""
     if more or not isinstance(owner, _Thing):
         return False
     if owner.kind == "object":
-        return method == "forward_fuse"
+        return method in ("forward_fuse", "fuseforward")
     return owner.kind.removeprefix("yolov5.") == "models.yolo.Detect" and method == "forward"
 
 

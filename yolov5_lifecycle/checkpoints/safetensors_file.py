@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,8 @@ from yolov5_lifecycle.checkpoints.yaml_architecture import (
     MAX_STRIDE,
     architecture_of,
 )
-from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture
+from yolov5_lifecycle.models.activations import activation_of
+from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture, Argument
 from yolov5_lifecycle.models.model import (
     MAX_CLASSES,
     Model,
@@ -67,14 +68,20 @@ def _repeatable(data: bytes) -> bytes:
 
 
 def _described(architecture: Architecture) -> dict[str, Any]:
-    """The architecture as JSON, with integral floats and booleans normalized to integers."""
-    return asdict(architecture) | {
+    """The architecture as JSON, with booleans normalized to integers, without fields that have defaults."""
+    described = asdict(architecture) | {
         "anchors_px": [[list(map(float, anchor)) for anchor in level] for level in architecture.anchors_px],
         "layers": [
-            [layer.sources, layer.repeats, layer.kind, list(map(int, layer.args))]
+            [layer.sources, layer.repeats, layer.kind, list(map(_number, layer.args))]
             for layer in architecture.layers
         ],
     }
+    usual = {field.name: field.default for field in fields(architecture) if field.name != "layers"}
+    return {name: value for name, value in described.items() if value != usual.get(name, MISSING)}
+
+
+def _number(argument: Argument) -> Argument:
+    return int(argument) if isinstance(argument, bool) else argument
 
 
 def read_safetensors(data: bytes) -> Model:
@@ -173,11 +180,38 @@ def _architecture(described: Any) -> Architecture:
     if not 1 <= len(anchors_px) == len(strides) <= MAX_LEVELS or len(counts) != 1:
         raise WeightsError("expected a stride and equally many anchors for each of 1 to 8 levels")
     checked_integer(counts.pop(), "the anchors of a level", 1, MAX_ANCHORS)
-    yaml = described | {"backbone": rows, "head": []}
-    return architecture_of(yaml, classes=classes, anchors_px=anchors_px, strides=strides)
+    yaml = described | {"backbone": rows, "head": [], "ch": described.get("image_channels", 3)}
+    architecture = architecture_of(yaml, classes=classes, anchors_px=anchors_px, strides=strides)
+    return replace(architecture, **_activations(described))
+
+
+def _activations(described: dict[str, Any]) -> dict[str, Any]:
+    """The fields of an Architecture that no yaml has."""
+    others, is_fused = described.get("other_activations", []), described.get("is_fused", False)
+    if not isinstance(others, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in others):
+        raise WeightsError(f"expected pairs of paths and activations, found {shown(others)}")
+    if not isinstance(is_fused, bool):
+        raise WeightsError(f"expected true or false as is_fused, found {shown(is_fused)}")
+    return {
+        "activation": _activation(described.get("activation", Architecture.activation)),
+        "other_activations": tuple((str(path), _activation(name)) for path, name in others),
+        "is_fused": is_fused,
+    }
+
+
+def _activation(name: object) -> str:
+    try:
+        activation_of(str(name))
+    except ValueError as error:
+        raise WeightsError(str(error)) from None
+    return str(name)
 
 
 def _yaml_arguments(kind: str, args: list[Any]) -> list[Any]:
-    """The arguments of the yaml row of a `Layer` that has none of its own, else `args`."""
-    implied: dict[str, list[Any]] = {"Upsample": [None, 2, "nearest"], "Concat": [1]}
-    return implied.get(kind, args)
+    """The arguments of a `Layer` as a yaml has them, in which Conv has another default of its padding."""
+    if kind != "Conv" or not all(isinstance(side, int) for side in args[1:2] + args[5:6]):
+        return args
+    filled = args + [1, 1, None, 1, 1][len(args) - 1 :]
+    if filled[3] is None:
+        filled[3] = filled[5] * (filled[1] - 1) // 2
+    return filled

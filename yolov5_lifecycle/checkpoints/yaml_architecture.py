@@ -7,84 +7,57 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
-from yolov5_lifecycle.models.architecture import LAYER_KINDS, AnchorsPx, Architecture, Layer, LayerKind
+from yolov5_lifecycle.checkpoints.layer_rows import layer_arguments, layer_kind
+from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture, Layer
+from yolov5_lifecycle.models.blocks import LAYER_KINDS
+from yolov5_lifecycle.models.cells import Cells
+from yolov5_lifecycle.models.geometry import cells_of_layers, size_multiple
 from yolov5_lifecycle.models.model import WeightsError, checked_integer, shown
 
 MAX_LAYERS = 200
-MAX_CHANNELS = 8192
 MAX_REPEATS = 100
-MAX_BOTTLENECKS = 300
-"""Sum over all C3 layers; the largest official network, x6, has 56."""
+MAX_BLOCKS = 400
+"""Sum of the repeats of all layers with weights; the largest official network, x6, has 80."""
 MAX_LEVELS = 8
 MAX_STRIDE = 1024
 MAX_ANCHORS = 32
-
-_FOREIGN_KINDS = {
-    **dict.fromkeys(("Focus", "BottleneckCSP", "SPP"), "of YOLOv5 before 6.0: train it again with v6 or v7"),
-    "Segment": "the head of a segmentation model; only detection models are supported: use yolov5s.pt "
-    "instead of yolov5s-seg.pt, say",
-    "Classify": "the head of a classification model; only detection models are supported: use yolov5s.pt "
-    "instead of yolov5s-cls.pt, say",
-    "NMS": "which YOLOv5 before 6.0 added for an export: use the checkpoint of the training",
-    **dict.fromkeys(
-        ("Bottleneck", "MaxPool2d", "ZeroPad2d"),
-        "as in a YOLOv3 model, which YOLOv5's code can train, too; only YOLOv5 (v6 or v7) is supported",
-    ),
-    **dict.fromkeys(
-        ("IDetect", "IAuxDetect", "IBin", "MP", "SPPCSPC", "SPPFCSPC", "RepConv"),
-        "of another project, named YOLOv7; only YOLOv5 (v6 or v7) is supported",
-    ),
-    **dict.fromkeys(
-        (
-            *("C3TR", "C3SPP", "C3Ghost", "C3x", "GhostConv", "GhostBottleneck", "DWConv", "CrossConv"),
-            *("DWConvTranspose2d", "ConvTranspose2d", "MixConv2d", "Contract", "Expand", "Sum"),
-        ),
-        "a variant of YOLOv5's building blocks that is not supported: use a model of the sizes n to x or n6 "
-        "to x6",
-    ),
-}
-_FIXED_ARGUMENTS: dict[LayerKind, list[list[object]]] = {
-    "Upsample": [[None, 2, "nearest"], ["None", 2, "nearest"]],
-    "Concat": [[1]],
-}
+_MAX_CHANNEL_MULTIPLE = 256
 
 
 def architecture_of(
-    yaml: object, *, classes: int, anchors_px: AnchorsPx, strides: tuple[int, ...]
+    yaml: object, *, classes: int, anchors_px: AnchorsPx, strides: tuple[int, ...], image_channels: int = 3
 ) -> Architecture:
-    """The architecture from the `backbone` and `head` rows and multiples, validated; raises WeightsError."""
+    """The architecture from the `backbone` and `head` rows and multiples, validated; raises WeightsError.
+
+    `image_channels` counts where the yaml has no entry `ch`, as before v6.0. The activations are those of
+    `Architecture` by default.
+    """
     if not isinstance(yaml, dict):
         raise WeightsError(f"expected a dict as the model's yaml, found {shown(yaml)}")
-    if (channels := yaml.get("ch", 3)) != 3:
+    channels = yaml.get("ch", image_channels)
+    if isinstance(channels, bool) or not isinstance(channels, int) or channels not in (1, 3):
         raise WeightsError(
-            f"the model reads images of {shown(channels)} channels; only models for colour images, of 3, are "
-            "supported: train it on colour images"
+            f"the model reads images of {shown(channels)} channels; only models for colour images, of 3, and "
+            "for grey ones, of 1, are supported: train it on those"
         )
     rows = [*_rows(yaml, "backbone"), *_rows(yaml, "head")]
     if not 1 <= len(rows) <= MAX_LAYERS:
         raise WeightsError(f"expected 1 to {MAX_LAYERS} layers, found {len(rows)}")
-    layers = tuple(_layer(row, index) for index, row in enumerate(rows))
-    depth_multiple = _multiple(yaml, "depth_multiple")
-    _check_repeats(layers, depth_multiple)
-    _check_strides(layers, strides)
-    return Architecture(
-        depth_multiple=depth_multiple,
+    architecture = Architecture(
+        depth_multiple=_multiple(yaml, "depth_multiple"),
         width_multiple=_multiple(yaml, "width_multiple"),
+        channel_multiple=checked_integer(
+            yaml.get("channel_multiple", 8), "the channel_multiple", 1, _MAX_CHANNEL_MULTIPLE
+        ),
         classes=classes,
         anchors_px=anchors_px,
         strides=strides,
-        layers=layers,
+        layers=tuple(_layer(row, index) for index, row in enumerate(rows)),
+        image_channels=channels,
     )
-
-
-def layer_kind(name: str, where: str) -> LayerKind:
-    """The kind of a module named `name`; raises WeightsError with a description of unsupported ones."""
-    name = name.removeprefix("nn.")
-    for kind in LAYER_KINDS:
-        if kind == name:
-            return kind
-    why = _FOREIGN_KINDS.get(name, f"not supported; supported are {', '.join(LAYER_KINDS)}")
-    raise WeightsError(f"{where} is a {shown(name)}, {why}")
+    _check_repeats(architecture)
+    _check_strides(architecture)
+    return architecture
 
 
 def layer_sources(sources: object, index: int) -> tuple[int, ...]:
@@ -121,74 +94,40 @@ def _layer(row: object, index: int) -> Layer:
         sources=layer_sources(sources, index),
         repeats=checked_integer(repeats, f"the number of layer {index}", 1, MAX_REPEATS),
         kind=kind,
-        args=_arguments(kind, list(arguments), index),
+        args=layer_arguments(kind, arguments, f"layer {index}"),
     )
     if len(layer.sources) > {"Concat": 16, "Detect": MAX_LEVELS}.get(kind, 1):
         raise WeightsError(f"layer {index}, a {kind}, reads too many layers: {shown(layer.sources)}")
     return layer
 
 
-def _arguments(kind: LayerKind, arguments: list[object], index: int) -> tuple[int, ...]:
-    """`Layer.args` from a row's arguments; those of Detect come from its own attributes."""
-    if kind == "Detect":
-        return ()
-    if not all(isinstance(argument, (str, int, float, type(None))) for argument in arguments):
-        raise _unsupported(kind, arguments, index)
-    if kind in _FIXED_ARGUMENTS:
-        if arguments in _FIXED_ARGUMENTS[kind]:
-            return ()
-        raise _unsupported(kind, arguments, index)
-    channels = checked_integer([*arguments, None][0], f"the channels of layer {index}", 1, MAX_CHANNELS)
-    rest = arguments[1:]
-    if kind == "C3" and rest in ([], [True], [False]):
-        return (channels, *(int(shortcut == 1) for shortcut in rest))
-    if kind == "SPPF" and len(rest) <= 1:
-        window = _kernel([*rest, 5][0], index)
-        if window % 2:  # an even window makes the output larger than the input
-            return (channels, window)
-    if kind == "Conv" and len(rest) <= 3:
-        kernel, stride, *padding = rest + [1, 1][len(rest) :]
-        kernel, stride = _kernel(kernel, index), checked_integer(stride, f"the stride of layer {index}", 1, 8)
-        # An even kernel at stride 1 shrinks its input by one.
-        if padding in ([], [None], [(kernel - 1) // 2]) and (kernel % 2 or stride > 1):
-            return (channels, kernel, stride)
-    raise _unsupported(kind, arguments, index)
-
-
-def _kernel(value: object, index: int) -> int:
-    return checked_integer(value, f"the kernel of layer {index}", 1, 15)
-
-
-def _unsupported(kind: LayerKind, arguments: list[object], index: int) -> WeightsError:
-    return WeightsError(f"layer {index}, a {kind}, has the arguments {shown(arguments)}: not supported")
-
-
-def _check_repeats(layers: tuple[Layer, ...], depth_multiple: float) -> None:
-    """Limit the bottlenecks of C3 layers and reject repeats of any other kind."""
-    bottlenecks = 0
-    for index, layer in enumerate(layers):
-        repeats = layer.scaled_repeats(depth_multiple)
-        if layer.kind == "C3":
-            bottlenecks += repeats
-        elif repeats > 1:
+def _check_repeats(architecture: Architecture) -> None:
+    """Limit the blocks that are built, and reject repeats of layers that cannot be repeated."""
+    blocks = 0
+    for index, layer in enumerate(architecture.layers):
+        repeats = layer.scaled_repeats(architecture.depth_multiple)
+        if repeats > 1 and layer.kind not in LAYER_KINDS:
             raise WeightsError(f"layer {index}, a {layer.kind}, is repeated {repeats} times: not supported")
-    if bottlenecks > MAX_BOTTLENECKS:
-        raise WeightsError(f"it has {bottlenecks} bottlenecks, at most {MAX_BOTTLENECKS} are built")
+        blocks += repeats if layer.kind in LAYER_KINDS else 0
+    if blocks > MAX_BLOCKS:
+        raise WeightsError(f"it has {blocks} blocks, at most {MAX_BLOCKS} are built")
 
 
-def _check_strides(layers: tuple[Layer, ...], strides: tuple[int, ...]) -> None:
-    """Check that concatenated inputs have equal strides and that the last layer, Detect, gets `strides`."""
-    kinds = [layer.kind for layer in layers]
+def _check_strides(architecture: Architecture) -> None:
+    """Check that concatenated inputs have equal sizes and that the last layer, Detect, gets `strides`."""
+    kinds = [layer.kind for layer in architecture.layers]
     if kinds.count("Detect") != 1 or kinds[-1] != "Detect":
         raise WeightsError(f"expected one Detect layer, the last, found {kinds.count('Detect')}")
-    reductions: list[Fraction] = []
-    for index, layer in enumerate(layers):
-        inputs = [(reductions or [Fraction(1)])[source] for source in layer.sources]
-        if layer.kind == "Detect":
-            if inputs != list(strides):
-                found = [str(reduction) for reduction in inputs]
-                raise WeightsError(f"the strides are {shown(strides)}, but its layers make {shown(found)}")
-        elif len(set(inputs)) > 1:
-            raise WeightsError(f"layer {index}, a Concat, joins layers of different sizes")
-        factor = {"Conv": Fraction(layer.args[-1] if layer.args else 1), "Upsample": Fraction(1, 2)}
-        reductions.append(inputs[0] * factor.get(layer.kind, Fraction(1)))
+    try:
+        cells = cells_of_layers(architecture)
+        multiple = size_multiple(architecture)
+    except ValueError as error:
+        raise WeightsError(str(error)) from None
+    found = [cells[source] for source in architecture.layers[-1].sources]
+    if found != [Cells(Fraction(stride)) for stride in architecture.strides]:
+        made = [str(level.pixels) if level.surplus == 0 else f"{level.pixels}, not whole" for level in found]
+        raise WeightsError(
+            f"the strides are {shown(architecture.strides)}, but its layers make {shown(made)}"
+        )
+    if multiple > MAX_STRIDE:
+        raise WeightsError(f"its layers have strides up to {multiple}, at most {MAX_STRIDE} are supported")

@@ -69,7 +69,8 @@ class Detector:
         Raises InferenceError when the network fails or its predictions are invalid.
         """
         letterbox = self._letterbox(image.size_hw)
-        raw = self.runtime(letterbox.apply(image.pixels), image.order, selection.min_objectness)
+        pixels, order = image.as_sent
+        raw = self.runtime(letterbox.apply(pixels), order, selection.min_objectness)
         return self._detections(raw, letterbox, selection)
 
     def detect_batch(
@@ -91,9 +92,13 @@ class Detector:
         if len(images) < 2:
             return self._detect_alone(images, selections)
         try:
+            frames = [
+                letterbox.apply(image.as_sent[0])
+                for letterbox, image in zip(letterboxes, images, strict=True)
+            ]
             batch = self.runtime.run_batch(
-                [letterbox.apply(image.pixels) for letterbox, image in zip(letterboxes, images, strict=True)],
-                [image.order for image in images],
+                frames,
+                [image.as_sent[1] for image in images],
                 [selection.min_objectness for selection in selections],
             )
         except InferenceError as error:

@@ -48,10 +48,11 @@ class Letterbox:
         return cls(source_hw, network_hw, (height, width), top, left)
 
     def apply(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Image (H, W, 3) -> network input (h, w, 3), both uint8 with channels in any order."""
-        if pixels.shape != (*self.source_hw, 3):
+        """Image (H, W, 3) or (H, W) -> network input (h, w, 3) or (h, w), uint8 in any order of channels."""
+        channels = pixels.shape[2:]
+        if pixels.shape != (*self.source_hw, *channels) or channels not in ((), (3,)):
             raise ValueError(f"Expected pixels of shape {(*self.source_hw, 3)}, found {pixels.shape}.")
-        frame = np.full((*self.network_hw, 3), PADDING_VALUE, np.uint8)
+        frame = np.full((*self.network_hw, *channels), PADDING_VALUE, np.uint8)
         height, width = self.resized_hw
         inner = frame[self.top : self.top + height, self.left : self.left + width]
         # OpenCV copies when the size is unchanged.

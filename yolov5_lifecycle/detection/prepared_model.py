@@ -13,6 +13,7 @@ from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.input_file import resolve_package
+from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
@@ -119,7 +120,7 @@ def load_detector(
     With `auto` the fastest runtime is measured and cached, see `choose_runtime`. Raises DeviceError and
     RuntimeAbsentError (both ValueErrors), ValueError for the image size, InferenceError when measuring fails.
     """
-    stride = max(model.architecture.strides)
+    stride = size_multiple(model.architecture)
     check_image_size(image_size, stride)
     choice = Choice(runtime, "as set")
     if runtime == "auto":

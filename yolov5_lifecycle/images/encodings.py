@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import ColourImage, ImageError, Order, bytes_of, check_size
+from yolov5_lifecycle.images.image import ColourImage, GreyImage, ImageError, Order, bytes_of, check_size
 
 _CONVERSIONS: dict[tuple[Order, str], int | None] = {
     ("rgb", "rgb8"): None,
@@ -89,16 +89,19 @@ def _by_opencv(conversion: int) -> Decode:
     return lambda image: _converted(image.pixels, conversion)
 
 
+def _grey(image: _RawImage) -> NDArray[np.uint8]:
+    return image.pixels[..., 0]
+
+
 def _high_bytes(image: _RawImage) -> NDArray[np.uint8]:
     high = 0 if image.is_bigendian else 1
-    return _converted(image.pixels[..., high], cv2.COLOR_GRAY2RGB)
+    return np.ascontiguousarray(image.pixels[..., high])
 
 
 def _stretched(image: _RawImage) -> NDArray[np.uint8]:
     """Contrast-stretched grey: the image minimum becomes black, the maximum white."""
     values = image.pixels.view(">u2" if image.is_bigendian else "<u2").astype(np.uint16)
-    grey = cv2.normalize(values, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)
-    return _converted(grey, cv2.COLOR_GRAY2RGB)
+    return np.asarray(cv2.normalize(values, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U), np.uint8)
 
 
 _BLACK_LUMA = 16
@@ -127,7 +130,7 @@ def _bayer(conversion: int) -> _Layout:
 
 
 _BGR8 = _Layout(_as_sent, 3, "bgr")
-_MONO8 = _Layout(_by_opencv(cv2.COLOR_GRAY2RGB), 1)
+_MONO8 = _Layout(_grey, 1, "grey")
 _UYVY = _Layout(_by_opencv(cv2.COLOR_YUV2RGB_UYVY), 2, block_hw=(1, 2))
 _YUYV = _Layout(_by_opencv(cv2.COLOR_YUV2RGB_YUYV), 2, block_hw=(1, 2))
 
@@ -140,8 +143,8 @@ ENCODINGS: Mapping[str, _Layout] = MappingProxyType(
         "bgra8": _Layout(_by_opencv(cv2.COLOR_BGRA2BGR), 4, "bgr"),
         "mono8": _MONO8,
         "8UC1": _MONO8,
-        "mono16": _Layout(_high_bytes, 2),
-        "16UC1": _Layout(_stretched, 2),
+        "mono16": _Layout(_high_bytes, 2, "grey"),
+        "16UC1": _Layout(_stretched, 2, "grey"),
         "uyvy": _UYVY,
         "yuv422": _UYVY,
         "yuyv": _YUYV,
@@ -176,8 +179,9 @@ def decode_raw(
     """Decode an uncompressed buffer with the layout of sensor_msgs/Image.
 
     `data` is any contiguous buffer (bytes, array.array, memoryview, ndarray); `step` is the row stride in
-    bytes. rgb8, bgr8 and 8UC3 return a read-only view of `data`, the others a copy. mono16 keeps the high
-    byte; 16UC1 is contrast-stretched between the min and max value of the image.
+    bytes. rgb8, bgr8, 8UC3, mono8 and 8UC1 return a read-only view of `data`, the others a copy. mono16 keeps
+    the high byte; 16UC1 is contrast-stretched between the min and max value of the image. Grey encodings
+    return a `GreyImage`.
 
     Raises ImageError when the encoding is unsupported or the buffer is too small for the given layout.
     """
@@ -186,7 +190,8 @@ def decode_raw(
     image = _RawImage(bytes_of(data), encoding, height, width, step, is_bigendian)
     _check_size(image)
     _check_buffer(image)
-    return ColourImage(image.layout.decode(image), image.layout.order)
+    pixels, order = image.layout.decode(image), image.layout.order
+    return GreyImage(pixels) if order == "grey" else ColourImage(pixels, order)
 
 
 def _check_size(image: _RawImage) -> None:

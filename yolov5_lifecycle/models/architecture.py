@@ -2,37 +2,37 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, NamedTuple, get_args
-
-LayerKind = Literal["Conv", "C3", "SPPF", "Upsample", "Concat", "Detect"]
-LAYER_KINDS: tuple[LayerKind, ...] = get_args(LayerKind)
+from typing import Literal, NamedTuple, Union, get_args
 
 Size = Literal["n", "s", "m", "l", "x", "n6", "s6", "m6", "l6", "x6"]
 AnchorsPx = tuple[tuple[tuple[float, float], ...], ...]
+Argument = Union[int, float, tuple[int, ...], None]  # noqa: UP007 - the new form cannot be evaluated by 3.10
+"""An argument of a layer; None stands for its default."""
 
 
 class Layer(NamedTuple):
     """One network layer: a module of `kind` fed by the layers `sources` (indices; -1 is the previous one).
 
-    `repeats` is the number of C3 bottlenecks before the depth multiple. `args` start with the output channels
-    before the width multiple: Conv (channels, kernel, stride), C3 (channels, shortcut), SPPF (channels,
-    kernel).
+    `kind` is the name of the module's class. `repeats` is before the depth multiple. `args` are those that
+    the class takes, as in a checkpoint's yaml: for most kinds they start with the output channels before the
+    width multiple, such as Conv (channels, kernel, stride), C3 (channels, shortcut), SPPF (channels, kernel).
     """
 
     sources: tuple[int, ...]
     repeats: int
-    kind: LayerKind
-    args: tuple[int, ...] = ()
+    kind: str
+    args: tuple[Argument, ...] = ()
 
     def scaled_repeats(self, depth_multiple: float) -> int:
         """Number of repeats after applying the depth multiple."""
         return max(round(self.repeats * depth_multiple), 1) if self.repeats > 1 else 1
 
 
-def _layer(sources: int | tuple[int, ...], repeats: int, kind: LayerKind, *args: int) -> Layer:
+def _layer(sources: int | tuple[int, ...], repeats: int, kind: str, *args: int) -> Layer:
     return Layer((sources,) if isinstance(sources, int) else sources, repeats, kind, args)
 
 
@@ -97,11 +97,14 @@ P6_LAYERS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Architecture:
-    """A YOLOv5 v6/v7 detection architecture: layers and scaling factors.
+    """A YOLOv5 detection architecture, of whatever version: layers, scaling factors and activations.
 
     `anchors_px` are (width, height) in network pixels, one row of anchors per detection level; `strides` are
     the network pixels per grid cell of each level. The last layer is the Detect layer and has one source per
-    level.
+    level. `image_channels` is 3 for RGB, 1 for grey. `activation` is that of every convolution which has
+    one, by its name in `models/activations.py`; `other_activations` are pairs of a module's path in the
+    network and the activation that it has instead. If it `is_fused`, convolutions have a bias and no
+    normalisation.
     """
 
     depth_multiple: float
@@ -110,6 +113,25 @@ class Architecture:
     anchors_px: AnchorsPx
     strides: tuple[int, ...]
     layers: tuple[Layer, ...] = P5_LAYERS
+    image_channels: int = 3
+    channel_multiple: int = 8
+    activation: str = "SiLU"
+    other_activations: tuple[tuple[str, str], ...] = ()
+    is_fused: bool = False
+
+    @property
+    def head_outputs(self) -> int:
+        """Channels of each convolution of the Detect layer: for every anchor 5 numbers and the classes."""
+        return len(self.anchors_px[0]) * (5 + self.classes)
+
+    def scaled_channels(self, channels: int) -> int:
+        """Number of channels after applying the width multiple.
+
+        As YOLOv5 builds its models, a number that happens to be that of the head's outputs is not scaled.
+        """
+        if channels == self.head_outputs:
+            return channels
+        return math.ceil(channels * self.width_multiple / self.channel_multiple) * self.channel_multiple
 
 
 _P5_ANCHORS_PX: AnchorsPx = (

@@ -1,81 +1,17 @@
-"""YOLOv5 v6/v7 as a torch module: pixels in, raw predictions out."""
+"""YOLOv5 as a torch module: pixels in, raw predictions out."""
 
 from __future__ import annotations
-
-import math
 
 import torch
 from torch import Tensor, nn
 
+# The modules of blocks register them as kinds of layers.
+from yolov5_lifecycle.models import attention, bottlenecks, partial, pooling  # noqa: F401
+from yolov5_lifecycle.models.activations import activation_of
 from yolov5_lifecycle.models.architecture import Architecture, Layer
-
-
-class Conv(nn.Module):
-    """Convolution, batch normalisation, SiLU; `padding` keeps the size at stride 1."""
-
-    def __init__(self, channels_in: int, channels_out: int, kernel: int = 1, stride: int = 1) -> None:
-        super().__init__()
-        # The 6x6 stem of v6 pads by 2; everything else pads by half its odd kernel.
-        padding = (kernel - 1) // 2
-        self.conv = nn.Conv2d(channels_in, channels_out, kernel, stride, padding, bias=False)
-        self.bn: nn.Module = nn.BatchNorm2d(channels_out, eps=1e-3, momentum=0.03)
-        self.act = nn.SiLU(inplace=True)
-
-    def forward(self, features: Tensor) -> Tensor:
-        activated: Tensor = self.act(self.bn(self.conv(features)))
-        return activated
-
-    def fold_bn(self) -> None:
-        """Move the batch normalisation into the convolution; the output stays the same."""
-        if isinstance(self.bn, nn.BatchNorm2d):
-            self.conv = nn.utils.fuse_conv_bn_eval(self.conv, self.bn)
-            self.bn = nn.Identity()
-
-
-class Bottleneck(nn.Module):
-    def __init__(self, channels: int, shortcut: bool) -> None:
-        super().__init__()
-        self.cv1 = Conv(channels, channels, 1)
-        self.cv2 = Conv(channels, channels, 3)
-        self.shortcut = shortcut
-
-    def forward(self, features: Tensor) -> Tensor:
-        refined: Tensor = self.cv2(self.cv1(features))
-        return features + refined if self.shortcut else refined
-
-
-class C3(nn.Module):
-    """Cross-stage partial block: bottlenecks on one half of the channels, the other half bypasses them."""
-
-    def __init__(self, channels_in: int, channels_out: int, repeats: int, shortcut: bool) -> None:
-        super().__init__()
-        hidden = channels_out // 2
-        self.cv1 = Conv(channels_in, hidden)
-        self.cv2 = Conv(channels_in, hidden)
-        self.cv3 = Conv(2 * hidden, channels_out)
-        self.m = nn.Sequential(*(Bottleneck(hidden, shortcut) for _ in range(repeats)))
-
-    def forward(self, features: Tensor) -> Tensor:
-        merged: Tensor = self.cv3(torch.cat((self.m(self.cv1(features)), self.cv2(features)), dim=1))
-        return merged
-
-
-class SPPF(nn.Module):
-    """Spatial pyramid pooling: three sequential max-pools cover three window sizes."""
-
-    def __init__(self, channels_in: int, channels_out: int, kernel: int) -> None:
-        super().__init__()
-        hidden = channels_in // 2
-        self.cv1 = Conv(channels_in, hidden)
-        self.cv2 = Conv(4 * hidden, channels_out)
-        self.m = nn.MaxPool2d(kernel, stride=1, padding=kernel // 2)
-
-    def forward(self, features: Tensor) -> Tensor:
-        windows = [self.cv1(features)]
-        for _ in range(3):
-            windows.append(self.m(windows[-1]))
-        merged: Tensor = self.cv2(torch.cat(windows, dim=1))
-        return merged
+from yolov5_lifecycle.models.blocks import LAYER_KINDS, Block
+from yolov5_lifecycle.models.convolutions import Conv
+from yolov5_lifecycle.models.resizing import RESIZING, channels_after
 
 
 class Concat(nn.Module):
@@ -142,11 +78,17 @@ class Network(nn.Module):
         super().__init__()
         self.architecture = architecture
         self.model = nn.ModuleList(_modules(architecture))
+        _set_activations(self, architecture)
+        if architecture.is_fused:
+            for module in self.modules():
+                if isinstance(module, Conv):
+                    module.drop_bn()
 
     def heads(self, pixels: Tensor) -> list[Tensor]:
         """Logits of each detection level, (B, anchors, ny, nx, 5 + C), for training.
 
-        `pixels`: (B, 3, H, W) float RGB in [0, 1], H and W multiples of the largest stride.
+        `pixels`: (B, 3, H, W) float RGB in [0, 1], H and W multiples of the largest stride; (B, 1, H, W) for
+        networks of grey images.
         """
         outputs: list[Tensor] = []
         last: Tensor | list[Tensor] = pixels
@@ -168,11 +110,14 @@ class Network(nn.Module):
 
 
 def fuse(network: Network) -> Network:
-    """Fold every batch normalisation of `network` (in evaluation mode) into its convolution, in place."""
+    """Fold every normalisation of `network` (in evaluation mode) into its convolution, in place.
+
+    Blocks that can be computed faster in another way are changed, too; see `Block.fold`.
+    """
     network.eval()
-    for module in network.modules():
-        if isinstance(module, Conv):
-            module.fold_bn()
+    for module in list(network.modules()):
+        if isinstance(module, Block):
+            module.fold()
     return network.requires_grad_(False)
 
 
@@ -180,9 +125,8 @@ def _modules(architecture: Architecture) -> list[nn.Module]:
     modules: list[nn.Module] = []
     channels: list[int] = []
     for layer in architecture.layers:
-        channels_in = [
-            (channels or [3])[source] if source == -1 else channels[source] for source in layer.sources
-        ]
+        available = channels or [architecture.image_channels]
+        channels_in = [available[source] for source in layer.sources]
         module, channels_out = _module(layer, channels_in, architecture)
         modules.append(module)
         channels.append(channels_out)
@@ -193,15 +137,39 @@ def _module(layer: Layer, channels_in: list[int], architecture: Architecture) ->
     """The module of one layer and its number of output channels."""
     if layer.kind == "Concat":
         return Concat(), sum(channels_in)
-    if layer.kind == "Upsample":
-        return nn.Upsample(scale_factor=2, mode="nearest"), channels_in[0]
     if layer.kind == "Detect":
         return Detect(architecture, channels_in), 0
-    channels_out = math.ceil(layer.args[0] * architecture.width_multiple / 8) * 8
-    if layer.kind == "Conv":
-        return Conv(channels_in[0], channels_out, *layer.args[1:]), channels_out
-    if layer.kind == "SPPF":
-        return SPPF(channels_in[0], channels_out, layer.args[1]), channels_out
+    if layer.kind in RESIZING:
+        module = RESIZING[layer.kind].make(*layer.args)
+        return module, channels_after(module, channels_in[0])
+    unscaled, *arguments = layer.args
+    assert isinstance(unscaled, int)
+    channels_out = architecture.scaled_channels(unscaled)
+    block = LAYER_KINDS[layer.kind].block
     repeats = layer.scaled_repeats(architecture.depth_multiple)
-    shortcut = bool(layer.args[1]) if len(layer.args) > 1 else True
-    return C3(channels_in[0], channels_out, repeats, shortcut), channels_out
+    if has_repeats_inside(layer.kind):
+        return block(channels_in[0], channels_out, repeats, *arguments), channels_out
+    if repeats == 1:
+        return block(channels_in[0], channels_out, *arguments), channels_out
+    if channels_in[0] != channels_out:
+        raise ValueError(f"a {layer.kind} of {channels_in[0]} to {channels_out} channels cannot be repeated")
+    return nn.Sequential(
+        *(block(channels_out, channels_out, *arguments) for _ in range(repeats))
+    ), channels_out
+
+
+def has_repeats_inside(kind: str) -> bool:
+    """Whether the repeats of a layer of this kind are an argument of its block."""
+    block = LAYER_KINDS[kind].block if kind in LAYER_KINDS else nn.Module
+    return issubclass(block, Block) and block.has_repeats_inside
+
+
+def _set_activations(network: nn.Module, architecture: Architecture) -> None:
+    """Give the activations of `architecture` to modules made with SiLU; others have none on purpose."""
+    others = dict(architecture.other_activations)
+    for path, module in list(network.named_modules()):
+        if isinstance(act := getattr(module, "act", None), nn.Module):
+            usual = architecture.activation if isinstance(act, nn.SiLU) else "Identity"
+            module.act = activation_of(others.pop(f"{path}.act", usual))
+    if others:
+        raise ValueError(f"there is no activation at {next(iter(others))[:100]}")

@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import pkgutil
 import threading
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from yolov5_lifecycle import models, runtimes
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.models.network import Detect, Network, fuse
+from yolov5_lifecycle.models.network import Detect, fuse
 from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
+from yolov5_lifecycle.runtimes.frames import write_planes
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead, Features
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
 
-_PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
+_GRAPH_MAKERS = tuple(
+    f"{package.__name__}.{module.name}"
+    for package in (models, runtimes)
+    for module in pkgutil.iter_modules(package.__path__)
+    if package is models or module.name.startswith("onnx_")
+)
+"""Modules on which the ONNX graph of a model depends."""
 
 _log = logging.getLogger(__name__)
 
@@ -37,7 +45,7 @@ class CompiledRuntime:
     def __init__(self, compiler: Compiler, engine: Engine, *, kept: int = MIN_KEPT) -> None:
         self._engine = engine
         self._compiled = NetworksByShape(
-            lambda shape: _Compiled(compiler.run(shape), compiler.head, shape), kept=kept
+            lambda shape: _Compiled(compiler.run(shape), compiler.head, shape, compiler.channels), kept=kept
         )
 
     @classmethod
@@ -97,11 +105,11 @@ class CompiledRuntime:
 class _Compiled:
     """A compiled network for one input shape, with its detection head and input buffer."""
 
-    def __init__(self, run: Run, head: DetectionHead, shape: Shape) -> None:
+    def __init__(self, run: Run, head: DetectionHead, shape: Shape, channels: int) -> None:
         self._run = run
         self._head = head
         batch, height, width = shape
-        self._planes = np.empty((batch, 3, height, width), np.uint8)
+        self._planes = np.empty((batch, channels, height, width), np.uint8)
 
     def __call__(
         self,
@@ -110,7 +118,7 @@ class _Compiled:
         min_objectness: Sequence[float],
     ) -> list[NDArray[np.float32]]:
         for planes, frame, order in zip(self._planes, frames, orders, strict=True):
-            cv2.split(frame, [planes[plane] for plane in _PLANES[order]])  # written in place
+            write_planes(frame, order, planes)
         features = self._run(self._planes)
         return [
             self._head([level[index : index + 1] for level in features], least)
@@ -121,11 +129,12 @@ class _Compiled:
 class Compiler:
     """Compiles the network of `model` with `engine` and caches the result in `store`.
 
-    `head` is the network's last layer, which is not compiled.
+    `head` is the network's last layer, which is not compiled. Its images have `channels`, 3 or 1.
     """
 
     def __init__(self, model: Model, engine: Engine, store: CompiledStore) -> None:
         self._network = model.network().requires_grad_(False)
+        self.channels = model.architecture.image_channels
         self._engine = engine
         self._store = store
         self._fusing = threading.Lock()  # an abandoned thread may compile concurrently with its successor
@@ -156,13 +165,13 @@ def _identity(model: Model, engine: Engine) -> str:
     weights = hashlib.sha256()
     for name, tensor in sorted(model.state_dict.items()):
         weights.update(name.encode() + tensor.numpy().tobytes())
-    makers = (engine.name, engine.build.__module__, onnx_graph.__module__, Network.__module__)
+    makers = (engine.name, engine.build.__module__, *_GRAPH_MAKERS)
     builds = [installed_build(maker) for maker in makers]
     return repr([builds, processor(), model.architecture, weights.hexdigest()])
 
 
 Run = Callable[[NDArray[np.uint8]], Sequence[Features]]
-"""Planes (batch, 3, h, w) RGB -> the features of each level, which the next run may overwrite."""
+"""Planes (batch, 3 or 1, h, w), RGB or grey -> features of each level, which the next run may overwrite."""
 
 
 @dataclass(frozen=True)

@@ -77,13 +77,13 @@ def shape_of_batch(
     frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order], min_objectness: Sequence[float]
 ) -> Shape:
     """Number, height and width of `frames`; raises ValueError like `Runtime.run_batch`."""
-    shapes = {frame.shape for frame in frames}
+    shapes = {frame.shape[:2] for frame in frames}
     if len(shapes) != 1 or not len(frames) == len(orders) == len(min_objectness):
         raise ValueError(
-            "A batch needs frames of one shape, each with an order and an objectness, found "
+            "A batch needs frames of one height and width, each with an order and an objectness, found "
             f"{len(frames)} of shapes {sorted(shapes)}, {len(orders)} orders, {len(min_objectness)} numbers."
         )
-    height, width, _ = frames[0].shape
+    ((height, width),) = shapes
     return len(frames), height, width
 
 

@@ -37,7 +37,10 @@ class Runtime(Protocol):
     def __call__(
         self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
     ) -> NDArray[np.float32]:
-        """Raw predictions (n, 5 + C) for a letterboxed frame (h, w, 3): rows of `Network.forward`.
+        """Raw predictions (n, 5 + C) for a letterboxed frame: rows of `Network.forward`.
+
+        The frame has the shape (h, w, 3), or (h, w) if its order is grey; whatever it is, the network gets
+        the channels that it reads.
 
         In that order: all rows whose objectness is not below `min_objectness`, in [0, 1], up to rounding;
         which other rows are returned depends on the runtime. Raises InferenceError.
@@ -51,7 +54,7 @@ class Runtime(Protocol):
     ) -> list[NDArray[np.float32]]:
         """The predictions of each frame, as a call with it alone returns them up to rounding, in one run.
 
-        Raises ValueError unless there is at least one frame, all of one shape (h, w, 3), each with an order
+        Raises ValueError unless there is at least one frame, all of one shape, each with an order
         and an objectness; InferenceError when the run fails, for all frames together.
         """
 

@@ -7,15 +7,15 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.models.network import Network, fuse
+from yolov5_lifecycle.models.network import Detect, Network, fuse
+from yolov5_lifecycle.runtimes.frames import as_channels
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
@@ -27,7 +27,10 @@ _ONE_AT_A_TIME = threading.Lock()
 _HAS_FAILED = threading.Event()
 
 Forward = Callable[[Tensor], Tensor]
-"""Frames (batch, h, w, 3) RGB -> all predictions (batch, N, 5 + C), which the next run may overwrite."""
+"""Frames (batch, h, w, 3) RGB or (batch, h, w, 1) grey -> all predictions (batch, N, 5 + C).
+
+The next run may overwrite them.
+"""
 
 _log = logging.getLogger(__name__)
 
@@ -42,6 +45,7 @@ class TorchRuntime:
     ) -> None:
         self._device = device
         self._dtype = dtype
+        self._channels = network.architecture.image_channels
         prepared = _prepared(network, device, dtype)
         self._forwards: NetworksByShape[Forward] = NetworksByShape(
             lambda shape: _forward(prepared, shape, device=device, dtype=dtype), kept=kept
@@ -91,7 +95,7 @@ class TorchRuntime:
         shape = shape_of_batch(frames, orders, min_objectness)
         try:
             with torch.inference_mode(), self._forwards.running(shape) as forward:
-                raw = forward(_stacked(frames, orders))
+                raw = forward(_stacked(frames, orders, self._channels))
                 return [_likely(rows, least) for rows, least in zip(raw, min_objectness, strict=True)]
         except InferenceError:  # it was closed
             raise
@@ -119,28 +123,28 @@ class TorchRuntime:
         return InferenceError(f"torch failed on {self.device}: {problem}")
 
 
-def _stacked(frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order]) -> Tensor:
-    """Frames (h, w, 3) as one RGB tensor (batch, h, w, 3); a single one in RGB is not copied."""
-    rgb = [
-        torch.from_numpy(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) if order == "bgr" else frame)
+def _stacked(frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order], channels: int) -> Tensor:
+    """Frames as one tensor (batch, h, w, channels); a single one that fits is not copied."""
+    fitting = [
+        torch.from_numpy(as_channels(frame, order, channels))
         for frame, order in zip(frames, orders, strict=True)
     ]
-    return torch.stack(rgb) if len(rgb) > 1 else rgb[0].unsqueeze(0)
+    return torch.stack(fitting) if len(fitting) > 1 else fitting[0].unsqueeze(0)
 
 
 def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: torch.dtype) -> Forward:
-    """Forward pass of `network` on uint8 RGB frames (batch, h, w, 3), as a CUDA graph where possible."""
+    """Forward pass of `network` on uint8 frames (batch, h, w, channels), as a CUDA graph where possible."""
 
-    def eager(rgb: Tensor) -> Tensor:
+    def eager(frames: Tensor) -> Tensor:
         # The frames are channels-last already.
-        pixels = rgb.to(device).permute(0, 3, 1, 2).to(dtype) / 255
+        pixels = frames.to(device).permute(0, 3, 1, 2).to(dtype) / 255
         predictions: Tensor = network(pixels)
         return predictions
 
     if device.type != "cuda":
         return eager
     try:
-        return RecordedNetwork(eager, shape, device)
+        return RecordedNetwork(eager, (*shape, network.architecture.image_channels), device)
     except RuntimeError as error:
         problem = _first_line(error.__context__ or error)  # the latter may only mention an earlier error
     _log.warning("The network is run step by step, as CUDA could not record it: %s", problem)
@@ -148,13 +152,13 @@ def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: tor
 
 
 class RecordedNetwork:
-    """A CUDA graph of `forward` for uint8 RGB frames (batch, h, w, 3): one launch instead of one per kernel.
+    """A CUDA graph of `forward` for uint8 frames (batch, h, w, channels): one launch for all kernels.
 
     Raises RuntimeError when `forward` fails or cannot be captured.
     """
 
-    def __init__(self, forward: Forward, shape: Shape, device: torch.device) -> None:
-        self._frames = torch.zeros((*shape, 3), dtype=torch.uint8, device=device)
+    def __init__(self, forward: Forward, shape: tuple[int, ...], device: torch.device) -> None:
+        self._frames = torch.zeros(shape, dtype=torch.uint8, device=device)
         with _alone(), torch.cuda.device(device):
             self._graph = torch.cuda.CUDAGraph()
             # torch's default capture stream belongs to the first GPU that captured, and stays the current
@@ -211,9 +215,10 @@ def _likely(raw: Tensor, min_objectness: float) -> NDArray[np.float32]:
 
 def _prepared(network: Network, device: torch.device, dtype: torch.dtype) -> Network:
     fuse(network)
-    for module in network.modules():
-        if isinstance(module, nn.Conv2d):  # the anchors stay float32
-            module.to(dtype)
+    detect = network.model[-1]
+    assert isinstance(detect, Detect)
+    for module in (*network.model[:-1], detect.m):  # the anchors stay float32
+        module.to(dtype)
     if device.type == "cuda" and dtype == torch.float32:  # else convolutions use TF32, as coarse as fp16
         torch.backends.cudnn.allow_tf32 = False
     network.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]

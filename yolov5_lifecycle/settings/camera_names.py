@@ -16,6 +16,8 @@ MAX_NAME_LENGTH = 64
 _NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*_?")
 _TOPICS = ("image", "image_raw", "detections", "detections_3d", "label_info")
 """First parts of the names of the node's own topics; `depth` is a setting, too."""
+NODE_STATUS = "detection"
+"""Name of the node's own status in /diagnostics, beside those of its cameras."""
 
 
 def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:
@@ -39,6 +41,8 @@ def _owner(name: str, settings: Collection[str]) -> str:
         return "a setting"
     if name in _TOPICS:
         return "a topic"
+    if name == NODE_STATUS:
+        return "the status of the node in /diagnostics"
     return "a parameter of ROS" if f"{name}{SEPARATOR}".startswith(ROS_PREFIXES) else ""
 
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel
 
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, MAX_NAME_LENGTH
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, Schema, Setting, SettingsError
 from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS, nearest
 
@@ -54,7 +54,7 @@ class OverridableSchema(Schema[Model]):
         self, name: str, values: Mapping[str, object] = _NONE, *, may_suggest: bool = True
     ) -> Problem:
         problem = super().unknown(name, values, may_suggest=may_suggest)
-        reason = self._reason(name, _cameras(values))
+        reason = self._reason(name, _cameras(values), may_suggest=may_suggest)
         return Problem(problem.setting, f"there is no such parameter: {reason}") if reason else problem
 
     def differing(
@@ -67,7 +67,7 @@ class OverridableSchema(Schema[Model]):
             if setting.change is change and ours.get(name) != others.get(name)
         ]
 
-    def _reason(self, name: str, cameras: Sequence[str]) -> str:
+    def _reason(self, name: str, cameras: Sequence[str], *, may_suggest: bool) -> str:
         """Why there is no parameter `name` with these `cameras`; empty if they have nothing to do with it."""
         camera, separator, setting = name.partition(SEPARATOR)
         if separator and camera in cameras and setting in self.by_name:
@@ -75,10 +75,10 @@ class OverridableSchema(Schema[Model]):
         if name in cameras:
             example = next(setting.name for setting in self.settings if setting.per_camera)
             return f"{name} is a camera; its settings are called {name}{SEPARATOR}{example} and so on."
-        if self._inherited(name) and not (cameras and nearest(camera, cameras)):
-            present = f"has {', '.join(cameras)}" if cameras else "is empty"
-            return f"add the camera to {CAMERAS}, which {present}."
-        return ""
+        if self._inherited(name) is None or (cameras and (not may_suggest or nearest(camera, cameras))):
+            return ""
+        present = f"has {', '.join(name[:MAX_NAME_LENGTH] for name in cameras)}" if cameras else "is empty"
+        return f"add the camera to {CAMERAS}, which {present}."
 
     def _override(self, name: str) -> Setting | None:
         setting = self._inherited(name)
@@ -116,7 +116,7 @@ class OverridableSchema(Schema[Model]):
 
     def _by_camera(self, values: Mapping[str, object]) -> tuple[dict[str, dict[str, object]], list[Problem]]:
         """Values of the overrides by camera and setting, and a problem for each unknown one."""
-        cameras = _cameras(values)[:MAX_CAMERAS]  # more are refused anyway
+        cameras = _cameras(values)
         by_camera = {camera: dict[str, object]() for camera in cameras}
         unknown = []
         for name in filter(lambda name: SEPARATOR in name, values):
@@ -163,6 +163,8 @@ def overrides_of(camera: str, overrides: Mapping[str, object]) -> dict[str, obje
 
 
 def _cameras(values: Mapping[str, object]) -> tuple[str, ...]:
-    """Names of the cameras in `values`, valid or not."""
+    """Names of the first MAX_CAMERAS cameras in `values`, valid or not; more are refused anyway."""
     names = values.get(CAMERAS)
-    return tuple(name for name in names if isinstance(name, str)) if isinstance(names, (list, tuple)) else ()
+    if not isinstance(names, (list, tuple)):
+        return ()
+    return tuple(name for name in names[:MAX_CAMERAS] if isinstance(name, str))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import ItemsView
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ from support.camera_client import CameraClient
 from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of
 
+from yolov5_lifecycle.ros.detector.camera import Camera
+from yolov5_lifecycle.ros.detector.frame_failures import CameraFailures
+from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 
 
@@ -38,7 +42,9 @@ def test_cameras_that_are_removed_together_while_inference_hangs_abandon_one_thr
         prepare.running.run = hang
 
         def all_wait() -> bool:
-            return all([cameras[name].send() and cameras[name].counts()["pending"] for name in hanging])
+            for name in hanging:
+                cameras[name].send()
+            return all(cameras[name].counts()["pending"] for name in hanging)
 
         served.wait_for(lambda: bool(cameras["front"].send()) and hangs.is_set(), "a frame to hang")
         served.wait_for(all_wait, "frames of all to wait")
@@ -50,3 +56,69 @@ def test_cameras_that_are_removed_together_while_inference_hangs_abandon_one_thr
         assert class_ids_of(cameras["top"].detect()) == ["dog"]
         released.set()
     assert served.escaped == []
+
+
+def test_a_node_is_configured_again_although_the_camera_of_a_qos_override_was_removed(
+    prepare: Preparations,
+) -> None:
+    qos = "qos_overrides./yolov5/rear/detections.publisher.depth:=3"
+    with ServedNode(prepare, parameters=["cameras:=[front, rear]", qos]) as served:
+        served.bring_to("active")
+        assert served.set(cameras=["front"]) == (True, "")
+        assert [served.transition(label) for label in ("deactivate", "cleanup", "configure")] == [True] * 3
+        assert served.set(cameras=["front", "rear"]) == (True, "")
+        assert served.transition("activate")
+        assert class_ids_of(CameraClient(served, "rear").detect()) == ["cat"]
+    assert served.escaped == []
+
+
+def test_a_success_that_a_removed_camera_reports_late_does_not_keep_a_failing_node_active(
+    prepare: Preparations,
+) -> None:
+    """The frame of a camera is counted, so that the camera may be removed, before its success is reported."""
+    with ServedNode(prepare, parameters=["cameras:=[front, rear]"]) as served:
+        rear = CameraClient(served, "rear")
+        served.bring_to("active")
+        report_of_front = failures_of(served.node._resources, "front").succeeded
+        assert served.set(cameras=["rear"]) == (True, "")
+        report_of_front()
+        prepare.running.run = fail
+
+        def is_deactivated() -> bool:
+            rear.send()
+            return any("deactivated after 10 failed frames in a row" in said for said in served.log)
+
+        served.wait_for(is_deactivated, "the node to deactivate itself")
+    assert served.escaped == []
+
+
+def failures_of(resources: ManagedResources, camera: str) -> CameraFailures:
+    return resources._cameras[camera]._failures
+
+
+def fail() -> np.ndarray:
+    raise RuntimeError("the network fails")
+
+
+def test_the_sizes_for_which_a_model_is_prepared_are_read_where_cameras_are_changed(
+    prepare: Preparations,
+) -> None:
+    """In another thread cameras could come and go meanwhile, and the request be refused for that."""
+    with ServedNode(prepare, parameters=["cameras:=[front, rear]"]) as served:
+        served.bring_to("inactive")
+        resources = served.node._resources
+        cameras = resources._cameras = ThreadsThatRead(resources._cameras)
+        assert served.transition("activate")
+        assert cameras.threads == {served.serving_thread}
+
+
+class ThreadsThatRead(dict[str, Camera]):
+    """Cameras that know which threads look at all of them."""
+
+    def __init__(self, cameras: dict[str, Camera]) -> None:
+        super().__init__(cameras)
+        self.threads: set[int] = set()
+
+    def items(self) -> ItemsView[str, Camera]:
+        self.threads.add(threading.get_ident())
+        return super().items()

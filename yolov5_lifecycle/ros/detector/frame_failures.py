@@ -55,13 +55,18 @@ class FrameFailures:
         count = self._cameras[camera] = self._cameras.get(camera, 0) + 1
         if isinstance(error, DeviceLostError):
             self._tell(self._on_device_lost, reason)
-        elif count >= self._max_consecutive() and all(tuple(self._cameras.values())):
+        elif count >= self._max_consecutive() and not self._is_any_served():
             self._tell(self._on_too_many, f"{count} failed frames in a row, the last: {reason}")
             self.restart()
 
     def forget(self, camera: CameraFailures) -> None:
         """Leave out a camera that has ended."""
         self._cameras.pop(camera, None)
+
+    def _is_any_served(self) -> bool:
+        # A camera that was removed meanwhile may have reported its last frame after that.
+        counts = tuple(self._cameras.items())
+        return any(count == 0 and not camera.is_closed for camera, count in counts)
 
     def _tell(self, what: Callable[[str], None], reason: str) -> None:
         if (executor := self._node.executor) is not None:
@@ -80,6 +85,7 @@ class CameraFailures:
         self._whose = f" of camera {camera}" if camera else ""
         self._failures = failures
         self.last_problem = ""
+        self.is_closed = False
         self._happened_s = float("-inf")
 
     def succeeded(self) -> None:
@@ -107,6 +113,7 @@ class CameraFailures:
 
     def close(self) -> None:
         """Leave the count of failed frames; call when no frame is in progress."""
+        self.is_closed = True
         self._failures.forget(self)
 
     def _note(self, problem: str) -> None:

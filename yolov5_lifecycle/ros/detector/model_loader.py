@@ -42,7 +42,8 @@ class ModelLoader:
 
     def begin(self, settings: Settings) -> Preparation:
         """Queue the preparation of the model for `settings`."""
-        return self._background.submit(lambda: self._prepare(settings, self._sizes_hw(settings)))
+        sizes_hw = self._sizes_hw(settings)  # now: cameras come and go while the background works
+        return self._background.submit(lambda: self._prepare(settings, sizes_hw))
 
     async def load(self, wanted: Callable[[], Settings | None]) -> Preparation | None:
         """Prepare the model for `wanted()`, repeated if other settings are wanted once it is done.

@@ -65,6 +65,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
         self._start_problems = list(start_problems)
         self._max_abandoned_threads = max_abandoned_threads
         self._problem = ""
+        self._is_qos_checked = False
         self.device_lost = False
         self.too_many_abandoned = False
         self._settings = self._declared_settings(validate, arguments)
@@ -118,15 +119,18 @@ class DetectorNode(PrintableNode, LifecycleNode):
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         cameras = self._settings.value("cameras") or ("",)
+        # The overrides stay the same, but a camera that they are for may have been removed since.
+        of_qos = [] if self._is_qos_checked else qos_problems(self, cameras)
         problems = [
             *map(in_one_line, self._start_problems),
             *remapping_problems(self, cameras),
-            *(in_one_line(str(problem)) for problem in qos_problems(self, cameras)),
+            *(in_one_line(str(problem)) for problem in of_qos),
             *(in_one_line(str(problem)) for problem in self._settings.problems()),
         ]
         if problems:
             self.report("\n  ".join([f"configure refused, {len(problems)} problem(s):", *problems]))
             return FAILURE
+        self._is_qos_checked = True
         settings = self._settings.settings()
         try:
             check_place(settings)

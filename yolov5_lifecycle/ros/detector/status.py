@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
+from yolov5_lifecycle.settings.camera_names import NODE_STATUS
 from yolov5_lifecycle.settings.settings import Settings
 
 _REMEDIES = {
@@ -59,11 +60,11 @@ class Status:
         each = self.of_cameras
         if not each:
             one, problem = self._summary(self.cameras[0]), self.problem or self.cameras[0].problem
-            return Summary("detection", problem, one.hint, one.remark, self._values(problem) | one.values)
+            return Summary(NODE_STATUS, problem, one.hint, one.remark, self._values(problem) | one.values)
         problems = [f"{camera.name}: {camera.problem}" for camera in each if camera.problem]
         hints = [f"{camera.name}: {camera.hint}" for camera in each if camera.hint]
         return Summary(
-            "detection",
+            NODE_STATUS,
             problem=self.problem,
             hint=next(iter(problems + hints), ""),
             remark=self._inactivity,

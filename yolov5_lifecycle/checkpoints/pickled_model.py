@@ -1,0 +1,170 @@
+"""The model among the objects of a checkpoint, and what its attributes say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from yolov5_lifecycle.checkpoints.layer_rows import layer_kind
+from yolov5_lifecycle.checkpoints.module_tree import Stub
+from yolov5_lifecycle.checkpoints.stored_tensor import StoredTensor
+from yolov5_lifecycle.checkpoints.yaml_architecture import MAX_ANCHORS, MAX_LEVELS, MAX_STRIDE
+from yolov5_lifecycle.models.architecture import AnchorsPx
+from yolov5_lifecycle.models.model import MAX_CLASSES, WeightsError, checked_integer, shown
+
+_WRAPPERS: Mapping[str, str] = MappingProxyType(
+    {
+        "DataParallel": "module",
+        "DistributedDataParallel": "module",
+        "AutoShape": "model",
+        "autoShape": "model",
+        "DetectMultiBackend": "model",
+    }
+)
+"""Modules around a model, and the names under which they have it: for several GPUs, and to run it."""
+_MAX_WRAPPERS = 4
+_PLACEHOLDER_ANCHORS_PX = tuple((float(2 * index), float(2 * index + 1)) for index in range(MAX_ANCHORS))
+"""Anchors that YOLOv5 creates for `anchors: 3` in the yaml of P2, P34, P6 and P7 models."""
+
+Read = Callable[[StoredTensor], Tensor]
+
+
+def model_root(checkpoint: object) -> Stub:
+    """The model in a checkpoint, its `ema` if present, without what is around it. Raises WeightsError."""
+    found = _saved_module(checkpoint)
+    for _ in range(_MAX_WRAPPERS):
+        if found.kind not in _WRAPPERS:
+            break
+        inside = found.group("_modules").get(_WRAPPERS[found.kind])
+        if not isinstance(inside, Stub):
+            raise WeightsError(f"expected a model inside {found.kind}, found {shown(inside)}")
+        found = inside
+    return found
+
+
+def _saved_module(checkpoint: object) -> Stub:
+    if isinstance(checkpoint, Stub):
+        return checkpoint
+    if not isinstance(checkpoint, dict):
+        raise WeightsError(f"expected a dict with the entry 'model', found {shown(checkpoint)}")
+    for key in ("ema", "model"):
+        if isinstance(module := checkpoint.get(key), Stub):
+            return module
+    states = [checkpoint, *(checkpoint.get(key) for key in ("ema", "model", "state_dict"))]
+    if any(isinstance(state, dict) and _holds_tensors(state) for state in states):
+        raise WeightsError(
+            "this is a bare state dict, without the model's yaml and class names: use the original .pt"
+        )
+    raise WeightsError(
+        f"expected a YOLOv5 model under 'ema' or 'model', found {shown(checkpoint.get('model'))}"
+    )
+
+
+def _holds_tensors(state: Mapping[object, object]) -> bool:
+    return bool(state) and all(isinstance(value, StoredTensor) for value in state.values())
+
+
+def without_nms(modules: Mapping[str, Stub]) -> dict[str, Stub]:
+    """`modules` without a last layer that v3.1 to v5.0 added for an export; it has no tensors."""
+    layers = modules["model"].group("_modules") if "model" in modules else {}
+    last = f"model.{list(layers)[-1]}" if layers else ""
+    if last and modules[last].pickled_name.endswith("models.common.NMS"):
+        return {path: module for path, module in modules.items() if path.partition(f"{last}.")[0] != last}
+    return dict(modules)
+
+
+def head_path(modules: Mapping[str, Stub]) -> str:
+    """The path of the Detect layer, the last one."""
+    layers = [path for path in modules if path.startswith("model.") and path.count(".") == 1]
+    if not layers:
+        raise WeightsError(f"expected a YOLOv5 model, found a {shown(modules[''].kind)} without layers")
+    path = layers[-1]
+    if layer_kind(modules[path].kind, "the last layer") != "Detect":
+        raise WeightsError(f"the last layer is a {modules[path].kind}, expected Detect")
+    return path
+
+
+def own_yaml(root: Stub, modules: Mapping[str, Stub]) -> object:
+    """The yaml of the model, in which our kinds of layers stand for those of the same name by version."""
+    yaml = root.get("yaml")
+    if not isinstance(yaml, dict):
+        return yaml
+    backbone, head = yaml.get("backbone"), yaml.get("head")
+    if not isinstance(backbone, (list, tuple)) or not isinstance(head, (list, tuple)):
+        return yaml
+    rows = [_own_row(row, modules.get(f"model.{index}")) for index, row in enumerate([*backbone, *head])]
+    return yaml | {"backbone": rows[: len(backbone)], "head": rows[len(backbone) :]}
+
+
+def _own_row(row: Any, module: Stub | None) -> Any:
+    is_experiment = module is not None and module.pickled_name.endswith("models.experimental.C3")
+    if is_experiment and isinstance(row, (list, tuple)) and len(row) == 4 and row[2] == "C3":
+        return [row[0], row[1], "CrossCSP", row[3]]
+    return row
+
+
+def image_channels(stored: Mapping[str, StoredTensor], first: Stub | None) -> int:
+    """Channels of the images, from the first weights: a yaml of before v6.0 does not tell them."""
+    shapes = (tensor.shape for key, tensor in stored.items() if key.startswith("model.0."))
+    shape = next((shape for shape in shapes if len(shape) == 4), (0, 3))
+    return shape[1] // 4 if first is not None and first.kind == "Focus" else shape[1]
+
+
+def classes_of(head: Stub) -> int:
+    classes = checked_integer(head.get("nc"), "the number of classes", 1, MAX_CLASSES)
+    outputs = head.get("no")
+    if not isinstance(outputs, int) or outputs != classes + 5:
+        raise WeightsError(
+            f"the Detect layer gives {shown(outputs)} numbers a box, expected {classes + 5} for {classes} "
+            "classes: the head of another kind of model, or a damaged file"
+        )
+    return classes
+
+
+def strides_of(root: Stub, read: Read) -> tuple[int, ...]:
+    stride = root.get("stride")
+    if (
+        not isinstance(stride, StoredTensor)
+        or len(stride.shape) != 1
+        or not 1 <= stride.shape[0] <= MAX_LEVELS
+    ):
+        raise WeightsError(f"expected the strides of 1 to {MAX_LEVELS} levels, found {shown(stride)}")
+    values = read(stride).tolist()
+    if not all(value in range(1, MAX_STRIDE + 1) for value in values):
+        raise WeightsError(f"expected strides from 1 to {MAX_STRIDE}, found {shown(values)}")
+    return tuple(map(int, values))
+
+
+def anchors_of(
+    anchors: StoredTensor | None, grid: StoredTensor | None, strides: tuple[int, ...], read: Read
+) -> AnchorsPx:
+    """Anchors in pixels from the buffer in grid cells, (levels, anchors, 2).
+
+    Until v5.0 there is also `grid`, (levels, 1, anchors, 1, 1, 2) in pixels, by which boxes are computed.
+    """
+    shape = () if anchors is None else anchors.shape
+    if anchors is None or len(shape) != 3 or shape[0] != len(strides) or shape[2] != 2:
+        raise WeightsError(
+            f"expected anchors (width, height) for {len(strides)} levels, found the shape {shape}"
+        )
+    if not 1 <= shape[1] <= MAX_ANCHORS:
+        raise WeightsError(f"expected 1 to {MAX_ANCHORS} anchors on each level, found {shape[1]}")
+    if grid is not None and grid.shape != (shape[0], 1, shape[1], 1, 1, 2):
+        raise WeightsError(f"expected anchors in pixels of the levels, found the shape {grid.shape}")
+    if grid is None:
+        in_pixels = read(anchors).double() * torch.tensor(strides, dtype=torch.float64).view(-1, 1, 1)
+    else:
+        in_pixels = read(grid).double().view(shape)
+    anchors_px = tuple(
+        tuple((float(wide), float(high)) for wide, high in level) for level in in_pixels.tolist()
+    )
+    if all(level == _PLACEHOLDER_ANCHORS_PX[: len(level)] for level in anchors_px):
+        raise WeightsError(
+            "the model was never trained: its anchors are still the placeholders (0, 1), (2, 3), ..., which "
+            "training replaces; train it first"
+        )
+    return anchors_px

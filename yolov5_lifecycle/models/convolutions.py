@@ -1,0 +1,223 @@
+"""Convolutions with normalisation and activation, and other single convolutions."""
+
+from __future__ import annotations
+
+from math import gcd
+
+import torch
+from torch import Tensor, nn
+
+from yolov5_lifecycle.models.blocks import Block, layer_kind
+from yolov5_lifecycle.models.cells import Cells
+
+EPSILON = 1e-3
+"""That of every batch normalisation; no state dict holds it."""
+
+
+def convolved(
+    cells: Cells,
+    kernel: int = 1,
+    stride: int = 1,
+    padding: int | None = None,
+    groups: int = 1,
+    dilation: int = 1,
+) -> Cells:
+    """The cells of a convolution with these arguments of `Conv`."""
+    same = dilation * (kernel - 1) // 2
+    return cells.slid(kernel, stride, same if padding is None else padding, dilation)
+
+
+def _spread(
+    cells: Cells, kernel: int = 1, stride: int = 1, padding: int = 0, output_padding: int = 0
+) -> Cells:
+    return cells.spread(kernel, stride, padding, output_padding)
+
+
+@layer_kind(convolved)
+class Conv(Block):
+    """Convolution, batch normalisation, activation; `padding` keeps the size at stride 1.
+
+    The default of `padding` is (kernel - 1) // 2, also for the 6x6 kernel with which v6 begins.
+    """
+
+    def __init__(
+        self,
+        channels_in: int,
+        channels_out: int,
+        kernel: int | tuple[int, int] = 1,
+        stride: int | tuple[int, int] = 1,
+        padding: int | None = None,
+        groups: int = 1,
+        dilation: int = 1,
+        *,
+        is_activated: bool = True,
+    ) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(
+            channels_in,
+            channels_out,
+            kernel,
+            stride,
+            _padding(kernel, dilation) if padding is None else padding,
+            dilation,
+            groups,
+            bias=False,
+        )
+        self.bn: nn.Module = normalisation(channels_out)
+        self.act: nn.Module = nn.SiLU(inplace=True) if is_activated else nn.Identity()
+
+    def forward(self, features: Tensor) -> Tensor:
+        activated: Tensor = self.act(self.bn(self.conv(features)))
+        return activated
+
+    def fold(self) -> None:
+        """Move the batch normalisation into the convolution."""
+        if isinstance(self.bn, nn.BatchNorm2d):
+            self.conv = nn.utils.fuse_conv_bn_eval(self.conv, self.bn)
+            self.bn = nn.Identity()
+
+    def drop_bn(self) -> None:
+        """Replace the normalisation by a bias of the convolution, both without values."""
+        if isinstance(self.bn, nn.BatchNorm2d):
+            self.conv.bias = nn.Parameter(torch.zeros(self.conv.out_channels))
+            self.bn = nn.Identity()
+
+
+@layer_kind(lambda cells, kernel=1, stride=1, dilation=1: convolved(cells, kernel, stride, None, 1, dilation))
+class DWConv(Conv):
+    """A convolution in as many groups as both numbers of channels allow."""
+
+    def __init__(
+        self,
+        channels_in: int,
+        channels_out: int,
+        kernel: int = 1,
+        stride: int = 1,
+        dilation: int = 1,
+        *,
+        is_activated: bool = True,
+    ) -> None:
+        groups = gcd(channels_in, channels_out)
+        super().__init__(
+            channels_in, channels_out, kernel, stride, None, groups, dilation, is_activated=is_activated
+        )
+
+
+@layer_kind(lambda cells, *kernel_stride: convolved(cells.contracted(2), *kernel_stride))
+class Focus(Block):
+    """Four pixels become four times the channels, then a convolution: how networks before v6 begin."""
+
+    def __init__(self, channels_in: int, channels_out: int, kernel: int = 1, stride: int = 1) -> None:
+        super().__init__()
+        self.conv = Conv(4 * channels_in, channels_out, kernel, stride)
+        self._is_folded = False
+
+    def forward(self, features: Tensor) -> Tensor:
+        if not self._is_folded:
+            rows = (features[..., 0::2, :], features[..., 1::2, :])
+            quarters = [row[..., first::2] for first in (0, 1) for row in rows]
+            features = torch.cat(quarters, dim=1)
+        convolved: Tensor = self.conv(features)
+        return convolved
+
+    def fold(self) -> None:
+        """Compute the same with one convolution of the pixels, of twice the kernel and stride."""
+        if self._is_folded:
+            return
+        narrow = self.conv.conv
+        kernel, stride, padding = (2 * side for side in _sides(narrow))
+        with torch.device(narrow.weight.device):
+            wide = nn.Conv2d(
+                narrow.in_channels // 4, narrow.out_channels, kernel, stride, padding, bias=False
+            )
+        # (out, column parity, row parity, in, ky, kx) -> (out, in, ky, row parity, kx, column parity)
+        quarters = narrow.weight.detach().view(-1, 2, 2, wide.in_channels, kernel // 2, kernel // 2)
+        wide.weight = nn.Parameter(quarters.permute(0, 3, 4, 2, 5, 1).reshape(wide.weight.shape))
+        wide.bias = narrow.bias
+        self.conv.conv = wide.train(narrow.training)
+        self._is_folded = True
+
+
+@layer_kind(lambda cells, kernels=(1, 3), stride=1: convolved(cells, kernels[0], stride))
+class MixConv2d(Block):
+    """Convolutions with different kernels side by side, normalised and activated together."""
+
+    def __init__(
+        self, channels_in: int, channels_out: int, kernels: tuple[int, ...] = (1, 3), stride: int = 1
+    ) -> None:
+        super().__init__()
+        # Channel i of n goes to the part in which the i-th of n equidistant points lies.
+        points = torch.linspace(0, len(kernels) - 1e-6, channels_out, device="cpu").floor().tolist()
+        self.m = nn.ModuleList(
+            nn.Conv2d(
+                channels_in, part, kernel, stride, kernel // 2, groups=gcd(channels_in, part), bias=False
+            )
+            for kernel, part in zip(kernels, map(points.count, range(len(kernels))), strict=True)
+        )
+        self.bn: nn.Module = normalisation(channels_out)
+        self.act: nn.Module = nn.SiLU(inplace=True)
+
+    def forward(self, features: Tensor) -> Tensor:
+        parts = torch.cat([convolution(features) for convolution in self.m], dim=1)
+        activated: Tensor = self.act(self.bn(parts))
+        return activated
+
+    def fold(self) -> None:
+        """Move the batch normalisation into the convolutions."""
+        if isinstance(self.bn, nn.BatchNorm2d):
+            convolutions = [module for module in self.m if isinstance(module, nn.Conv2d)]
+            self.m = nn.ModuleList(normalised(convolutions, self.bn))
+            self.bn = nn.Identity()
+
+
+@layer_kind(_spread)
+class DWConvTranspose2d(nn.ConvTranspose2d):
+    """A transposed convolution in as many groups as both numbers of channels allow."""
+
+    def __init__(
+        self,
+        channels_in: int,
+        channels_out: int,
+        kernel: int = 1,
+        stride: int = 1,
+        padding: int = 0,
+        output_padding: int = 0,
+    ) -> None:
+        groups = gcd(channels_in, channels_out)
+        super().__init__(channels_in, channels_out, kernel, stride, padding, output_padding, groups)
+
+
+@layer_kind(_spread)
+class ConvTranspose2d(nn.ConvTranspose2d):
+    """torch's own, as a layer."""
+
+
+def normalised(convolutions: list[nn.Conv2d], bn: nn.BatchNorm2d) -> list[nn.Conv2d]:
+    """`convolutions` without bias, followed by their part of `bn`, which normalises them side by side."""
+    assert bn.running_var is not None
+    assert bn.running_mean is not None
+    scale = bn.weight / (bn.running_var + bn.eps).sqrt()
+    shift = bn.bias - bn.running_mean * scale
+    first = 0
+    for convolution in convolutions:
+        part = slice(first, first + convolution.out_channels)
+        convolution.weight = nn.Parameter(convolution.weight * scale[part].view(-1, 1, 1, 1))
+        convolution.bias = nn.Parameter(shift[part].clone())
+        first = part.stop
+    return convolutions
+
+
+def normalisation(channels: int) -> nn.BatchNorm2d:
+    return nn.BatchNorm2d(channels, eps=EPSILON, momentum=0.03)
+
+
+def _padding(kernel: int | tuple[int, int], dilation: int) -> int | tuple[int, int]:
+    if isinstance(kernel, int):
+        return dilation * (kernel - 1) // 2
+    high, wide = (dilation * (side - 1) // 2 for side in kernel)
+    return high, wide
+
+
+def _sides(convolution: nn.Conv2d) -> tuple[int, int, int]:
+    """Kernel, stride and padding of a square convolution."""
+    return convolution.kernel_size[0], convolution.stride[0], int(convolution.padding[0])

@@ -1,0 +1,229 @@
+"""The blocks of a fused network as ONNX nodes: a function for each class of modules."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+from torch import nn
+
+from yolov5_lifecycle.models.attention import TransformerBlock
+from yolov5_lifecycle.models.bottlenecks import Bottleneck, CrossConv, GhostBottleneck, GhostConv
+from yolov5_lifecycle.models.convolutions import Conv, Focus, MixConv2d
+from yolov5_lifecycle.models.network import Concat
+from yolov5_lifecycle.models.partial import NormalisedPartial, Partial
+from yolov5_lifecycle.models.pooling import SPP, SPPF
+from yolov5_lifecycle.models.resizing import Contract, Expand
+from yolov5_lifecycle.runtimes.onnx_attention import transformed
+from yolov5_lifecycle.runtimes.onnx_graph_builder import Graph
+
+Writer = Callable[..., str]
+"""Adds the nodes of a module for the values that it reads; returns the name of its output."""
+_WRITERS: dict[type[nn.Module], Writer] = {}
+_Written = TypeVar("_Written", bound=Writer)
+
+
+def written(graph: Graph, module: nn.Module, *inputs: str) -> str:
+    """Add `module` to `graph`; return the name of its output. Raises TypeError for an unknown class."""
+    for kind in type(module).__mro__:
+        if kind in _WRITERS:
+            return _WRITERS[kind](graph, module, *inputs)
+    raise TypeError(f"Expected a block of a network, found {type(module).__name__}.")
+
+
+def _writes(*kinds: type[nn.Module]) -> Callable[[_Written], _Written]:
+    """Register a function as the writer of modules of `kinds` and of classes derived from them."""
+
+    def register(writer: _Written) -> _Written:
+        _WRITERS.update(dict.fromkeys(kinds, writer))
+        return writer
+
+    return register
+
+
+@_writes(Conv)
+def _conv(graph: Graph, module: Conv, features: str) -> str:
+    return written(graph, module.act, written(graph, module.conv, features))
+
+
+@_writes(nn.Conv2d)
+def _convolution(graph: Graph, module: nn.Conv2d, features: str) -> str:
+    assert module.bias is not None, "expected a fused network"
+    return graph.add(
+        "Conv",
+        features,
+        graph.constant(module.weight),
+        graph.constant(module.bias),
+        kernel_shape=list(module.kernel_size),
+        strides=list(module.stride),
+        pads=[int(pad) for pad in module.padding] * 2,
+        dilations=list(module.dilation),
+        group=module.groups,
+    )
+
+
+@_writes(nn.ConvTranspose2d)
+def _transposed(graph: Graph, module: nn.ConvTranspose2d, features: str) -> str:
+    assert module.bias is not None
+    return graph.add(
+        "ConvTranspose",
+        features,
+        graph.constant(module.weight),
+        graph.constant(module.bias),
+        kernel_shape=list(module.kernel_size),
+        strides=list(module.stride),
+        pads=[int(pad) for pad in module.padding] * 2,
+        output_padding=list(module.output_padding),
+        group=module.groups,
+    )
+
+
+@_writes(nn.SiLU)
+def _silu(graph: Graph, module: nn.SiLU, features: str) -> str:
+    return graph.add("Mul", features, graph.add("Sigmoid", features))
+
+
+@_writes(nn.Hardswish)
+def _hardswish(graph: Graph, module: nn.Hardswish, features: str) -> str:
+    return graph.add("Mul", features, graph.add("HardSigmoid", features, alpha=1 / 6, beta=0.5))
+
+
+@_writes(nn.LeakyReLU)
+def _leaky_relu(graph: Graph, module: nn.LeakyReLU, features: str) -> str:
+    return graph.add("LeakyRelu", features, alpha=module.negative_slope)
+
+
+@_writes(nn.ReLU)
+def _relu(graph: Graph, module: nn.ReLU, features: str) -> str:
+    return graph.add("Relu", features)
+
+
+@_writes(nn.Identity)
+def _identity(graph: Graph, module: nn.Identity, features: str) -> str:
+    return features
+
+
+@_writes(nn.Sequential)
+def _sequential(graph: Graph, module: nn.Sequential, features: str) -> str:
+    for part in module:
+        features = written(graph, part, features)
+    return features
+
+
+@_writes(Focus)
+def _focus(graph: Graph, module: Focus, features: str) -> str:
+    return written(graph, module.conv, features)  # a fused one is a single convolution
+
+
+@_writes(Bottleneck, CrossConv)
+def _bottleneck(graph: Graph, module: Bottleneck | CrossConv, features: str) -> str:
+    refined = written(graph, module.cv2, written(graph, module.cv1, features))
+    return graph.add("Add", features, refined) if module.add else refined
+
+
+@_writes(GhostConv)
+def _ghost(graph: Graph, module: GhostConv, features: str) -> str:
+    primary = written(graph, module.cv1, features)
+    return graph.add("Concat", primary, written(graph, module.cv2, primary), axis=1)
+
+
+@_writes(GhostBottleneck)
+def _ghost_bottleneck(graph: Graph, module: GhostBottleneck, features: str) -> str:
+    refined = written(graph, module.conv, features)
+    return graph.add("Add", refined, written(graph, module.shortcut, features))
+
+
+@_writes(MixConv2d)
+def _mixed(graph: Graph, module: MixConv2d, features: str) -> str:
+    parts = [written(graph, convolution, features) for convolution in module.m]
+    return written(graph, module.act, graph.add("Concat", *parts, axis=1))
+
+
+@_writes(Partial)
+def _partial(graph: Graph, module: Partial, features: str) -> str:
+    refined = written(graph, module.m, written(graph, module.cv1, features))
+    bypass = written(graph, module.cv2, features)
+    return written(graph, module.cv3, graph.add("Concat", refined, bypass, axis=1))
+
+
+@_writes(NormalisedPartial)
+def _normalised_partial(graph: Graph, module: NormalisedPartial, features: str) -> str:
+    refined = written(graph, module.cv3, written(graph, module.m, written(graph, module.cv1, features)))
+    joined = graph.add("Concat", refined, written(graph, module.cv2, features), axis=1)
+    return written(graph, module.cv4, written(graph, module.act, joined))
+
+
+@_writes(SPPF)
+def _sppf(graph: Graph, module: SPPF, features: str) -> str:
+    kernel = module.m.kernel_size
+    assert isinstance(kernel, int)
+    return _pyramid(graph, module, (kernel,) * 3, features)
+
+
+@_writes(SPP)
+def _spp(graph: Graph, module: SPP, features: str) -> str:
+    return _pyramid(graph, module, module.steps, features)
+
+
+def _pyramid(graph: Graph, module: SPP | SPPF, steps: tuple[int, ...], features: str) -> str:
+    pool = partial(_pooled, graph, stride=1)
+    windows = itertools.accumulate(
+        steps,
+        lambda window, step: pool(window, kernel=step, padding=step // 2),
+        initial=written(graph, module.cv1, features),
+    )
+    return written(graph, module.cv2, graph.add("Concat", *windows, axis=1))
+
+
+def _pooled(graph: Graph, features: str, *, kernel: int, stride: int, padding: int) -> str:
+    return graph.add("MaxPool", features, kernel_shape=[kernel] * 2, strides=[stride] * 2, pads=[padding] * 4)
+
+
+@_writes(nn.MaxPool2d)
+def _max_pool(graph: Graph, module: nn.MaxPool2d, features: str) -> str:
+    kernel, stride, padding = module.kernel_size, module.stride, module.padding
+    assert isinstance(kernel, int)
+    assert isinstance(stride, int)
+    assert isinstance(padding, int)
+    return _pooled(graph, features, kernel=kernel, stride=stride, padding=padding)
+
+
+@_writes(nn.ZeroPad2d)
+def _padded(graph: Graph, module: nn.ZeroPad2d, features: str) -> str:
+    left, right, top, bottom = module.padding
+    return graph.add("Pad", features, graph.constant([0, 0, top, left, 0, 0, bottom, right]))
+
+
+@_writes(nn.Upsample)
+def _upsampled(graph: Graph, module: nn.Upsample, features: str) -> str:
+    # With `asymmetric` and `floor`, nearest repeats pixels, as in torch.
+    return graph.add(
+        "Resize",
+        features,
+        "",
+        graph.constant(np.array([1, 1, 2, 2], np.float32)),
+        coordinate_transformation_mode="asymmetric",
+        mode="nearest",
+        nearest_mode="floor",
+    )
+
+
+@_writes(Contract)
+def _contracted(graph: Graph, module: Contract, features: str) -> str:
+    return graph.add("SpaceToDepth", features, blocksize=module.gain)
+
+
+@_writes(Expand)
+def _expanded(graph: Graph, module: Expand, features: str) -> str:
+    return graph.add("DepthToSpace", features, blocksize=module.gain, mode="DCR")
+
+
+@_writes(Concat)
+def _concatenated(graph: Graph, module: Concat, *features: str) -> str:
+    return graph.add("Concat", *features, axis=1)
+
+
+_writes(TransformerBlock)(transformed)
