@@ -49,7 +49,7 @@ class Arrival:
 
 @dataclass(frozen=True)
 class Passage:
-    """What arrived in `duration_s`, in order, and the resources of all detector processes together."""
+    """One measurement: what arrived in `duration_s`, in order, and what all detector processes used."""
 
     arrivals: Sequence[Arrival]
     duration_s: float
@@ -92,7 +92,7 @@ class Fleet:
             )
 
     def camera(self, name: str, image: Path, *, rate_hz: float, manner: str = "") -> ChildProcess:
-        """A process that publishes `image`; with a `manner`, one that misbehaves."""
+        """A process that publishes `image`; with a `manner`, one that misbehaves that way."""
         script = [misbehaving_camera.__file__, manner] if manner else [light_camera.__file__]
         command = [sys.executable, *script, str(image), str(rate_hz), f"{self._prefixes[name]}/image_raw"]
         profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILE)}

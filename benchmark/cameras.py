@@ -60,7 +60,7 @@ class CameraBench:
             pass
 
     def layouts(self, count: int, rate_hz: float) -> None:
-        """One node and a node each, in turns."""
+        """Measure one node for all cameras and a node for each, in turns."""
         passages: dict[Layout, list[Passage]] = {layout: [] for layout in LAYOUTS}
         for number in range(self._plan.rounds):
             for layout in LAYOUTS if number % 2 == 0 else reversed(LAYOUTS):
@@ -74,7 +74,7 @@ class CameraBench:
             self.goals += layout_goals({what: statistics.median(values) for what, values in ratios.items()})
 
     def fairness(self) -> None:
-        """The cameras of one node: equal ones, a slow beside a fast one, a misbehaving one."""
+        """How cameras share one node: equal ones, a slow beside a fast one, a misbehaving one."""
         names, passages = _names(FOLLOWED), [self._plan.passage_s] * self._plan.rounds
         with self._shared(names) as fleet:
             total_hz, rows, goals = equal_shares(
@@ -175,12 +175,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
     parser = argparse.ArgumentParser(prog="benchmark.cameras", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--counts", type=int, nargs="+", metavar="N", help="of cameras; default: 1 2 4 8")
     parser.add_argument(
-        "--rate", type=float, default=10.0, metavar="HZ", help="of every camera; default: %(default)g"
+        "--counts", type=int, nargs="+", metavar="N", help="numbers of cameras; default: 1 2 4 8"
     )
     parser.add_argument(
-        "--max-batch", type=int, default=1, metavar="N", help="of the one node; default: %(default)s"
+        "--rate",
+        type=float,
+        default=10.0,
+        metavar="HZ",
+        help="images per second of each camera; default: %(default)g",
+    )
+    parser.add_argument(
+        "--max-batch",
+        type=int,
+        default=1,
+        metavar="N",
+        help="max_batch of the node with all cameras; default: %(default)s",
     )
     parser.add_argument("--quick", action="store_true", help="1 and 4 cameras, one round, shorter")
     return parser

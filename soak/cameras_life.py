@@ -120,7 +120,7 @@ class CamerasLife:
         self.done[kind] += 1
 
     def check(self) -> None:
-        """The steady cameras and the hostile one are detected, and the status is of all that are there."""
+        """Compare status and parameters with the present cameras, and detect with the hostile one."""
         self._compare("status", {*self._subject.statuses()} - {""}, {*self._present})
         self._compare("parameters", self._declared_overrides(), self._overrides)
         if _HOSTILE not in self._present:
@@ -141,7 +141,7 @@ class CamerasLife:
             self.problems.append(f"{values} was refused: {refusal}")
 
     def _set_cameras(self, names: Collection[str]) -> None:
-        """The cameras in `names`; the diagnostics have told of those that were removed when it returns."""
+        """Set `cameras` to `names` and wait for the next diagnostics."""
         begun_ns = time.time_ns()
         self._set(cameras=[*names])
         self._restarted({*NAMES} - {*self._present}, begun_ns)
@@ -159,7 +159,7 @@ class CamerasLife:
         self._expect_refusal(cameras=self._choose(_BAD_CAMERAS))
 
     def _override(self) -> None:
-        """Set one; contradictions and settings that do not exist are refused, all else is accepted."""
+        """Set a random override: only contradictions and unknown settings may be refused."""
         name = self._choose([*self._present])
         table = _HARMLESS if name in STEADY else _HARMLESS | _DISTURBING
         setting = self._choose([*table])
@@ -208,7 +208,7 @@ class CamerasLife:
         self._restarted(NAMES, begun_ns)
 
     def _restarted(self, cameras: Collection[str], begun_ns: int) -> None:
-        """Note that their trackers are new; the stamps of the hostile camera mean nothing."""
+        """Expect new track ids from `cameras`, except from the hostile one, whose stamps are random."""
         self.track_ids.restart({*cameras} - {_HOSTILE}, begun_ns, time.time_ns())
 
     def _send_depth(self) -> None:
@@ -218,7 +218,7 @@ class CamerasLife:
             self._subject.observer.work_for(0.05)
 
     def _place(self) -> None:
-        """Depth for a camera that sends, until something is found in space."""
+        """Send depth for a camera with images until a detection is placed in space."""
         name = "left"
         if name not in self._present:
             return

@@ -15,12 +15,12 @@ _CHECK_EVERY = 20
 _MIN_SHARE = 0.95
 _MAX_GROWTH_MB = 20.0
 _WARM_UP = 4
-"""The memory in this part of all checks, one of so many, is what it may grow from."""
+"""Memory may grow from what it was in the first of so many equal parts of the checks."""
 
 
 @dataclass(frozen=True)
 class _Outcome:
-    """`share`: of the images of the steady cameras, how many were detected. `resident_mb`: at each check."""
+    """`share` of the images of the steady cameras that were detected; `resident_mb` at each check."""
 
     taken_s: float
     share: float
@@ -33,7 +33,7 @@ class _Outcome:
 
 
 def several_cameras(subject: Subject, seed: int, minutes: float, *, is_judged: bool = True) -> Finding:
-    """Do everything once, then at random for `minutes`; share and memory only decide if `is_judged`."""
+    """Do every action once, then random ones for `minutes`; share and memory count only if `is_judged`."""
     with CamerasLife(subject, seed) as life:
         outcome = _outcome(subject, life, minutes)
     subject.reset()

@@ -69,9 +69,18 @@ def plain(default: object) -> object:
 
 
 @every_page
-def test_a_link_leads_to_a_file(page: Path) -> None:
+def test_a_link_leads_to_a_file_or_a_heading(page: Path) -> None:
     links = [link for link in re.findall(r"\]\(([^)]+)\)", page.read_text()) if "://" not in link]
-    assert [link for link in links if not (page.parent / link).exists()] == []
+    for path, _, heading in (link.partition("#") for link in links):
+        target = page.parent / path if path else page
+        assert target.exists(), path
+        assert not heading or heading in anchors(target), heading
+
+
+def anchors(page: Path) -> list[str]:
+    """The anchors of the headings of a page, as GitHub names them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    return [re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings]
 
 
 @every_page

@@ -120,7 +120,7 @@ def test_frames_that_wait_run_together_and_are_published_by_their_own_pipelines(
         pytest.param(0, (2, 12, 22), [], id="max size zero"),
     ],
 )
-def test_the_frames_of_a_batch_are(
+def test_a_batch_has_waiting_frames_of_one_key_up_to_its_max_size(
     batched: Batched, max_size: int, numbers: tuple[int, ...], batches: list[list[int]]
 ) -> None:
     batched.batch.max_size = max_size

@@ -17,6 +17,8 @@ TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
 IMAGES = REPOSITORY / "docs" / "images.md"
 LAUNCH = REPOSITORY / "docs" / "launch.md"
 TUTORIAL = REPOSITORY / "docs" / "tutorial.md"
+CAMERAS_PAGE = REPOSITORY / "docs" / "cameras.md"
+PERFORMANCE = REPOSITORY / "docs" / "performance.md"
 MIGRATION = REPOSITORY / "docs" / "migration.md"
 PAGES = [
     README,

@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from yolov5_lifecycle.detection.detector import Batches, Detector
 from yolov5_lifecycle.runtimes.speed import measure_batches_ms
 
-_FASTER = 0.95
+MIN_GAIN_PERCENT = 5
+"""Batches are used if they take less time per image by at least this much."""
 
 
 def choose_batches(
@@ -18,7 +19,7 @@ def choose_batches(
     max_batch: int,
     measure: Callable[..., dict[int, float]] = measure_batches_ms,
 ) -> Batches:
-    """The sizes of batches that take at least 5 % less time per image; networks for other sizes are freed.
+    """The sizes of batches that are faster per image than single images; networks for other sizes are freed.
 
     `sizes_hw`: height and width of the images of every camera, for which `detector` is warm. Batches of two
     images are measured, and of as many as there are cameras with the same network input size, up to
@@ -32,7 +33,8 @@ def choose_batches(
         return Batches((), "none: no two cameras have the same network input size")
     sizes = sorted({2, min(max_batch, max(cameras.values()))})
     figures_ms = measure(detector.runtime, sizes, frames_hw=shared_hw)
-    chosen = tuple(size for size in sizes if figures_ms.get(size, float("inf")) <= _FASTER * figures_ms[1])
+    limit_ms = (1 - MIN_GAIN_PERCENT / 100) * figures_ms[1]
+    chosen = tuple(size for size in sizes if figures_ms.get(size, float("inf")) <= limit_ms)
     detector.runtime.keep_batches(chosen)
     return Batches(chosen, _reason(chosen, figures_ms))
 

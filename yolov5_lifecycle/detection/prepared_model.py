@@ -17,7 +17,7 @@ from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
-from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT
+from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
@@ -116,7 +116,7 @@ def load_detector(
 ) -> Detector:
     """Load a detector for `model`; the other arguments are the settings of the same names.
 
-    `cameras` is their number, twice which is the maximum number of networks for input shapes that are kept.
+    Except for `cameras`: their number, which determines how many networks for input shapes are kept.
     With `auto` the fastest runtime is measured and cached, see `choose_runtime`. Raises DeviceError and
     RuntimeAbsentError (both ValueErrors), ValueError for the image size, InferenceError when measuring fails.
     """
@@ -127,7 +127,7 @@ def load_detector(
         frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
         choice = choose_runtime(model, device=device, precision=precision, frame_hw=frame_hw)
     # Besides the network of every camera there are those for batches and for a camera that changes its size.
-    kept = max(MIN_KEPT, 2 * cameras)
+    kept = max(MIN_KEPT, KEPT_PER_CAMERA * cameras)
     loaded = load_runtime(model, choice.runtime, device=device, precision=precision, kept=kept)
     return Detector(
         loaded, class_names=model.class_names, image_size=image_size, stride=stride, choice=choice.reason

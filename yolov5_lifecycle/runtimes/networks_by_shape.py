@@ -18,12 +18,13 @@ Made = TypeVar("Made")
 Shape = tuple[int, int, int]
 """Number of frames in a batch, their height and their width."""
 
+KEPT_PER_CAMERA = 2
 MIN_KEPT = 4
-"""Networks that are kept for one camera: each holds as much memory as the weights."""
+"""Networks that are kept at least; each holds as much memory as the weights."""
 
 
 class NetworksByShape(Generic[Made]):
-    """The networks that `make` returns for the shape of a batch; the `kept` ones used last are kept."""
+    """Networks made by `make`, each for one shape of a batch; keeps the `kept` most recently used ones."""
 
     def __init__(self, make: Callable[[Shape], Made], *, kept: int = MIN_KEPT) -> None:
         self._cache: _ShapeCache[Made] | None = _ShapeCache(make, kept)
@@ -41,7 +42,7 @@ class NetworksByShape(Generic[Made]):
             yield cache[shape]
 
     def keep_batches(self, sizes: Collection[int]) -> None:
-        """Free the networks for several frames at once whose number is not in `sizes`."""
+        """Free the networks for batches of other `sizes`, except those for single frames."""
         if self._cache is not None:
             self._cache.keep_batches({1, *sizes})
 

@@ -128,8 +128,9 @@ class Settings(BaseModel):
     cameras: Annotated[tuple[str, ...], Change.CAMERAS] = Field(
         (),
         max_length=MAX_CAMERAS,
-        description="Names of several cameras that share the model: ~/NAME/image_raw is detected as "
-        "~/NAME/detections, and NAME.max_rate overrides max_rate for one of them. Empty: ~/image_raw alone.",
+        description="Names of several cameras that share the model: detections in ~/NAME/image_raw are "
+        "published on ~/NAME/detections, and NAME.max_rate overrides max_rate for one camera. Empty: one "
+        "camera, ~/image_raw.",
     )
     max_batch: Annotated[int, Change.RELOAD] = Field(
         1,

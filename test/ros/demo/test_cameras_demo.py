@@ -141,7 +141,7 @@ def test_frames_without_depth_are_a_problem_but_no_error_in_space() -> None:
     bare = [JudgedFrame(one.truth, one.true_places, one.found, {}) for one in (frame(0), frame(1))]
     found = figures(bare)
     assert found.median_error_percent is None
-    assert found.problems() == ["0.0% have a place, not 80%"]
+    assert found.problems() == ["0.0% of tracked objects placed in space, expected at least 80%"]
     json.dumps(found.as_json(), allow_nan=False)
 
 
@@ -161,9 +161,9 @@ def test_good_figures_of_all_cameras_are_no_problem(good: dict[str, CameraFigure
     assert problems_of(good) == []
 
 
-def test_an_id_before_both_cameras_is_a_problem(good: dict[str, CameraFigures]) -> None:
+def test_an_id_that_both_cameras_use_is_a_problem(good: dict[str, CameraFigures]) -> None:
     assert problems_of({"front": good["front"], "rear": good["front"]}) == [
-        "ids of objects before both cameras: 01, 02, 03"
+        "ids that both cameras use: 01, 02, 03"
     ]
 
 

@@ -1,4 +1,4 @@
-"""How well the objects before a camera were found, identified and placed in space, and the bounds."""
+"""How well the objects in front of a camera were found, tracked and placed in space, and what is required."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_MEDIAN_ERROR_PERCENT = 2.0
 
 @dataclass(frozen=True)
 class CameraFigures:
-    """Figures of one camera. A box is right that has the class and the place of a true object."""
+    """Figures of one camera. A box is right if its class and position are those of a true object."""
 
     frames: int
     rate_hz: float
@@ -32,7 +32,7 @@ class CameraFigures:
     ids: tuple[str, ...]
     """Of the right boxes, in the order in which they appeared."""
     switches: int
-    """How often a true object continued with another id."""
+    """How often the id of a true object changed."""
     placed: float
     """Share of the right boxes with an id that have a place in space."""
     median_error_percent: float | None
@@ -41,19 +41,25 @@ class CameraFigures:
     median_latency_ms: float
 
     def problems(self) -> list[str]:
-        """Each figure that is out of its bounds, in words."""
+        """Each figure that is worse than required: what was found, and what was expected."""
         error = self.median_error_percent or 0.0  # without any, `placed` is too low
         checks = (
-            (self.precision >= MIN_PRECISION, f"precision {self.precision:.1%}, not {MIN_PRECISION:.0%}"),
-            (self.recall >= MIN_RECALL, f"recall {self.recall:.1%}, not {MIN_RECALL:.0%}"),
-            (self.switches <= MAX_SWITCHES, f"{self.switches} identity switches"),
-            (self.placed >= MIN_PLACED, f"{self.placed:.1%} have a place, not {MIN_PLACED:.0%}"),
+            (
+                self.precision >= MIN_PRECISION,
+                f"precision {self.precision:.1%}, expected at least {MIN_PRECISION:.0%}",
+            ),
+            (self.recall >= MIN_RECALL, f"recall {self.recall:.1%}, expected at least {MIN_RECALL:.0%}"),
+            (self.switches <= MAX_SWITCHES, f"{self.switches} identity switches, expected {MAX_SWITCHES}"),
+            (
+                self.placed >= MIN_PLACED,
+                f"{self.placed:.1%} of tracked objects placed in space, expected at least {MIN_PLACED:.0%}",
+            ),
             (
                 error <= MAX_MEDIAN_ERROR_PERCENT,
-                f"error in space {error:.2f} %, not {MAX_MEDIAN_ERROR_PERCENT:g} %",
+                f"error in space {error:.2f} %, expected at most {MAX_MEDIAN_ERROR_PERCENT:g} %",
             ),
         )
-        return [problem for holds, problem in checks if not holds]
+        return [problem for is_met, problem in checks if not is_met]
 
     def as_json(self) -> dict[str, object]:
         """All figures by name."""

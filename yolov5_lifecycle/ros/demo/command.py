@@ -69,7 +69,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     given = parser.parse_args(argv)
     if given.frames is not None and (not given.cameras or given.frames < 2):
-        parser.error("--frames: expected --cameras before it and a number of at least 2 behind it")
+        parser.error(f"--frames: expected a number of at least 2, and --cameras, found {given.frames}")
     return given
 
 

@@ -12,7 +12,7 @@ class DemonstrationError(RuntimeError):
 
 @dataclass(frozen=True)
 class Outcome:
-    """A demonstration that ran to its end; `problems` are the figures that are out of bounds."""
+    """A demonstration that ran to its end; `problems` are the figures that are worse than required."""
 
     table: str
     summary: str

@@ -29,7 +29,7 @@ _MIN_OBJECTS = 5
 
 @dataclass(frozen=True)
 class SceneCamera:
-    """A camera of the demonstration, and the highest rate at which its images are detected in."""
+    """A camera of the demonstration, and the highest rate at which objects are detected in its images."""
 
     name: str
     seed: int
@@ -154,7 +154,7 @@ def _picture_path() -> Path:
 
 
 def problems_of(found: Mapping[str, CameraFigures]) -> list[str]:
-    """What is out of bounds, of each camera and of all together."""
+    """What is worse than required, for each camera and for all together."""
     problems = [f"{name}: {problem}" for name, one in found.items() for problem in one.problems()]
     for camera in CAMERAS:
         rate_hz = found[camera.name].rate_hz
@@ -162,7 +162,7 @@ def problems_of(found: Mapping[str, CameraFigures]) -> list[str]:
             problems.append(f"{camera.name}: {rate_hz:.1f} Hz, expected at most {camera.max_rate_hz:g} Hz")
     ids = [name for one in found.values() for name in one.ids]
     if shared := sorted({name for name in ids if ids.count(name) > 1}):
-        problems.append(f"ids of objects before both cameras: {', '.join(shared)}")
+        problems.append(f"ids that both cameras use: {', '.join(shared)}")
     return problems
 
 

@@ -1,0 +1,59 @@
+"""The pages on several cameras have the limits and messages of the code."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from support.pages import CAMERAS_PAGE, PERFORMANCE, REFERENCE, TROUBLESHOOTING
+
+from yolov5_lifecycle.detection.batch_choice import MIN_GAIN_PERCENT
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
+from yolov5_lifecycle.ros.detector.camera_status import SLOW_S
+from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
+from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, MAX_NAME_LENGTH, camera_names_rule
+from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME
+from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
+
+NUMBERS = {2: "two", 3: "three", 4: "four"}
+FAILURES = SETTINGS_BY_NAME["max_consecutive_failures"].default
+HEIGHT, WIDTH = USUAL_SOURCE_HW
+
+
+@pytest.mark.parametrize(
+    ("page", "words"),
+    [
+        pytest.param(CAMERAS_PAGE, f"images of up to {MAX_CAMERAS} cameras", id="cameras"),
+        pytest.param(CAMERAS_PAGE, f"At most {MAX_CAMERAS} cameras.", id="cameras-in-limits"),
+        pytest.param(CAMERAS_PAGE, f"at most {MAX_NAME_LENGTH} letters", id="name"),
+        pytest.param(TROUBLESHOOTING, camera_names_rule(["2nd"], ()), id="name-refused"),
+        pytest.param(CAMERAS_PAGE, f"`max_consecutive_failures` ({FAILURES})", id="failures"),
+        pytest.param(CAMERAS_PAGE, f"WARN after {SLOW_S:g} s", id="slow"),
+        pytest.param(CAMERAS_PAGE, f"after {REST_TIMEOUT_S:g} s its thread is abandoned", id="hung"),
+        pytest.param(REFERENCE, f"did not end within {REST_TIMEOUT_S:g} s: its", id="hung-in-log"),
+        pytest.param(
+            REFERENCE, f"{NUMBERS[MAX_ABANDONED_THREADS + 1]} inference threads hang", id="abandoned-threads"
+        ),
+        pytest.param(
+            CAMERAS_PAGE,
+            f"{NUMBERS[KEPT_PER_CAMERA]} networks for each camera are kept, at least {NUMBERS[MIN_KEPT]}",
+            id="networks",
+        ),
+        pytest.param(CAMERAS_PAGE, f"for {WIDTH}x{HEIGHT} if there was none", id="usual-size"),
+        pytest.param(CAMERAS_PAGE, f"at least {MIN_GAIN_PERCENT} % less time per image", id="batches"),
+        pytest.param(
+            PERFORMANCE, f"at least {MIN_GAIN_PERCENT} % less time per frame", id="batches-measured"
+        ),
+    ],
+)
+def test_a_page_has_the_limit_of_the_code(page: Path, words: str) -> None:
+    assert words.lower() in " ".join(page.read_text().split()).lower()
+
+
+def test_the_page_names_what_can_be_overridden_for_one_camera() -> None:
+    section = CAMERAS_PAGE.read_text().partition("can be overridden: ")[2].partition(". The others")[0]
+    named = set(re.findall(r"`(\w+)`", section))
+    assert named <= {setting.name for setting in SETTINGS if setting.per_camera}
+    assert len(named) > 5
