@@ -186,6 +186,8 @@ def _row(layer: Layer) -> list[Any]:
         "C3": [*layer.args[:1], *map(bool, layer.args[1:2]), *layer.args[2:]],
     }
     arguments = special.get(layer.kind, [_listed(argument) for argument in layer.args])
+    if layer.args[1:2] == (6,):
+        arguments.append(2)  # otherwise YOLOv5 pads by half the kernel, which is 3
     sources = layer.sources[0] if len(layer.sources) == 1 else list(layer.sources)
     name = {"CrossCSP": "C3"}.get(layer.kind, layer.kind)
     return [sources, layer.repeats, f"nn.{name}" if name in _OF_TORCH else name, arguments]
