@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from types import ModuleType
 from typing import Any
 
@@ -179,7 +179,7 @@ def official_yaml(architecture: Architecture) -> dict[str, Any]:
 
 
 def _row(layer: Layer) -> list[Any]:
-    special: dict[str, Sequence[object]] = {
+    special: dict[str, list[Any]] = {
         "Upsample": ["None", 2, "nearest"],
         "Concat": [1],
         "Detect": ["nc", "anchors"],
