@@ -9,9 +9,11 @@ from __future__ import annotations
 import ctypes
 import functools
 import os
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.impl import rcutils_logger
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
@@ -66,6 +68,16 @@ def attribute_logs_to_callers_of(path: str) -> None:
     kept "to preserve any filenames that may have been added by third parties".
     """
     rcutils_logger._internal_callers.append(os.path.realpath(path))
+
+
+class ForgettingGroup(ReentrantCallbackGroup):
+    """Callback group that forgets its publishers, subscriptions and so on when they cease to exist.
+
+    rclpy's keep a dead reference to each for ever (ros2/rclpy#1356): 2 KB for a camera that comes and goes.
+    """
+
+    def add_entity(self, entity: object) -> None:
+        self.entities.add(weakref.ref(entity, self.entities.discard))
 
 
 def take_message(subscription: Subscription, message_type: type) -> Any | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 from typing import Any
 
@@ -122,3 +123,20 @@ class ThreadsThatRead(dict[str, Camera]):
     def items(self) -> Any:
         self.threads.add(threading.get_ident())
         return super().items()
+
+
+def test_nothing_is_kept_of_cameras_that_come_and_go(prepare: Preparations) -> None:
+    with ServedNode(prepare, parameters=["cameras:=[front]"]) as served:
+        served.bring_to("active")
+        entities = served.node.default_callback_group.entities
+        before = len(entities)
+        for _ in range(5):
+            assert served.set(cameras=["front", "rear"], **{"rear.lazy": False}) == (True, "")
+            assert served.set(cameras=["front"]) == (True, "")
+
+        def is_forgotten() -> bool:
+            gc.collect()
+            return len(entities) <= before
+
+        served.wait_for(is_forgotten, "the endpoints of the removed cameras to be forgotten")
+    assert served.escaped == []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
+from rclpy.callback_groups import CallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, check_place, prepare_model
@@ -27,6 +27,7 @@ from yolov5_lifecycle.ros.parameters import SettingsParameters, Validate
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
 from yolov5_lifecycle.ros.qos_overrides import qos_problems, qos_rules
 from yolov5_lifecycle.ros.rclpy_internals import (
+    ForgettingGroup,
     available_transitions,
     destroy_state_machine,
     lifecycle_state,
@@ -60,7 +61,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
     ) -> None:
         # Callbacks that await (activate, a reload) must not block the others. The executor has one thread, so
         # callbacks never run in parallel even in a reentrant group.
-        self._group = ReentrantCallbackGroup()
+        self._group = ForgettingGroup()
         super().__init__("yolov5", **node_options)
         self._start_problems = list(start_problems)
         self._max_abandoned_threads = max_abandoned_threads
