@@ -50,7 +50,6 @@ WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "proce
 
 PRIVATE_BY_NAME_ONLY = {
     "os._exit",  # documented
-    "storage.metadata._replace",  # documented: every named tuple has it
     "pickle._Unpickler",  # the C unpickler allocates as many memo entries as a file claims
 }
 
@@ -142,6 +141,8 @@ def private_attributes(path: Path) -> set[str]:
             owner, name = node.value, node.attr
         elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr", "hasattr"):
             owner, name = node.args[0], ast.unparse(node.args[1]).strip("'")
+        if name == "_replace":  # documented: every named tuple has it
+            continue
         if name.startswith("_") and not name.endswith("__") and owner is not None:
             names.add(f"{ast.unparse(owner)}.{name}")
     return {name for name in names if not name.startswith(("self._", "cls._"))}

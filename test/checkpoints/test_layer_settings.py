@@ -56,11 +56,18 @@ def shared_activation(model: Any) -> None:
     ("change", "message"),
     [
         pytest.param(
-            child("model.0", "act", nn.LeakyReLU(0.1)),
-            "model.0.act is a 'LeakyReLU': the model was trained with another activation",
+            child("model.0", "act", nn.GELU()),
+            "model.0.act is a 'GELU': the model was trained with another activation",
             id="act",
         ),
-        pytest.param(child("model.1", "act", nn.Identity()), "model.1.act is a 'Identity'", id="no act"),
+        pytest.param(
+            child("model.0", "act", foreign("models.common.SiLU")), "with another activation", id="own act"
+        ),
+        pytest.param(
+            child("model.1", "act", nn.LeakyReLU(7.0)),
+            "act.negative_slope is 7.0, expected 0 to 1",
+            id="slope",
+        ),
         pytest.param(
             setting("model.2.cv1.bn", eps=1e-5), "model.2.cv1.bn.eps is 1e-05, expected 0.001", id="epsilon"
         ),

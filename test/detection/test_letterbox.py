@@ -138,7 +138,7 @@ def test_an_image_without_pixels_is_refused(source_hw: tuple[int, int]) -> None:
         Letterbox.fit(source_hw, image_size=640, stride=32)
 
 
-@pytest.mark.parametrize("shape", [(480, 641, 3), (480, 640), (480, 640, 4)], ids=str)
+@pytest.mark.parametrize("shape", [(480, 641, 3), (480, 641), (480, 640, 4), (480, 640, 1)], ids=str)
 def test_pixels_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     letterbox = Letterbox.fit((480, 640), image_size=640, stride=32)
     with pytest.raises(ValueError, match=r"shape \(480, 640, 3\), found"):

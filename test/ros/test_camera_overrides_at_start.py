@@ -143,6 +143,17 @@ def test_an_override_applies_once_its_camera_is_added(prepare: Preparations) -> 
         assert served.get("side.max_rate") == 5.0
 
 
+def test_an_override_waits_for_its_camera_although_the_setting_of_the_node_is_set(
+    prepare: Preparations,
+) -> None:
+    with ServedNode(prepare, parameters=["side.max_rate:=5.0"]) as served:
+        told = refusal_of_configure(served)
+        assert "which is empty. Or remove it: ros2 param delete /yolov5 side.max_rate" in told
+        assert served.set(max_rate=3.0) == (True, "")
+        assert served.set(cameras=["side"]) == (True, "")
+        assert served.get("side.max_rate") == 5.0
+
+
 def test_a_program_that_adds_the_camera_lets_its_override_apply(prepare: Preparations) -> None:
     with ServedNode(prepare, parameters=["side.max_rate:=5.0"]) as served:
         (result,) = served.node.set_parameters([Parameter("cameras", value=["side"])])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from types import ModuleType
 from typing import Any
 
@@ -179,13 +179,15 @@ def official_yaml(architecture: Architecture) -> dict[str, Any]:
 
 
 def _row(layer: Layer) -> list[Any]:
-    special: dict[str, Sequence[object]] = {
+    special: dict[str, list[Any]] = {
         "Upsample": ["None", 2, "nearest"],
         "Concat": [1],
         "Detect": ["nc", "anchors"],
         "C3": [*layer.args[:1], *map(bool, layer.args[1:2]), *layer.args[2:]],
     }
     arguments = special.get(layer.kind, [_listed(argument) for argument in layer.args])
+    if layer.args[1:2] == (6,):
+        arguments.append(2)  # otherwise YOLOv5 pads by half the kernel, which is 3
     sources = layer.sources[0] if len(layer.sources) == 1 else list(layer.sources)
     name = {"CrossCSP": "C3"}.get(layer.kind, layer.kind)
     return [sources, layer.repeats, f"nn.{name}" if name in _OF_TORCH else name, arguments]

@@ -86,7 +86,7 @@ def family_architecture(name: str, **changes: object) -> Architecture:
     architecture = architecture_of(
         found["yaml"],
         classes=found["yaml"]["nc"],
-        anchors_px=anchors_px,  # type: ignore[arg-type]  # pairs
+        anchors_px=anchors_px,
         strides=tuple(found["strides"]),
         image_channels=found["image_channels"],
     )

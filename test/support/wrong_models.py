@@ -109,14 +109,16 @@ def fuse_all(model: Any) -> None:
             vars(layer)["forward"] = pickled_method(layer, "forward_fuse")
 
 
-def data_parallel() -> bytes:
+def data_parallel(module: Any) -> nn.DataParallel[Any]:
     wrapper = nn.DataParallel.__new__(nn.DataParallel)
-    vars(wrapper).update(_modules={"module": official_model()}, src_device_obj=torch.device("cpu"))
+    vars(wrapper).update(_modules={"module": module}, src_device_obj=torch.device("cpu"))
+    return wrapper
+
+
+def data_parallel_of_itself() -> bytes:
+    wrapper = data_parallel(None)
+    vars(wrapper)["_modules"]["module"] = wrapper
     return saved({"model": wrapper})
-
-
-def auto_shape() -> bytes:
-    return saved({"model": foreign("models.common.AutoShape", _modules={"model": official_model()})})
 
 
 def state_dict() -> dict[str, torch.Tensor]:
@@ -136,8 +138,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "dict in place of the model": (lambda: saved({"model": {"a": 1}}), "expected a YOLOv5 model under"),
     "bare state dict": (lambda: saved(state_dict()), "a bare state dict"),
     "state dict as the model": (lambda: saved({"model": state_dict()}), "a bare state dict"),
-    "bare module": (lambda: saved(official_model()), "a bare module"),
-    "bare torch module": (lambda: saved(nn.Conv2d(3, 4, 1)), "a bare module"),
+    "bare torch module": (lambda: saved(nn.Conv2d(3, 4, 1)), "found a 'Conv2d' without layers"),
     "model without layers": (
         lambda: saved({"model": foreign("models.yolo.Model", _modules={})}),
         "without layers",
@@ -151,12 +152,15 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         head_named("models.common.Classify"),
         "is a 'Classify', the head of a classification model",
     ),
-    "NMS added for an export": (head_named("models.common.NMS"), "which YOLOv5 before 6.0 added"),
-    "DataParallel": (data_parallel, "saved inside DataParallel"),
-    "AutoShape": (auto_shape, "saved inside AutoShape"),
-    "YOLOv3": (row(1, -1, 1, "Bottleneck", [64]), "is a 'Bottleneck', as in a YOLOv3 model"),
-    "YOLOv3-tiny": (row(1, -1, 1, "nn.MaxPool2d", [2, 2, 0]), "is a 'MaxPool2d', as in a YOLOv3 model"),
-    "grey images": (yaml(ch=1), "reads images of 1 channels"),
+    "NMS in place of the head": (head_named("models.common.NMS"), "expected Detect"),
+    "DataParallel of nothing": (lambda: saved({"model": data_parallel(None)}), "expected a model inside"),
+    "DataParallel of itself": (data_parallel_of_itself, "one that contains itself"),
+    "row that is another module": (row(1, -1, 1, "nn.MaxPool2d", [2, 2, 0]), "expected MaxPool2d"),
+    "grey images": (yaml(ch=1), "model.0.conv.weight has the shape"),
+    "images of four channels": (yaml(ch=4), "reads images of 4 channels"),
+    "channels as a truth value": (yaml(ch=True), "reads images of True channels"),
+    "no channel multiple": (yaml(channel_multiple=0), "the channel_multiple"),
+    "another channel multiple": (yaml(channel_multiple=16), "expected"),
     "channels as a list": (yaml(ch=[3]), "reads images of [3] channels"),
     "never trained": (
         anchors([[[0.0, 0.25], [0.5, 0.75]], [[0.0, 0.125], [0.25, 0.375]]]),
@@ -165,13 +169,48 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "YOLOv7": (head_named("models.yolo.IDetect"), "another project, named YOLOv7"),
     "unknown head": (head_named("models.custom.MyHead"), "'MyHead', not supported"),
     "unknown block": (layer_named("models.custom.MyBlock"), "is a 'MyBlock', expected C3"),
-    "Focus of before 6.0": (row(0, -1, 1, "Focus", [64, 3]), "of YOLOv5 before 6.0"),
+    "Focus in the yaml only": (row(0, -1, 1, "Focus", [64, 3]), "is a 'Conv', expected Focus"),
     "unknown row": (row(0, -1, 1, "os.system", ["true"]), "'os.system', not supported"),
-    "ghost convolution": (row(0, -1, 1, "GhostConv", [64, 3]), "variant of YOLOv5's building blocks"),
-    "other activation": (
-        first_layer("_modules", act=nn.LeakyReLU(0.1)),
-        "is a 'LeakyReLU': the model was trained with another activation",
+    "sum of layers": (row(0, -1, 1, "Sum", [2]), "none of its models uses as a layer"),
+    "even ghost": (row(0, -1, 1, "GhostConv", [64, 4, 2]), "has the arguments [64, 4, 2]"),
+    "channels that are no multiple of eight": (
+        changed(lambda model: model.yaml.update(channel_multiple=1, width_multiple=0.2)),
+        "expected",
     ),
+    "pool without arguments": (row(1, -1, 1, "nn.MaxPool2d", []), "the kernel of layer 1"),
+    "pool of a list": (row(1, -1, 1, "nn.MaxPool2d", [[2, 2], 2]), "the kernel of layer 1"),
+    "uneven padding": (row(1, -1, 1, "nn.ZeroPad2d", [[0, 1, 0, 2]]), "not supported"),
+    "padding of a million": (row(1, -1, 1, "nn.ZeroPad2d", [[0, 10**6, 0, 10**6]]), "the padding of layer 1"),
+    "padding that fits nothing": (row(1, -1, 1, "nn.ZeroPad2d", [[0, 1, 0, 1]]), "of different sizes"),
+    "squares that do not fit": (row(1, -1, 1, "Contract", [3]), "the strides are"),
+    "squares of a million": (row(1, -1, 1, "Contract", [10**6]), "the gain of layer 1"),
+    "too few channels for squares": (row(1, -1, 1, "Expand", [8]), "the strides are"),
+    "windows that descend": (row(4, -1, 1, "SPP", [64, [9, 5]]), "has the arguments"),
+    "a thousand windows": (row(4, -1, 1, "SPP", [64, [3] * 1000]), "has the arguments"),
+    "windows in windows": (row(4, -1, 1, "SPP", [64, [[5], [9]]]), "the kernel of layer 4"),
+    "expansion NaN": (row(2, -1, 3, "C3", [64, True, 1, NAN]), "has the arguments"),
+    "expansion to nothing": (row(2, -1, 3, "C3", [64, True, 1, 0.01]), "a convolution without channels"),
+    "groups that do not divide": (row(2, -1, 3, "C3", [64, True, 3]), "no network can be built"),
+    "a million groups": (row(2, -1, 3, "C3", [64, True, 10**6]), "the groups of layer 2"),
+    "stride of nine": (row(1, -1, 1, "Conv", [64, 3, 9]), "the stride of layer 1"),
+    "attention that shares badly": (
+        changed(lambda model: model.yaml["backbone"].__setitem__(2, [-1, 1, "C3TR", [64, True, 1, 0.7]])),
+        "cannot be shared among 4 heads",
+    ),
+    "anchors in pixels of another shape": (
+        changed(lambda model: vars(head(model))["_buffers"].update(anchor_grid=torch.ones(3, 1))),
+        "expected anchors in pixels of the levels",
+    ),
+    "other activation": (
+        first_layer("_modules", act=nn.GELU()),
+        "is a 'GELU': the model was trained with another activation",
+    ),
+    "activation of another package": (
+        first_layer("_modules", act=foreign("models.common.SiLU")),
+        "is a 'SiLU': the model was trained with another activation",
+    ),
+    "slope NaN": (first_layer("_modules", act=nn.LeakyReLU(NAN)), "negative_slope is nan"),
+    "slope as a text": (first_layer("_modules", act=nn.LeakyReLU("0.1")), "negative_slope is '0.1'"),  # type: ignore[arg-type]  # on purpose
     "fused": (changed(fuse_all), "saved after fuse()"),
     "without one normalisation": (changed(fused), "saved after fuse()"),
     "other epsilon": (
@@ -237,7 +276,8 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "channels of a million": (row(0, -1, 1, "Conv", [1_000_000, 6, 2]), "the channels of layer 0"),
     "negative channels": (row(0, -1, 1, "Conv", [-64, 6, 2]), "the channels of layer 0"),
     "a million repeats": (row(2, -1, 1_000_000, "C3", [64]), "the number of layer 2"),
-    "repeated convolution": (row(1, -1, 9, "Conv", [64, 3, 2]), "is repeated 3 times"),
+    "repeated convolution": (row(1, -1, 9, "Conv", [64, 3, 2]), "but its layers make"),
+    "repeated upsampling": (row(4, -1, 9, "nn.Upsample", ["None", 2, "nearest"]), "is repeated 3 times"),
     "even window": (row(4, -1, 1, "SPPF", [64, 4]), "has the arguments [64, 4]"),
     "kernel of 99": (row(0, -1, 1, "Conv", [64, 99, 2]), "the kernel of layer 0"),
     "even kernel": (row(0, -1, 1, "Conv", [64, 4, 1]), "not supported"),

@@ -160,7 +160,7 @@ def _architecture(described: Any) -> Architecture:
     """An Architecture from its JSON, validated like the yaml of a checkpoint."""
     try:
         rows = [
-            [sources, repeats, kind, _yaml_arguments(kind, args)]
+            [sources, repeats, kind, _yaml_arguments(str(kind), list(args))]
             for sources, repeats, kind, args in described["layers"]
         ]
         strides = tuple(
@@ -209,7 +209,7 @@ def _activation(name: object) -> str:
 
 def _yaml_arguments(kind: str, args: list[Any]) -> list[Any]:
     """The arguments of a `Layer` as a yaml has them, in which Conv has another default of its padding."""
-    if kind != "Conv" or not all(isinstance(side, int) for side in args[1:2] + args[5:6]):
+    if kind != "Conv" or not args or not all(isinstance(side, int) for side in args[1:2] + args[5:6]):
         return args
     filled = args + [1, 1, None, 1, 1][len(args) - 1 :]
     if filled[3] is None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,7 +61,7 @@ class GreyImage(ColourImage):
     @cached_property
     def pixels(self) -> NDArray[np.uint8]:
         """(H, W, 3) in RGB."""
-        return np.asarray(cv2.cvtColor(self._grey, cv2.COLOR_GRAY2RGB), np.uint8)
+        return np.repeat(self._grey[:, :, np.newaxis], 3, axis=2)
 
     @property
     def size_hw(self) -> tuple[int, int]:

@@ -53,6 +53,8 @@ class Conv(Block):
         is_activated: bool = True,
     ) -> None:
         super().__init__()
+        if min(channels_in, channels_out) < 1:
+            raise ValueError("a convolution without channels")
         self.conv = nn.Conv2d(
             channels_in,
             channels_out,
@@ -147,6 +149,8 @@ class MixConv2d(Block):
     ) -> None:
         super().__init__()
         # Channel i of n goes to the part in which the i-th of n equidistant points lies.
+        if channels_out < len(kernels):
+            raise ValueError("a convolution without channels")
         points = torch.linspace(0, len(kernels) - 1e-6, channels_out, device="cpu").floor().tolist()
         self.m = nn.ModuleList(
             nn.Conv2d(

@@ -80,7 +80,7 @@ def shape_of_batch(
     shapes = {frame.shape[:2] for frame in frames}
     if len(shapes) != 1 or not len(frames) == len(orders) == len(min_objectness):
         raise ValueError(
-            "A batch needs frames of one height and width, each with an order and an objectness, found "
+            "A batch needs frames of one shape, each with an order and an objectness, found "
             f"{len(frames)} of shapes {sorted(shapes)}, {len(orders)} orders, {len(min_objectness)} numbers."
         )
     ((height, width),) = shapes

@@ -41,7 +41,7 @@ class OverridableSchema(Schema[Model]):
         camera, separator, setting = name.partition(SEPARATOR)
         cameras = _cameras(values)
         if not (separator and cameras):
-            return super().meant(name)
+            return None if self._inherited(name) else super().meant(name)  # its camera is missing
         if setting in self.by_name and not self.by_name[setting].per_camera:
             return None
         near_camera = camera if camera in cameras else nearest(camera, cameras)
