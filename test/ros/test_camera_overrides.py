@@ -141,7 +141,9 @@ def test_an_integer_is_taken_for_a_number_and_indices_for_names(served: ServedNo
         pytest.param({"front.weights": "x"}, "weights is a setting of the node, the same for", id="of-node"),
         pytest.param({"side.max_rate": 5.0}, "add the camera to cameras, which has front, rear", id="new"),
         pytest.param({"side.max_rate": None}, "there is no such parameter", id="deletion"),
-        pytest.param({"front": 5.0}, "front is a camera; its settings are called front.", id="camera-alone"),
+        pytest.param(
+            {"front": 5.0}, "front is a camera; its settings have names such as front.", id="camera-alone"
+        ),
         pytest.param({"front.max_rate.x": 5.0}, "there is no such parameter", id="two-dots"),
         pytest.param(
             {"cameras": ["rear"], "front.max_rate": 5.0}, "add the camera to cameras, which has", id="removed"

@@ -168,7 +168,9 @@ def test_the_values_of_settings_give_the_same_settings() -> None:
         pytest.param({"side.lazy": True}, "add the camera to cameras, which has front, rear", id="absent"),
         pytest.param({".lazy": True}, ".lazy: there is no such parameter", id="nameless"),
         pytest.param({"front.": True}, "front.: there is no such parameter", id="nothing"),
-        pytest.param({"front": {}}, "front is a camera; its settings are called front.", id="camera-alone"),
+        pytest.param(
+            {"front": {}}, "front is a camera; its settings have names such as front.", id="camera-alone"
+        ),
     ],
 )
 def test_a_wrong_override_is_refused_with_what_was_meant(values: dict[str, Any], problem: str) -> None:

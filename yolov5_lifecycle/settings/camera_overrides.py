@@ -74,7 +74,7 @@ class OverridableSchema(Schema[Model]):
             return f"{setting} is a setting of the node, the same for all cameras."
         if name in cameras:
             example = next(setting.name for setting in self.settings if setting.per_camera)
-            return f"{name} is a camera; its settings are called {name}{SEPARATOR}{example} and so on."
+            return f"{name} is a camera; its settings have names such as {name}{SEPARATOR}{example}."
         if self._inherited(name) is None or (cameras and (not may_suggest or nearest(camera, cameras))):
             return ""
         present = f"has {', '.join(name[:MAX_NAME_LENGTH] for name in cameras)}" if cameras else "is empty"

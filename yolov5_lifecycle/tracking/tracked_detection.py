@@ -15,7 +15,7 @@ from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 
 @dataclass(frozen=True)
 class TrackedDetection:
-    """The tracker of one camera with the settings of now; a change of these makes a new one, same tracker."""
+    """The tracker of one camera with its current settings; other settings need a new one for the tracker."""
 
     tracker: ByteTracker
     settings: TrackerSettings
