@@ -19,6 +19,7 @@ from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.ros.parameters import SettingsParameters
+from yolov5_lifecycle.ros.topics import impossible_names
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.worker import Worker
 
@@ -155,7 +156,8 @@ class ManagedResources:
 
     def status(self, state: str, problem: str) -> Status:
         """Snapshot of the node in the lifecycle state `state`, with the last `problem` that was reported."""
-        if self._label_info is None:  # until configured, changes of `cameras` are not applied
+        # Until configured, changes of `cameras` are not applied, and `configure` refuses impossible names.
+        if self._label_info is None and not impossible_names(self._node, self._names()):
             self.add_cameras(self._names())
             self.remove_cameras(except_for=self._names())
         return Status(

@@ -40,7 +40,7 @@ class Status:
     """Snapshot of the node.
 
     `problem`: the last one that was reported. `settings`: from configure on; `model`: while active.
-    `cameras`: at least one, "" its name if the node has no others.
+    `cameras`: "" is the name of the only one; none if their topics cannot have the names they should.
     `abandoned_threads`: threads that hung during deactivate and are still running.
     `resident_mb`: RAM of the process, None if unknown.
     """
@@ -57,6 +57,8 @@ class Status:
     def of_node(self) -> Summary:
         """The node, with its camera if that has no name; else in the words of the first with a problem."""
         each = self.of_cameras
+        if not self.cameras:
+            return Summary(NODE_STATUS, self.problem, "", self._inactivity, self._values(self.problem))
         if not each:
             one, problem = self._summary(self.cameras[0]), self.problem or self.cameras[0].problem
             return Summary(NODE_STATUS, problem, one.hint, one.remark, self._values(problem) | one.values)
