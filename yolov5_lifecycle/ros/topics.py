@@ -55,9 +55,27 @@ def endpoint_name(node: Node, topic: str) -> str:
     return str(node.resolve_topic_name(topic.removesuffix(_COMPRESSED))) + _COMPRESSED
 
 
+def impossible_names(node: Node, cameras: Sequence[str]) -> list[str]:
+    """One problem per topic of `node` with these `cameras` whose full name ROS refuses: it is too long."""
+    topics = (*published(cameras), *subscribed(cameras))
+    return [problem for topic in topics if (problem := _naming_problem(node, topic))]
+
+
+def _naming_problem(node: Node, topic: str) -> str:
+    try:
+        full_name(node, topic)
+    except RuntimeError as error:
+        reason = str(error).partition(", at /")[0]
+        return (
+            f"{topic} cannot have its full name: {reason}: use a shorter name for the camera, or restart the "
+            "node with a shorter namespace or other remappings"
+        )
+    return ""
+
+
 def remapping_problems(node: Node, cameras: Sequence[str]) -> list[str]:
-    """One problem per name to which several topics of `node` with these `cameras` are remapped."""
-    return [
+    """One problem per name that is impossible, or to which several topics of `node` are remapped."""
+    return impossible_names(node, cameras) or [
         f"{' and '.join(topics)} are remapped to the same topic, {name}: restart the node with "
         "different remappings"
         for name, topics in _shared_topics(node, cameras).items()

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from support.camera_client import CameraClient
 from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
@@ -224,6 +226,26 @@ def test_cameras_whose_topics_are_remapped_to_one_name_are_refused(prepare: Prep
         assert not done
         assert "~/left/image and ~/right/image are remapped to the same topic, /seen" in reason
         assert class_ids_of(front.detect()) == ["cat"]
+
+
+LONG = "a" * 64
+LONG_NAMESPACE = ["--ros-args", "-r", f"__ns:=/{'n' * 170}"]
+
+
+def test_a_camera_whose_topics_would_have_too_long_names_fails_configure_until_it_is_renamed(
+    prepare: Preparations,
+) -> None:
+    with ServedNode(prepare, parameters=[f"cameras:=[{LONG}]"], arguments=LONG_NAMESPACE) as served:
+        served.wait_for(lambda: bool(served.diagnostics), "diagnostics")
+        assert served.node.trigger_configure() is TransitionCallbackReturn.FAILURE
+        told = f"~/{LONG}/detections cannot have its full name"
+        served.wait_for(lambda: told in served.diagnostics[-1].status[0].message, "the reason")
+        (result,) = served.node.set_parameters([Parameter("cameras", value=["front"])])
+        assert result.successful
+        assert served.node.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        (result,) = served.node.set_parameters([Parameter("cameras", value=[LONG])])
+        assert told in result.reason
+    assert served.escaped == []
 
 
 def test_an_added_camera_that_cannot_start_changes_nothing(

@@ -19,6 +19,7 @@ from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.ros.parameters import SettingsParameters
+from yolov5_lifecycle.ros.topics import impossible_names
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.worker import Worker
 
@@ -154,8 +155,15 @@ class ManagedResources:
 
     def status(self, state: str, problem: str) -> Status:
         """Snapshot of the node in the lifecycle state `state`, with the last `problem` that was reported."""
+<<<<<<< HEAD
         if self._label_info is None:
             self._follow_parameters()  # a change that leaves other settings invalid is not applied until then
+=======
+        # Until configured, changes of `cameras` are not applied, and `configure` refuses impossible names.
+        if self._label_info is None and not impossible_names(self._node, self._names()):
+            self.add_cameras(self._names())
+            self.remove_cameras(except_for=self._names())
+>>>>>>> attack
         return Status(
             state=state,
             problem=problem,

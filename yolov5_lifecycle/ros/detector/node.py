@@ -33,7 +33,7 @@ from yolov5_lifecycle.ros.rclpy_internals import (
     lifecycle_state,
 )
 from yolov5_lifecycle.ros.services import harden
-from yolov5_lifecycle.ros.topics import remapping_problems
+from yolov5_lifecycle.ros.topics import impossible_names, remapping_problems
 from yolov5_lifecycle.settings.settings import validated
 from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
@@ -120,12 +120,9 @@ class DetectorNode(PrintableNode, LifecycleNode):
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         cameras = self._settings.value("cameras") or ("",)
-        # The overrides stay the same, but a camera that they are for may have been removed since.
-        of_qos = [] if self._is_qos_checked else qos_problems(self, cameras)
         problems = [
             *map(in_one_line, self._start_problems),
-            *remapping_problems(self, cameras),
-            *(in_one_line(str(problem)) for problem in of_qos),
+            *self._topic_problems(cameras),
             *(in_one_line(str(problem)) for problem in self._settings.problems()),
         ]
         if problems:
@@ -185,6 +182,14 @@ class DetectorNode(PrintableNode, LifecycleNode):
             arguments=arguments,
             validate=validate,
         )
+
+    def _topic_problems(self, cameras: Sequence[str]) -> list[str]:
+        """Why these cameras cannot have their topics, or the QoS overrides given for them."""
+        if problems := impossible_names(self, cameras):
+            return problems
+        # The overrides stay the same, but a camera that they are for may have been removed since.
+        of_qos = [] if self._is_qos_checked else qos_problems(self, cameras)
+        return [*remapping_problems(self, cameras), *(in_one_line(str(problem)) for problem in of_qos)]
 
     def _greet(self) -> None:
         if self._start_problems:

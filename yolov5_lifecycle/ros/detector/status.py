@@ -41,7 +41,8 @@ class Status:
     """Snapshot of the node.
 
     `problem`: the last one that was reported. `settings`: from configure on; `model`: while active.
-    `cameras`: those that are named, otherwise one whose name is "".
+    `cameras`: those that are named, otherwise one whose name is ""; none if ROS refuses the names of their
+    topics.
     `abandoned_threads`: threads that hung during deactivate and are still running.
     `resident_mb`: RAM of the process, None if unknown.
     """
@@ -58,6 +59,8 @@ class Status:
     def of_node(self) -> Summary:
         """Of the node: with all values of its only camera, or with the problem of the first that has one."""
         each = self.of_cameras
+        if not self.cameras:
+            return Summary(NODE_STATUS, self.problem, "", self._inactivity, self._values(self.problem))
         if not each:
             one, problem = self._summary(self.cameras[0]), self.problem or self.cameras[0].problem
             return Summary(NODE_STATUS, problem, one.hint, one.remark, self._values(problem) | one.values)
