@@ -155,15 +155,9 @@ class ManagedResources:
 
     def status(self, state: str, problem: str) -> Status:
         """Snapshot of the node in the lifecycle state `state`, with the last `problem` that was reported."""
-<<<<<<< HEAD
-        if self._label_info is None:
-            self._follow_parameters()  # a change that leaves other settings invalid is not applied until then
-=======
         # Until configured, changes of `cameras` are not applied, and `configure` refuses impossible names.
         if self._label_info is None and not impossible_names(self._node, self._names()):
-            self.add_cameras(self._names())
-            self.remove_cameras(except_for=self._names())
->>>>>>> attack
+            self._follow_parameters()
         return Status(
             state=state,
             problem=problem,
