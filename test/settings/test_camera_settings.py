@@ -233,10 +233,10 @@ class Compared(str):
     """The name of a camera that counts how often it is compared with what may have been meant."""
 
     __slots__ = ()
-    count = 0
+    comparisons = 0
 
     def casefold(self) -> str:
-        Compared.count += 1
+        Compared.comparisons += 1
         return super().casefold()
 
 
@@ -244,7 +244,7 @@ def test_unknown_overrides_are_compared_with_few_cameras_and_few_of_them() -> No
     values = {"cameras": tuple(Compared(f"camera{number}") for number in range(10_000))}
     for index in range(1000):
         SCHEMA.unknown(f"camara{index}.max_rate", values, may_suggest=index < 3)
-    assert 0 < Compared.count <= 3 * 2 * MAX_CAMERAS
+    assert 0 < Compared.comparisons <= 3 * 2 * MAX_CAMERAS
 
 
 def test_a_reason_shows_the_beginning_of_names_without_end() -> None:
