@@ -92,7 +92,10 @@ def check_weights(read: Callable[[bytes], Model], data: bytes) -> None:
     assert len(model.class_names) == model.architecture.classes
     assert all(bool(torch.isfinite(tensor).all()) for tensor in model.state_dict.values())
     side = size_multiple(model.architecture)
-    assert network(torch.zeros(1, model.architecture.image_channels, side, side)).shape[2] == 5 + model.architecture.classes
+    assert (
+        network(torch.zeros(1, model.architecture.image_channels, side, side)).shape[2]
+        == 5 + model.architecture.classes
+    )
 
 
 def check_checkpoint(data: bytes) -> None:

@@ -64,7 +64,9 @@ def shared_activation(model: Any) -> None:
             child("model.0", "act", foreign("models.common.SiLU")), "with another activation", id="own act"
         ),
         pytest.param(
-            child("model.1", "act", nn.LeakyReLU(7.0)), "act.negative_slope is 7.0, expected 0 to 1", id="slope"
+            child("model.1", "act", nn.LeakyReLU(7.0)),
+            "act.negative_slope is 7.0, expected 0 to 1",
+            id="slope",
         ),
         pytest.param(
             setting("model.2.cv1.bn", eps=1e-5), "model.2.cv1.bn.eps is 1e-05, expected 0.001", id="epsilon"

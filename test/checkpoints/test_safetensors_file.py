@@ -206,7 +206,9 @@ def _reinterpreted(parts: Parts) -> None:
         pytest.param(_architecture(layers=[]), "expected 1 to 200 layers, found 0", id="no layers"),
         pytest.param(_architecture(layers=[[[-1], 1, "Conv", [8]]] * 201), "found 201", id="many layers"),
         pytest.param(_architecture(layers={"a": 1}), "architecture is damaged", id="layers a dict"),
-        pytest.param(_layer(0, [[-1], 1, "Focus", [64, 3]]), "model.0.conv.conv.weight is missing", id="Focus"),
+        pytest.param(
+            _layer(0, [[-1], 1, "Focus", [64, 3]]), "model.0.conv.conv.weight is missing", id="Focus"
+        ),
         pytest.param(_layer(0, [[-1], 1, [], [64]]), "layer 0 is a '[]', not supported", id="kind a list"),
         pytest.param(_layer(0, [[-1], 1, "Conv", [64, 6]]), "not supported", id="even kernel at stride 1"),
         pytest.param(_layer(0, [[-1], 1, "Conv", [64, 6, 2, 99]]), "the padding of layer 0", id="padding"),

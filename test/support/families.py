@@ -86,14 +86,12 @@ def family_architecture(name: str, **changes: object) -> Architecture:
     architecture = architecture_of(
         found["yaml"],
         classes=found["yaml"]["nc"],
-        anchors_px=anchors_px,  # type: ignore[arg-type]  # pairs
+        anchors_px=anchors_px,
         strides=tuple(found["strides"]),
         image_channels=found["image_channels"],
     )
     others = tuple((path, activation) for path, activation in found.get("other_activations", []))
-    architecture = dataclasses.replace(
-        architecture, activation=found["activation"], other_activations=others
-    )
+    architecture = dataclasses.replace(architecture, activation=found["activation"], other_activations=others)
     return dataclasses.replace(architecture, **changes)  # type: ignore[arg-type]  # of any field
 
 
