@@ -166,7 +166,7 @@ def stripped(model: Any) -> dict[str, Any]:
 
 def official_yaml(architecture: Architecture) -> dict[str, Any]:
     rows = [_row(layer) for layer in architecture.layers]
-    backbone = 1 + next((index for index, row in enumerate(rows) if row[2] == "SPPF"), 0)
+    backbone = 1 + next((index for index, row in enumerate(rows) if row[2] == "SPPF"), len(rows) - 2)
     return {
         "nc": architecture.classes,
         "depth_multiple": architecture.depth_multiple,
@@ -185,7 +185,7 @@ def _row(layer: Layer) -> list[Any]:
         "Detect": ["nc", "anchors"],
         "C3": [*layer.args[:1], *map(bool, layer.args[1:2]), *layer.args[2:]],
     }
-    arguments = special.get(layer.kind, [_listed(argument) for argument in layer.args])
+    arguments = [*special.get(layer.kind, [_listed(argument) for argument in layer.args])]
     if layer.args[1:2] == (6,):
         arguments.append(2)  # otherwise YOLOv5 pads by half the kernel, which is 3
     sources = layer.sources[0] if len(layer.sources) == 1 else list(layer.sources)
@@ -206,7 +206,9 @@ def _official(module: nn.Module, names: Mapping[str, str], name: str = "") -> An
         state = {key: value for key, value in vars(module).items() if key not in _OWN_ATTRIBUTES}
         if name.endswith(".Concat"):
             state["d"] = 1
-        if name.endswith(".Conv") and isinstance(children["bn"], nn.Identity):  # as fuse() leaves it
+        if name.endswith((".Conv", ".DWConv")) and isinstance(
+            children["bn"], nn.Identity
+        ):  # as fuse() leaves it
             del children["bn"]
         return foreign(name, **state | {"_modules": children})
     kind: type[nn.Module] = nn.ConvTranspose2d if own else type(module)

@@ -51,22 +51,28 @@ class Answer(NamedTuple):
 
 def write_all(folder: Path) -> dict[str, str]:
     """All files, and which case each file name stands for."""
-    cases = {}
-    for index, (name, (make, _)) in enumerate(chain(CHECKPOINTS.items(), SAFETENSORS.items())):
-        file = folder / f"{index:03}{'.pt' if name in CHECKPOINTS else '.safetensors'}"
-        file.write_bytes(make())
-        cases[file.name] = name
+    cases = write_tables(folder, CHECKPOINTS, SAFETENSORS)
     for index, (name, (make_at, _)) in enumerate(SPECIAL.items(), start=len(cases)):
         cases[make_at(folder, f"{index:03}").name] = f"special: {name}"
     return cases
 
 
-def read_all(folder: Path) -> dict[str, Answer]:
+def write_tables(folder: Path, checkpoints: Table, safetensors: Table) -> dict[str, str]:
+    """The files of two tables, and which case each file name stands for."""
+    cases = {}
+    for index, (name, (make, _)) in enumerate(chain(checkpoints.items(), safetensors.items())):
+        file = folder / f"{index:03}{'.pt' if name in checkpoints else '.safetensors'}"
+        file.write_bytes(make())
+        cases[file.name] = name
+    return cases
+
+
+def read_all(folder: Path, write: Callable[[Path], dict[str, str]] = write_all) -> dict[str, Answer]:
     """What became of every file, by case; all are read by one process that has a limit to its memory."""
     files, workplace = folder / "files", folder / "workplace"
     files.mkdir()
     workplace.mkdir()
-    cases = write_all(files)
+    cases = write(files)
     (folder / "valid.pt").write_bytes(valid())
     (workplace / f"{MARKER}.py").write_text(f"open({str(workplace / 'imported')!r}, 'w').close()")
     reader = subprocess.run(

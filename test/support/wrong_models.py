@@ -2,23 +2,41 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
 from typing import Any
 
 import torch
 from torch import nn
 
-from support.checkpoint_builder import foreign, head, layers_of, official_model, saved, stripped
+from support.checkpoint_builder import SMALL, foreign, head, layers_of, official_model, saved, stripped
+from yolov5_lifecycle.models.architecture import Architecture
 
 NAN, INFINITY = math.nan, math.inf
+_BASE: ContextVar[Architecture] = ContextVar("_BASE", default=SMALL)
+
+
+@contextlib.contextmanager
+def based_on(architecture: Architecture) -> Iterator[None]:
+    """The models are wrong in the same things, but of `architecture`; it must have the layers of SMALL."""
+    token = _BASE.set(architecture)
+    try:
+        yield
+    finally:
+        _BASE.reset(token)
+
+
+def right_model(**options: Any) -> Any:
+    return official_model(_BASE.get(), **options)
 
 
 def changed(change: Callable[[Any], object], **options: Any) -> Callable[[], bytes]:
     """The small official model after `change`."""
 
     def make() -> bytes:
-        model = official_model(**options)
+        model = right_model(**options)
         change(model)
         return saved(stripped(model))
 
@@ -77,7 +95,7 @@ def layer_named(name: str) -> Callable[[], bytes]:
 
 
 def recursive_yaml() -> bytes:
-    model = official_model()
+    model = right_model()
     model.yaml["backbone"].append(model.yaml["backbone"])
     return saved(stripped(model))
 
@@ -89,7 +107,7 @@ def pickled_method(owner: object, method: str) -> Any:
 
 def segmentation() -> bytes:
     """YOLOv5-seg keeps the forward of Detect, which it overrides, as an attribute of its head."""
-    model = official_model(kind="models.yolo.SegmentationModel")
+    model = right_model(kind="models.yolo.SegmentationModel")
     detect = type(head(model))
     segment = foreign(
         "models.yolo.Segment", **vars(head(model)), nm=32, detect=pickled_method(detect, "forward")

@@ -28,8 +28,8 @@ _SETTINGS: Mapping[type[nn.Module], tuple[str, ...]] = MappingProxyType(
         nn.ConvTranspose2d: (*_CONVOLUTION, "output_padding"),
         nn.MaxPool2d: ("kernel_size", "stride", "padding", "dilation", "ceil_mode"),
         nn.ZeroPad2d: ("padding", "value"),
-        nn.BatchNorm2d: ("eps",),
-        nn.Upsample: ("scale_factor", "mode"),
+        nn.BatchNorm2d: ("eps", "track_running_stats"),
+        nn.Upsample: ("scale_factor", "mode", "size", "align_corners"),
         nn.LeakyReLU: ("negative_slope",),
         nn.MultiheadAttention: ("embed_dim", "num_heads", "add_zero_attn"),
         Bottleneck: ("add",),
@@ -119,7 +119,9 @@ def _settings(module: nn.Module) -> dict[str, object]:
 
 
 def _same(found: object, expected: object) -> bool:
-    """Equality for untrusted values: compares tuples item by item, otherwise int, float and str only."""
+    """Equality for untrusted values: compares tuples item by item, otherwise numbers, text and None only."""
+    if expected is None:
+        return found is None
     if isinstance(expected, tuple):
         if not isinstance(found, (tuple, list)) or len(found) != len(expected):
             return False

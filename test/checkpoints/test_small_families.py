@@ -1,0 +1,149 @@
+"""Every kind of layer is read as each version saves it, fused, trained on several GPUs, or wrapped to run."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from support.checkpoint_builder import foreign, head, layers_of, official_model, saved, stripped
+from support.random_model import random_network
+from support.small_families import EVERY_SMALL
+from support.wrong_models import data_parallel, pickled_method
+from torch import nn
+
+from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
+from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
+from yolov5_lifecycle.models.architecture import Architecture
+from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.models.network import Network, fuse
+
+every_small = pytest.mark.parametrize("architecture", EVERY_SMALL.values(), ids=EVERY_SMALL)
+
+
+def predictions(network: Network) -> torch.Tensor:
+    side = 2 * size_multiple(network.architecture)
+    shape = (1, network.architecture.image_channels, side, 2 * side)
+    with torch.inference_mode():
+        raw: torch.Tensor = network.eval()(torch.rand(shape, generator=torch.Generator().manual_seed(0)))
+    return raw
+
+
+def assert_same_model(model: Model, architecture: Architecture, network: Network) -> None:
+    assert model.architecture == architecture
+    torch.testing.assert_close(predictions(model.network()), predictions(network), rtol=0, atol=0)
+
+
+@every_small
+@pytest.mark.parametrize("before_v6", [False, True], ids=["v7", "before v6"])
+def test_a_file_of_any_version_is_read(architecture: Architecture, before_v6: bool) -> None:
+    if before_v6:  # then a MixConv2d added its input
+        layers = tuple(
+            layer._replace(kind="Conv", args=(64, 3, 1)) if layer.kind == "MixConv2d" else layer
+            for layer in architecture.layers
+        )
+        others = tuple(pair for pair in architecture.other_activations if pair[0] == "model.0.act")
+        architecture = dataclasses.replace(architecture, layers=layers, other_activations=others)
+    data = saved(stripped(official_model(architecture, half=False, before_v6=before_v6)))
+    assert_same_model(read_checkpoint(data), architecture, random_network(0, architecture))
+
+
+@every_small
+def test_folding_leaves_the_predictions_as_they_are(architecture: Architecture) -> None:
+    network = random_network(1, architecture)
+    expected = predictions(network)
+    folded = fuse(fuse(network))
+    assert not [module for module in folded.modules() if isinstance(module, nn.BatchNorm2d)]
+    torch.testing.assert_close(predictions(folded), expected, rtol=1e-3, atol=1e-4)
+
+
+def fused(architecture: Architecture, method: str) -> Any:
+    """As YOLOv5's model.fuse() leaves it: convolutions with a bias, whose forward is another method."""
+    is_fused = dataclasses.replace(architecture, is_fused=True)
+    model = official_model(is_fused, half=False)
+    waiting = list(layers_of(model).values())
+    while waiting:
+        module = waiting.pop()
+        waiting.extend(vars(module)["_modules"].values())
+        if type(module).__name__ in ("Conv", "DWConv"):
+            vars(module)["forward"] = pickled_method(module, method)
+    return model
+
+
+@every_small
+@pytest.mark.parametrize("method", ["forward_fuse", "fuseforward"])
+def test_a_fused_model_is_read_and_converted(architecture: Architecture, method: str, tmp_path: Path) -> None:
+    model = read_checkpoint(saved(stripped(fused(architecture, method))))
+    is_fused = dataclasses.replace(architecture, is_fused=True)
+    assert_same_model(model, is_fused, random_network(0, is_fused))
+    write_safetensors(model, tmp_path / "fused.safetensors")
+    again = read_safetensors((tmp_path / "fused.safetensors").read_bytes())
+    assert_same_model(again, is_fused, random_network(0, is_fused))
+    torch.testing.assert_close(
+        predictions(fuse(model.network())), predictions(model.network()), rtol=1e-3, atol=1e-4
+    )
+
+
+def with_nms(model: Any) -> Any:
+    """As v3.1 to v5.0 do it for an export."""
+    layers_of(model)[str(len(layers_of(model)))] = foreign("models.common.NMS", _modules={}, f=-1)
+    return model
+
+
+@pytest.mark.parametrize(
+    "checkpoint",
+    [
+        pytest.param(lambda model: model, id="bare module"),
+        pytest.param(lambda model: {"model": data_parallel(model)}, id="DataParallel"),
+        pytest.param(lambda model: {"ema": None, "model": data_parallel(data_parallel(model))}, id="twice"),
+        pytest.param(data_parallel, id="bare DataParallel"),
+        pytest.param(
+            lambda model: foreign("models.common.autoShape", _modules={"model": model}), id="autoShape"
+        ),
+        pytest.param(
+            lambda model: foreign(
+                "models.common.AutoShape",
+                _modules={"model": foreign("models.common.DetectMultiBackend", _modules={"model": model})},
+            ),
+            id="as torch.hub loads it",
+        ),
+        pytest.param(lambda model: stripped(with_nms(model)), id="NMS added for an export"),
+    ],
+)
+def test_what_is_around_a_model_is_left_out(checkpoint: Callable[[Any], Any]) -> None:
+    architecture = EVERY_SMALL["cross-stage"]
+    data = saved(checkpoint(official_model(architecture, half=False)))
+    assert_same_model(read_checkpoint(data), architecture, random_network(0, architecture))
+
+
+def test_boxes_are_computed_with_the_anchors_in_pixels_that_older_models_hold() -> None:
+    """In half precision both buffers are rounded, each on its own."""
+    architecture = EVERY_SMALL["cross-stage"]
+    anchors_px = (((10.123, 13.3), (16.7, 30.9)), ((30.3, 61.7), (62.2, 45.1)))
+    model = official_model(dataclasses.replace(architecture, anchors_px=anchors_px), before_v6=True)
+    buffers = vars(head(model))["_buffers"]
+    buffers["anchor_grid"] = torch.tensor(anchors_px).half().view(2, 1, 2, 1, 1, 2)
+    read = read_checkpoint(saved(stripped(model)))
+    rounded = torch.tensor(anchors_px).half().float()
+    assert torch.equal(torch.tensor(read.architecture.anchors_px), rounded)
+    assert torch.equal(read.state_dict["model.8.anchors"], rounded / torch.tensor([4, 8]).view(2, 1, 1))
+
+
+def test_images_of_a_model_without_that_entry_in_its_yaml_may_be_grey() -> None:
+    architecture = EVERY_SMALL["resized"]
+    model = official_model(architecture, before_v6=True)
+    assert "ch" not in model.yaml
+    assert read_checkpoint(saved(stripped(model))).architecture.image_channels == 1
+
+
+def test_a_number_of_channels_that_is_that_of_the_head_is_not_scaled() -> None:
+    """As YOLOv5 builds its models: with 27 classes and two anchors, 64 channels stay 64."""
+    architecture = dataclasses.replace(EVERY_SMALL["cross-stage"], classes=27)
+    names = [f"class {index}" for index in range(27)]
+    model = read_checkpoint(saved(stripped(official_model(architecture, names))))
+    assert model.state_dict["model.0.conv.weight"].shape[0] == 64
+    assert dataclasses.replace(architecture, classes=3).scaled_channels(64) == 8
