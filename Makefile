@@ -12,6 +12,7 @@ PYTEST_FLAGS ?=
 BENCH_FLAGS ?=
 CAMERAS_FLAGS ?=
 TRACKING_FLAGS ?=
+FAMILIES_FLAGS ?=
 SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
 
@@ -56,7 +57,7 @@ ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
-.PHONY: help install demo demo-cameras test test-all coverage soak fuzz bench lint docs clean
+.PHONY: help install demo demo-cameras test test-all coverage soak fuzz bench bench-families lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make demo-cameras  two cameras on one detector, with tracks and places in space; result in build/demo'
@@ -66,6 +67,7 @@ help:
 	@echo 'make bench    how fast each runtime is, quiet and beside a busy process, and how well objects are tracked'
 	@echo '              and what several cameras on one node cost'
 	@echo '              (BENCH_FLAGS="--quick"  CAMERAS_FLAGS="--quick"  TRACKING_FLAGS="--seeds 1")'
+	@echo 'make bench-families  the forward pass of every family of models beside eager torch (FAMILIES_FLAGS="--quick")'
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
 	@echo 'make fuzz     coverage-guided fuzzing of the parsers of images, weights and settings, of depth and of the tracker'
 	@echo 'make lint     ruff and mypy --strict'
@@ -100,6 +102,9 @@ bench: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.bench $(BENCH_FLAGS)
 	$(VENV)/bin/python -m benchmark.cameras $(CAMERAS_FLAGS)
 	$(VENV)/bin/python -m benchmark.tracking $(TRACKING_FLAGS)
+
+bench-families: $(PACKAGE)
+	$(VENV)/bin/python -m benchmark.families $(FAMILIES_FLAGS)
 
 # It drives the detector with what the tests drive it with.
 soak: $(PACKAGE)

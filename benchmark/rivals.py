@@ -38,6 +38,8 @@ def call_of(task: Task) -> Call:
     letterbox = Letterbox.fit(task.image_hw, image_size=IMAGE_SIZE, stride=stride)
     rgb = letterbox.apply(scene_image(task.image_hw).pixels)[..., ::-1].copy()
     pixels = torch.from_numpy(rgb).permute(2, 0, 1)[None].float().contiguous() / 255
+    if model.architecture.image_channels == 1:
+        pixels = pixels.mean(dim=1, keepdim=True)
     return RIVALS[task.name](fuse(network), pixels)
 
 

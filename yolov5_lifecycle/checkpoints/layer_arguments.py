@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from yolov5_lifecycle.models.architecture import Argument
 from yolov5_lifecycle.models.model import checked_integer
@@ -19,7 +19,8 @@ class UnsupportedError(ValueError):
     """An argument that the layer does not take; whoever catches it shows the whole row."""
 
 
-class Given(NamedTuple):
+@dataclass(frozen=True)
+class Given:
     """An argument of a row: `read` checks its value, given where it stands, for messages.
 
     An argument that `is_kept` is part of the layer even if it has its default value.

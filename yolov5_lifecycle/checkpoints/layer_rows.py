@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 from yolov5_lifecycle.checkpoints.layer_arguments import (
@@ -29,10 +30,10 @@ from yolov5_lifecycle.models.architecture import Argument
 from yolov5_lifecycle.models.model import WeightsError, shown
 
 _PARTIAL = (CHANNELS, SHORTCUT, GROUPS, EXPANSION)
-_KEPT_KERNEL, _KEPT_STRIDE = KERNEL._replace(is_kept=True), STRIDE._replace(is_kept=True)
-_POOL_STRIDE = STRIDE._replace(is_required=True)
-_WHOLE_EXPANSION, _NO_SHORTCUT = EXPANSION._replace(default=1.0), SHORTCUT._replace(default=0)
-_ODD_3 = ODD_KERNEL._replace(default=3)
+_KEPT_KERNEL, _KEPT_STRIDE = replace(KERNEL, is_kept=True), replace(STRIDE, is_kept=True)
+_POOL_STRIDE = replace(STRIDE, is_required=True)
+_WHOLE_EXPANSION, _NO_SHORTCUT = replace(EXPANSION, default=1.0), replace(SHORTCUT, default=0)
+_ODD_3 = replace(ODD_KERNEL, default=3)
 
 ROWS: Mapping[str, Sequence[Given]] = MappingProxyType(
     {
@@ -43,20 +44,20 @@ ROWS: Mapping[str, Sequence[Given]] = MappingProxyType(
         "GhostBottleneck": (CHANNELS, _ODD_3, STRIDE),
         "Bottleneck": _PARTIAL,
         "CrossConv": (CHANNELS, _ODD_3, STRIDE, GROUPS, _WHOLE_EXPANSION, _NO_SHORTCUT),
-        "MixConv2d": (CHANNELS, WINDOWS._replace(default=(1, 3)), STRIDE),
+        "MixConv2d": (CHANNELS, replace(WINDOWS, default=(1, 3)), STRIDE),
         "C3": _PARTIAL,
         "C3x": _PARTIAL,
         "C3TR": _PARTIAL,
         "C3Ghost": _PARTIAL,
-        "C3SPP": (CHANNELS, WINDOWS._replace(default=(5, 9, 13))),
+        "C3SPP": (CHANNELS, replace(WINDOWS, default=(5, 9, 13))),
         "BottleneckCSP": _PARTIAL,
         "CrossCSP": _PARTIAL,
-        "SPP": (CHANNELS, WINDOWS._replace(default=(5, 9, 13))),
-        "SPPF": (CHANNELS, ODD_KERNEL._replace(default=5, is_kept=True)),
-        "ConvTranspose2d": (CHANNELS, KERNEL._replace(is_required=True), STRIDE, NO_PADDING, NO_PADDING),
+        "SPP": (CHANNELS, replace(WINDOWS, default=(5, 9, 13))),
+        "SPPF": (CHANNELS, replace(ODD_KERNEL, default=5, is_kept=True)),
+        "ConvTranspose2d": (CHANNELS, replace(KERNEL, is_required=True), STRIDE, NO_PADDING, NO_PADDING),
         "DWConvTranspose2d": (CHANNELS, KERNEL, STRIDE, NO_PADDING, NO_PADDING),
         "Upsample": (only(None, "None"), only(2), only("nearest")),
-        "MaxPool2d": (KERNEL._replace(is_required=True), _POOL_STRIDE, NO_PADDING._replace(is_kept=True)),
+        "MaxPool2d": (replace(KERNEL, is_required=True), _POOL_STRIDE, replace(NO_PADDING, is_kept=True)),
         "ZeroPad2d": (SIDES,),
         "Contract": (GAIN,),
         "Expand": (GAIN,),

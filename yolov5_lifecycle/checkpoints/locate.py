@@ -92,7 +92,7 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
     """
     try:
         reader = _reader(path)
-        data = _read_once(path)
+        data = read_once(path)
         digest = _checked_digest(data, sha256) if sha256 else ""
         model = reader(data)
         return WeightsFile(Path(os.path.realpath(path)), digest or hashlib.sha256(data).hexdigest(), model)
@@ -144,8 +144,8 @@ def _reader(path: Path) -> Callable[[bytes], Model]:
     return reader
 
 
-def _read_once(path: Path) -> bytes:
-    """All bytes of a regular file, read once: the bytes checked are the bytes used."""
+def read_once(path: Path) -> bytes:
+    """All bytes of a regular file, read once: the bytes checked are the bytes used. Raises WeightsError."""
     try:
         with open(path, "rb", opener=_open_without_waiting) as file:
             status = os.fstat(file.fileno())

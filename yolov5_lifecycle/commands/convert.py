@@ -1,4 +1,7 @@
-"""Command `convert IN.pt OUT.safetensors`: convert a YOLOv5 checkpoint to a file that holds only data."""
+"""Command `convert IN.pt OUT.safetensors`: convert a YOLOv5 checkpoint to a file that holds only data.
+
+`convert --describe FILE` tells what a file holds.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from pathlib import Path
 
 import torch
 
+from yolov5_lifecycle.checkpoints.description import Description
 from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.commands.command_line import CommandParser
@@ -50,15 +54,31 @@ def _parameters(model: Model) -> int:
         return sum(parameter.numel() for parameter in Network(model.architecture).parameters())
 
 
+def _describe(path: Path) -> int:
+    described = Description(path)
+    written = write_output("convert", described.text)
+    return written or int(not described.is_usable)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     parser = CommandParser(
         "convert",
-        description="Convert a YOLOv5 checkpoint (v6 or v7) to .safetensors, without running what is in it.",
+        description="Convert a YOLOv5 checkpoint to .safetensors, without running what is in it.",
+        usage="%(prog)s IN.pt OUT.safetensors [--force]\n       %(prog)s --describe FILE",
     )
-    parser.add_argument("source", type=Path, metavar="IN.pt")
-    parser.add_argument("target", type=Path, metavar="OUT.safetensors")
+    parser.add_argument("source", type=Path, metavar="IN.pt", nargs="?")
+    parser.add_argument("target", type=Path, metavar="OUT.safetensors", nargs="?")
     parser.add_argument("--force", action="store_true", help="replace OUT.safetensors if it is there")
+    parser.add_argument(
+        "--describe", type=Path, metavar="FILE", help="tell what a weights file holds, and why it is refused"
+    )
     arguments = parser.parse_args(argv)
+    if arguments.describe is not None:
+        if arguments.source is not None:
+            parser.error("--describe takes one file and writes none")
+        return _describe(arguments.describe)
+    if arguments.target is None:
+        parser.error("the following arguments are required: IN.pt, OUT.safetensors")
     try:
         written = convert(arguments.source, arguments.target, overwrite=arguments.force)
     except (WeightsError, OSError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import ColourImage, GreyImage, ImageError, Order, bytes_of, check_size
+from yolov5_lifecycle.images.image import ColourImage, ImageError, Order, bytes_of, check_size
 
 _CONVERSIONS: dict[tuple[Order, str], int | None] = {
     ("rgb", "rgb8"): None,
@@ -25,6 +26,36 @@ _CONVERSIONS: dict[tuple[Order, str], int | None] = {
     ("bgr", "rgba8"): cv2.COLOR_BGR2RGBA,
     ("bgr", "bgra8"): cv2.COLOR_BGR2BGRA,
 }
+
+
+class GreyImage(ColourImage):
+    """An image of grey pixels (H, W), which are converted to RGB when `pixels` are asked for.
+
+    Raises ImageError on construction unless the sides are in [1, 16384].
+    """
+
+    order: Order = "rgb"
+
+    def __init__(self, grey: NDArray[np.uint8]) -> None:
+        check_size(*grey.shape)
+        object.__setattr__(self, "_grey", grey)
+        self._grey: NDArray[np.uint8]
+
+    @cached_property
+    def pixels(self) -> NDArray[np.uint8]:
+        """(H, W, 3) in RGB."""
+        return np.asarray(cv2.cvtColor(self._grey, cv2.COLOR_GRAY2RGB), np.uint8)
+
+    @property
+    def size_hw(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        height, width = self._grey.shape
+        return height, width
+
+    @property
+    def as_sent(self) -> tuple[NDArray[np.uint8], Order]:
+        """The grey pixels and their order, which is grey."""
+        return self._grey, "grey"
 
 
 @dataclass(frozen=True, eq=False)

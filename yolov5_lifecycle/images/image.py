@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -43,36 +42,6 @@ class ColourImage:
     def as_sent(self) -> tuple[NDArray[np.uint8], Order]:
         """Pixels and their order before any conversion: (H, W, 3), or (H, W) if the order is grey."""
         return self.pixels, self.order
-
-
-class GreyImage(ColourImage):
-    """An image of grey pixels (H, W), which are converted to RGB when `pixels` are asked for.
-
-    Raises ImageError on construction unless the sides are in [1, 16384].
-    """
-
-    order: Order = "rgb"
-
-    def __init__(self, grey: NDArray[np.uint8]) -> None:
-        check_size(*grey.shape)
-        object.__setattr__(self, "_grey", grey)
-        self._grey: NDArray[np.uint8]
-
-    @cached_property
-    def pixels(self) -> NDArray[np.uint8]:
-        """(H, W, 3) in RGB."""
-        return np.repeat(self._grey[:, :, np.newaxis], 3, axis=2)
-
-    @property
-    def size_hw(self) -> tuple[int, int]:
-        """Height and width in pixels."""
-        height, width = self._grey.shape
-        return height, width
-
-    @property
-    def as_sent(self) -> tuple[NDArray[np.uint8], Order]:
-        """The grey pixels and their order, which is grey."""
-        return self._grey, "grey"
 
 
 def _check_pixels(pixels: object) -> None:

@@ -22,6 +22,10 @@ class Cells(NamedTuple):
         surplus = (self.surplus - 1) * stride - 2 * padding + kernel + output_padding
         return Cells(self.pixels / stride, surplus)
 
+    def padded(self, cells: int) -> Cells:
+        """With so many more cells."""
+        return Cells(self.pixels, self.surplus + cells)
+
     def contracted(self, gain: int) -> Cells:
         """After squares of `gain` x `gain` cells have become one; raises ValueError for parts of squares."""
         if self.surplus % gain:

@@ -52,9 +52,7 @@ RESIZING: Mapping[str, Resizing] = MappingProxyType(
             lambda: nn.Upsample(scale_factor=2, mode="nearest"), lambda cells: cells.expanded(2)
         ),
         "MaxPool2d": Resizing(nn.MaxPool2d, Cells.slid),
-        "ZeroPad2d": Resizing(
-            nn.ZeroPad2d, lambda cells, sides: cells._replace(surplus=cells.surplus + sides[0] + sides[1])
-        ),
+        "ZeroPad2d": Resizing(nn.ZeroPad2d, lambda cells, sides: cells.padded(sides[0] + sides[1])),
         "Contract": Resizing(Contract, Cells.contracted),
         "Expand": Resizing(Expand, Cells.expanded),
     }

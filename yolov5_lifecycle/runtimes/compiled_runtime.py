@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -18,13 +19,14 @@ from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Detect, fuse
 from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
-from yolov5_lifecycle.runtimes.frames import write_planes
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead, Features
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
 
+_PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
+_TO_GREY = {"rgb": cv2.COLOR_RGB2GRAY, "bgr": cv2.COLOR_BGR2GRAY}
 _GRAPH_MAKERS = tuple(
     f"{package.__name__}.{module.name}"
     for package in (models, runtimes)
@@ -118,12 +120,22 @@ class _Compiled:
         min_objectness: Sequence[float],
     ) -> list[NDArray[np.float32]]:
         for planes, frame, order in zip(self._planes, frames, orders, strict=True):
-            write_planes(frame, order, planes)
+            _write_planes(frame, order, planes)
         features = self._run(self._planes)
         return [
             self._head([level[index : index + 1] for level in features], least)
             for index, least in enumerate(min_objectness)
         ]
+
+
+def _write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uint8]) -> None:
+    """Write a frame (h, w, 3), or (h, w) if it is grey, into `planes`: (3, h, w) RGB or (1, h, w) grey."""
+    if order == "grey":
+        planes[:] = frame
+    elif len(planes) == 1:
+        cv2.cvtColor(frame, _TO_GREY[order], dst=planes[0])
+    else:
+        cv2.split(frame, [planes[plane] for plane in _PLANES[order]])
 
 
 class Compiler:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -15,12 +16,13 @@ from torch import Tensor
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Detect, Network, fuse
-from yolov5_lifecycle.runtimes.frames import as_channels
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
 
 _PRECISIONS = {torch.float32: "fp32", torch.float16: "fp16"}
+_TO_GREY = {"rgb": cv2.COLOR_RGB2GRAY, "bgr": cv2.COLOR_BGR2GRAY}
+_TO_RGB = {"bgr": cv2.COLOR_BGR2RGB, "grey": cv2.COLOR_GRAY2RGB}
 _WARM_UPS = 3  # libraries select algorithms and allocate memory, which is not allowed during capture
 _CAPTURE_PATIENCE_S = 10.0
 _ONE_AT_A_TIME = threading.Lock()
@@ -126,10 +128,18 @@ class TorchRuntime:
 def _stacked(frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order], channels: int) -> Tensor:
     """Frames as one tensor (batch, h, w, channels); a single one that fits is not copied."""
     fitting = [
-        torch.from_numpy(as_channels(frame, order, channels))
+        torch.from_numpy(_as_channels(frame, order, channels))
         for frame, order in zip(frames, orders, strict=True)
     ]
     return torch.stack(fitting) if len(fitting) > 1 else fitting[0].unsqueeze(0)
+
+
+def _as_channels(frame: NDArray[np.uint8], order: Order, channels: int) -> NDArray[np.uint8]:
+    """A frame (h, w, 3), or (h, w) if it is grey, as (h, w, 3) RGB or as (h, w, 1) grey; copied if needed."""
+    if channels == 1:
+        grey = frame if order == "grey" else cv2.cvtColor(frame, _TO_GREY[order])
+        return np.asarray(grey, np.uint8)[..., None]
+    return frame if order == "rgb" else np.asarray(cv2.cvtColor(frame, _TO_RGB[order]), np.uint8)
 
 
 def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: torch.dtype) -> Forward:

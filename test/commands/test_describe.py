@@ -1,0 +1,160 @@
+"""`convert --describe` tells in one screen what a file holds, and why it cannot be used."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.checkpoint_builder import foreign, layers_of, official_model, saved, stripped
+from support.small_families import EVERY_SMALL, SMALL_FAMILIES
+from support.wrong_models import MODELS, fuse_all
+from torch import nn
+
+from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
+from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.commands.convert import main
+
+SCREEN_LINES, SCREEN_COLUMNS = 24, 110
+
+
+def described(path: Path, capsys: pytest.CaptureFixture[str], code: int = 0) -> Mapping[str, str]:
+    """Facts by their labels; those of several lines joined."""
+    assert main(["--describe", str(path)]) == code
+    told = capsys.readouterr()
+    assert told.err == ""
+    lines = told.out.splitlines()
+    assert len(lines) <= SCREEN_LINES
+    assert all(line.isprintable() and len(line) <= SCREEN_COLUMNS for line in lines)
+    facts: dict[str, str] = {}
+    for line in lines:
+        label = line[:14].strip() or list(facts)[-1]
+        facts[label] = f"{facts.get(label, '')} {line[14:].strip()}".strip()
+    return facts
+
+
+def written(folder: Path, checkpoint: object) -> Path:
+    path = folder / "best.pt"
+    path.write_bytes(saved(checkpoint))
+    return path
+
+
+def activated(model: Any, *, shared: bool, inplace: bool) -> Any:
+    """`model` with SiLU as a version of YOLOv5 has it: one object for all or not, in place or not."""
+    one = nn.SiLU(inplace=inplace)
+    waiting = list(layers_of(model).values())
+    while waiting:
+        children = vars(waiting.pop())["_modules"]
+        waiting.extend(children.values())
+        if "act" in children:
+            children["act"] = one if shared else nn.SiLU(inplace=inplace)
+    return model
+
+
+def before_v6(activation: str) -> Any:
+    architecture = dataclasses.replace(SMALL_FAMILIES["cross-stage"], activation=activation)
+    return official_model(architecture, before_v6=True, kind="models.yolo.Model")
+
+
+@pytest.mark.parametrize(
+    ("make", "version"),
+    [
+        pytest.param(lambda: before_v6("LeakyReLU(0.1)"), "YOLOv5 v3.0", id="v3.0"),
+        pytest.param(lambda: before_v6("Hardswish"), "YOLOv5 v3.1", id="v3.1"),
+        pytest.param(lambda: before_v6("SiLU"), "YOLOv5 v4.0 or v5.0", id="v4.0"),
+        pytest.param(
+            lambda: activated(official_model(kind="models.yolo.Model"), shared=False, inplace=False),
+            "YOLOv5 v6.0",
+            id="v6.0",
+        ),
+        pytest.param(
+            lambda: activated(official_model(kind="models.yolo.Model"), shared=False, inplace=True),
+            "YOLOv5 v6.1",
+            id="v6.1",
+        ),
+        pytest.param(
+            lambda: activated(official_model(), shared=False, inplace=True), "YOLOv5 v6.2", id="v6.2"
+        ),
+        pytest.param(
+            lambda: activated(official_model(), shared=True, inplace=True), "YOLOv5 v7.0", id="v7.0"
+        ),
+    ],
+)
+def test_the_version_is_told_from_how_the_file_was_written(
+    make: Callable[[], Any], version: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert described(written(tmp_path, stripped(make())), capsys)["written by"] == version
+
+
+def test_layers_images_anchors_and_classes_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = written(tmp_path, stripped(official_model(EVERY_SMALL["resized"])))
+    facts = described(path, capsys)
+    assert facts["layers"].startswith("2 Conv, 1 Focus, 1 ZeroPad2d, 1 MaxPool2d")
+    assert facts["activations"] == "14 SiLU"
+    assert facts["images"] == "grey, height and width multiples of 8"
+    assert facts["strides"] == "4, 8"
+    assert facts["anchors"] == "10x13, 16x30; 30x61, 62x45"
+    assert facts["classes"] == "3: cat, dog, cow"
+    assert facts["trained"] == "never: its normalisation has seen no images"
+    assert facts["usable"] == "yes"
+
+    write_safetensors(read_checkpoint(path.read_bytes()), tmp_path / "a.safetensors")
+    converted = described(tmp_path / "a.safetensors", capsys)
+    assert converted["written by"] == "convert"
+    assert {label: converted[label] for label in ("images", "strides", "anchors", "classes")} == {
+        label: facts[label] for label in ("images", "strides", "anchors", "classes")
+    }
+
+
+def test_a_trained_model_is_told_with_its_date(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = official_model()
+    for layer in layers_of(model).values():
+        if "bn" in vars(layer)["_modules"]:
+            vars(layer)["_modules"]["bn"].num_batches_tracked += 7
+    facts = described(written(tmp_path, stripped(model)), capsys)
+    assert facts["trained"] == "yes, saved 2024-01-02T03:04:05"
+
+
+def test_what_can_be_told_of_a_refused_file_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = official_model()
+    fuse_all(model)
+    vars(layers_of(model)["0"])["_modules"]["act"] = nn.GELU()
+    facts = described(written(tmp_path, stripped(model)), capsys, code=1)
+    assert facts["layers"].startswith("3 Conv, 2 C3")
+    assert "GELU" in facts["activations"]
+    assert facts["usable"].startswith("no: the module model.0.act is a 'GELU'")
+
+
+@pytest.mark.parametrize("case", [name for name in MODELS if "text" in name or "name" in name])
+def test_no_wrong_file_breaks_the_screen(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "wrong.pt"
+    path.write_bytes(MODELS[case][0]())
+    assert described(path, capsys, code=1)["usable"].startswith("no: ")
+
+
+def test_names_of_layers_cannot_break_the_screen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = official_model()
+    layers = layers_of(model)
+    layers["0"] = foreign("models.evil." + "X" * 5000, **vars(layers["0"]))
+    facts = described(written(tmp_path, stripped(model)), capsys, code=1)
+    assert len(facts["layers"]) < 400
+
+
+def test_a_file_that_is_not_there_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "there is no such file" in described(tmp_path / "none.pt", capsys, code=1)["usable"]
+
+
+@pytest.mark.parametrize("arguments", [["--describe", "a.pt", "b.pt"], ["a.pt"], []], ids=str)
+def test_other_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert "convert --help" in capsys.readouterr().err

@@ -1,0 +1,99 @@
+"""A description of a weights file for its user, also of one that is refused."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import torch
+
+from yolov5_lifecycle.checkpoints.locate import load_weights, read_once
+from yolov5_lifecycle.checkpoints.pickled_facts import PickledFacts, counted, pickled_facts
+from yolov5_lifecycle.models.architecture import SIZES, Architecture
+from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.model import Model, WeightsError
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.printable import in_one_line
+
+_LABEL = 14
+_WIDTH = 100
+_MAX_LINES = 3
+
+
+class Description:
+    """What the file at `path` holds. `text` fits on a screen; `is_usable` if it can be loaded."""
+
+    def __init__(self, path: Path) -> None:
+        self.is_usable = False
+        facts: list[tuple[str, str]] = [("file", str(path))]
+        with suppress(WeightsError):
+            data = read_once(path)
+            facts.append(("size", f"{len(data) / 1e6:.1f} MB"))
+            if path.suffix.lower() in (".pt", ".pth"):
+                facts.extend(_of_pickle(pickled_facts(data)))
+            elif path.suffix.lower() == ".safetensors":
+                facts.append(("written by", "convert"))
+        try:
+            weights = load_weights(path)
+        except WeightsError as refusal:
+            reason = str(refusal).removeprefix(f"{path}: ")
+            facts.append(("usable", f"no: {reason}"))
+        else:
+            self.is_usable = True
+            facts.extend(_of_model(weights.model))
+            facts += [("sha256", weights.sha256), ("usable", "yes")]
+        self.text = "".join(_lines(label, value) for label, value in dict(facts).items() if value)
+
+
+def _of_pickle(facts: PickledFacts) -> Iterator[tuple[str, str]]:
+    yield "written by", f"YOLOv5 {facts.version}" if facts.version else ""
+    yield "layers", facts.layers
+    yield "activations", facts.activations
+    yield "trained", facts.training
+
+
+def _of_model(model: Model) -> Iterator[tuple[str, str]]:
+    architecture = model.architecture
+    with torch.device("meta"):
+        network = Network(architecture)
+    parameters = sum(parameter.numel() for parameter in network.parameters())
+    activations = [type(module.act).__name__ for module in network.modules() if hasattr(module, "act")]
+    yield "layers", counted(layer.kind for layer in architecture.layers)
+    yield "activations", counted(activations)
+    depth, width = architecture.depth_multiple, architecture.width_multiple
+    yield "multiples", f"depth {depth:g}, width {width:g}{_size(architecture)}"
+    yield "parameters", f"{parameters:,}{', fused' if architecture.is_fused else ''}"
+    channels = "grey" if architecture.image_channels == 1 else "colour"
+    yield "images", f"{channels}, height and width multiples of {size_multiple(architecture)}"
+    yield "strides", ", ".join(map(str, architecture.strides))
+    yield (
+        "anchors",
+        "; ".join(
+            ", ".join(f"{width:.4g}x{height:.4g}" for width, height in level)
+            for level in architecture.anchors_px
+        ),
+    )
+    yield "classes", f"{architecture.classes}: {', '.join(model.class_names)}"
+
+
+def _size(architecture: Architecture) -> str:
+    """The official size with the same multiples and number of levels."""
+    for size, official in SIZES.items():
+        multiples = (official.depth_multiple, official.width_multiple, len(official.strides))
+        if multiples == (
+            architecture.depth_multiple,
+            architecture.width_multiple,
+            len(architecture.strides),
+        ):
+            return f", those of size {size}"
+    return ""
+
+
+def _lines(label: str, value: str) -> str:
+    """A fact in at most a few lines."""
+    room = _WIDTH - _LABEL
+    lines = textwrap.wrap(in_one_line(value, room * _MAX_LINES - 40), room) or [""]
+    blank = " " * _LABEL
+    return f"{label:<{_LABEL}}" + f"\n{blank}".join(lines) + "\n"
