@@ -18,7 +18,6 @@ from support.colcon_workspace import REPOSITORY
 
 from benchmark.bench import forward_goals
 from benchmark.contender import contender
-from benchmark.families import EAGER, QUICK, families, goal, heading, line
 from benchmark.node import detector_node, image_file
 from benchmark.report import Goal, goal_table, row, table, write_report
 from benchmark.rivals import RIVALS, call_of
@@ -154,22 +153,3 @@ def test_the_report_has_what_was_measured_and_where(tmp_path: Path) -> None:
     assert report["goals"][0]["is_reached"] is False
     assert report["options"] == {"busy": "1"}
     assert "torch" in report["versions"]
-
-
-def test_the_families_that_are_measured_differ_from_each_other() -> None:
-    found = dict(families())
-    assert set(QUICK) <= found.keys()
-    assert len(set(found.values())) == len(found) > 25
-
-
-def test_a_family_is_slow_when_no_runtime_is_as_fast_as_eager_torch() -> None:
-    rows = [row("v3.0/yolov5s", name, 0, [ms]) for name, ms in ((EAGER, 10.0), ("runtime torch", 12.0))]
-    assert not goal(rows).is_reached
-    assert goal([*rows, row("v3.0/yolov5s", "runtime openvino", 0, [5.0])]).value == 0.5
-    assert heading(rows).split()[:3] == ["median", "ms", "eager"]
-    assert line([*rows, row("v3.0/yolov5s", "runtime openvino", 0, [5.0])]).split()[1:] == [
-        "10.0",
-        "12.0",
-        "5.0",
-        "0.50",
-    ]
