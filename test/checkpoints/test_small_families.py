@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 import torch
-from support.checkpoint_builder import foreign, head, layers_of, official_model, saved, stripped
+from support.checkpoint_builder import SMALL, foreign, head, layers_of, official_model, saved, stripped
 from support.random_model import random_network
 from support.small_families import EVERY_SMALL
 from support.wrong_models import data_parallel, pickled_method
-from torch import nn
+from torch import distributed, nn
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
@@ -118,6 +118,17 @@ def test_what_is_around_a_model_is_left_out(checkpoint: Callable[[Any], Any]) ->
     architecture = EVERY_SMALL["cross-stage"]
     data = saved(checkpoint(official_model(architecture, half=False)))
     assert_same_model(read_checkpoint(data), architecture, random_network(0, architecture))
+
+
+def test_a_model_of_a_training_on_several_machines_is_read(tmp_path: Path) -> None:
+    distributed.init_process_group("gloo", init_method=f"file://{tmp_path / 'group'}", rank=0, world_size=1)
+    try:
+        wrapper = nn.parallel.DistributedDataParallel(nn.Linear(1, 1))
+        vars(wrapper)["_modules"]["module"] = official_model(half=False)
+        data = saved({"model": wrapper})
+    finally:
+        distributed.destroy_process_group()
+    assert_same_model(read_checkpoint(data), SMALL, random_network(0, SMALL))
 
 
 def test_boxes_are_computed_with_the_anchors_in_pixels_that_older_models_hold() -> None:

@@ -33,8 +33,10 @@ STORAGES: Mapping[str, torch.dtype] = MappingProxyType(
 )
 # torch.load allows more names, but its bytearray and torch.FloatTensor allocate whatever the file claims.
 _TORCH_NAMES = TENSOR_MAKERS | frozenset(STORAGES) | SETS | GET_ATTRIBUTE | {ORDERED_DICT, ENCODE}
-_WRAPPER_PREFIXES = ("torch.nn.parallel.", "torch.distributed.")
-_STUB_PREFIXES = ("models.", "utils.", "yolov5.models.", "yolov5.utils.", "torch.nn.modules.")
+_STUB_PREFIXES = (
+    *("models.", "utils.", "yolov5.models.", "yolov5.utils.", "torch.nn.modules."),
+    *("torch.nn.parallel.", "torch.distributed."),  # around a model that was trained on several GPUs
+)
 # Contents of training checkpoints besides the model (optimizer, date, paths); never used.
 _STUB_NAMES = frozenset(
     {
@@ -51,9 +53,6 @@ _STUB_NAMES = frozenset(
         "pathlib._local.WindowsPath",
         "datetime.datetime",
         "argparse.Namespace",
-        # Around a model that was trained on several GPUs.
-        "torch.nn.parallel.data_parallel.DataParallel",
-        "torch.nn.parallel.distributed.DistributedDataParallel",
         "torch.device",
     }
 )
@@ -82,11 +81,6 @@ def _refuse_foreign(names: set[str]) -> None:
         for name in names - known
         if not (name.startswith(_STUB_PREFIXES) and re.fullmatch(r"[\w.]+", name))
     )
-    if foreign and all(name.startswith(_WRAPPER_PREFIXES) for name in foreign):
-        raise WeightsError(
-            "the model was saved inside DistributedDataParallel, together with what it needs to train on "
-            "several machines: save `model.module` instead, as YOLOv5's train.py does"
-        )
     if foreign:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
         named = ", ".join(shown(name) for name in foreign[:3])
