@@ -6,12 +6,14 @@ import json
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import torch
 from support import hostile_archives, hostile_safetensors
+from support.checkpoint_builder import official_model, saved, stripped
 from support.compressed_files import KINDS, compressed
 from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
+from support.small_families import EVERY_SMALL
 
 from fuzz import depth_stream, tracked_images
 from fuzz.refusals import taken
@@ -101,6 +103,19 @@ def check_checkpoint(data: bytes) -> None:
     check_weights(read_checkpoint, hostile_archives.with_pickle(data))
 
 
+def check_family(data: bytes) -> None:
+    """Check what follows the first byte as the pickle of a file of the family that this byte selects."""
+    files = _families()
+    if data:
+        check_weights(read_checkpoint, hostile_archives.with_pickle(data[1:], files[data[0] % len(files)]))
+
+
+@cache
+def _families() -> list[bytes]:
+    """A file for each kind of layer."""
+    return [saved(stripped(official_model(architecture))) for architecture in EVERY_SMALL.values()]
+
+
 def check_safetensors(data: bytes) -> None:
     """Check `data` as the header of an otherwise valid file."""
     _, tensors = hostile_safetensors.cut(hostile_safetensors.valid())
@@ -139,6 +154,11 @@ def _raw_images() -> Iterator[bytes]:
         yield fields + bytes([128]) * int(side * layout.rows * step)
 
 
+def _family_pickles() -> Iterator[bytes]:
+    for index, data in enumerate(_families()):
+        yield bytes([index]) + hostile_archives.pickle_of(data)
+
+
 def _header() -> bytes:
     text, _ = hostile_safetensors.cut(hostile_safetensors.valid())
     return text
@@ -152,6 +172,7 @@ TARGETS = {
     "compressed-images": Target(check_compressed_image, _compressed_images),
     "raw-images": Target(check_raw_image, _raw_images),
     "checkpoints": Target(check_checkpoint, lambda: [hostile_archives.valid_pickle()]),
+    "families": Target(check_family, _family_pickles),
     "safetensors": Target(check_safetensors, lambda: [_header()]),
     "settings": Target(check_settings, lambda: [_defaults()]),
     "depth": Target(depth_stream.check_depth_stream, depth_stream.seeds),

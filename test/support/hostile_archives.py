@@ -21,11 +21,11 @@ def valid() -> bytes:
     return saved(stripped(official_model()))
 
 
-def with_pickle(pickle: bytes) -> bytes:
-    """The valid archive with another data.pkl; the archive is whole, so that the pickle is looked at."""
+def with_pickle(pickle: bytes, whole: bytes = b"") -> bytes:
+    """The valid archive, or another one, with another data.pkl; it is whole, so that this is looked at."""
     file = io.BytesIO()
     with (
-        zipfile.ZipFile(io.BytesIO(valid())) as old,
+        zipfile.ZipFile(io.BytesIO(whole or valid())) as old,
         zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as new,
     ):
         for name in old.namelist():
@@ -36,7 +36,12 @@ def with_pickle(pickle: bytes) -> bytes:
 @functools.cache
 def valid_pickle() -> bytes:
     """The data.pkl of the valid archive."""
-    with zipfile.ZipFile(io.BytesIO(valid())) as archive:
+    return pickle_of(valid())
+
+
+def pickle_of(data: bytes) -> bytes:
+    """The data.pkl of an archive."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
         return archive.read(_PICKLE)
 
 
