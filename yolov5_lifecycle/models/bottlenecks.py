@@ -9,8 +9,20 @@ from yolov5_lifecycle.models.blocks import Block, layer_kind
 from yolov5_lifecycle.models.convolutions import Conv, DWConv, convolved
 
 
+class Shortcut(Block):
+    """Two convolutions, added to their input if `add`."""
+
+    cv1: Conv
+    cv2: Conv
+    add: bool
+
+    def forward(self, features: Tensor) -> Tensor:
+        refined: Tensor = self.cv2(self.cv1(features))
+        return features + refined if self.add else refined
+
+
 @layer_kind()
-class Bottleneck(Block):
+class Bottleneck(Shortcut):
     def __init__(
         self,
         channels_in: int,
@@ -25,13 +37,9 @@ class Bottleneck(Block):
         self.cv2 = Conv(hidden, channels_out, 3, groups=groups)
         self.add = bool(shortcut) and channels_in == channels_out
 
-    def forward(self, features: Tensor) -> Tensor:
-        refined: Tensor = self.cv2(self.cv1(features))
-        return features + refined if self.add else refined
-
 
 @layer_kind(lambda cells, kernel=3, stride=1, *_: convolved(cells, kernel, stride))
-class CrossConv(Block):
+class CrossConv(Shortcut):
     """A convolution along the rows, then one along the columns."""
 
     def __init__(
@@ -49,10 +57,6 @@ class CrossConv(Block):
         self.cv1 = Conv(channels_in, hidden, (1, kernel), (1, stride))
         self.cv2 = Conv(hidden, channels_out, (kernel, 1), (stride, 1), groups=groups)
         self.add = bool(shortcut) and channels_in == channels_out
-
-    def forward(self, features: Tensor) -> Tensor:
-        refined: Tensor = self.cv2(self.cv1(features))
-        return features + refined if self.add else refined
 
 
 @layer_kind(convolved)

@@ -11,7 +11,7 @@ import numpy as np
 from torch import nn
 
 from yolov5_lifecycle.models.attention import TransformerBlock
-from yolov5_lifecycle.models.bottlenecks import Bottleneck, CrossConv, GhostBottleneck, GhostConv
+from yolov5_lifecycle.models.bottlenecks import GhostBottleneck, GhostConv, Shortcut
 from yolov5_lifecycle.models.convolutions import Conv, Focus, MixConv2d
 from yolov5_lifecycle.models.network import Concat
 from yolov5_lifecycle.models.partial import NormalisedPartial, Partial
@@ -51,33 +51,32 @@ def _conv(graph: Graph, module: Conv, features: str) -> str:
 
 @_writes(nn.Conv2d)
 def _convolution(graph: Graph, module: nn.Conv2d, features: str) -> str:
-    assert module.bias is not None, "expected a fused network"
-    return graph.add(
-        "Conv",
-        features,
-        graph.constant(module.weight),
-        graph.constant(module.bias),
-        kernel_shape=list(module.kernel_size),
-        strides=list(module.stride),
-        pads=[int(pad) for pad in module.padding] * 2,
-        dilations=list(module.dilation),
-        group=module.groups,
-    )
+    return _weighted(graph, "Conv", module, features, dilations=list(module.dilation))
 
 
 @_writes(nn.ConvTranspose2d)
 def _transposed(graph: Graph, module: nn.ConvTranspose2d, features: str) -> str:
-    assert module.bias is not None
+    return _weighted(graph, "ConvTranspose", module, features, output_padding=list(module.output_padding))
+
+
+def _weighted(
+    graph: Graph,
+    operator: str,
+    module: nn.Conv2d | nn.ConvTranspose2d,
+    features: str,
+    **attributes: list[int],
+) -> str:
+    assert module.bias is not None, "expected a fused network"
     return graph.add(
-        "ConvTranspose",
+        operator,
         features,
         graph.constant(module.weight),
         graph.constant(module.bias),
         kernel_shape=list(module.kernel_size),
         strides=list(module.stride),
         pads=[int(pad) for pad in module.padding] * 2,
-        output_padding=list(module.output_padding),
         group=module.groups,
+        **attributes,
     )
 
 
@@ -118,8 +117,8 @@ def _focus(graph: Graph, module: Focus, features: str) -> str:
     return written(graph, module.conv, features)  # a fused one is a single convolution
 
 
-@_writes(Bottleneck, CrossConv)
-def _bottleneck(graph: Graph, module: Bottleneck | CrossConv, features: str) -> str:
+@_writes(Shortcut)
+def _shortcut(graph: Graph, module: Shortcut, features: str) -> str:
     refined = written(graph, module.cv2, written(graph, module.cv1, features))
     return graph.add("Add", features, refined) if module.add else refined
 
