@@ -27,9 +27,9 @@ class BalanceWatch:
 
     @property
     def problems(self) -> list[str]:
-        """Wrong balances, and cameras whose counts began anew although they were not removed."""
+        """Wrong balances, and cameras whose counts restarted although they were not removed."""
         unexplained = self._restarts - Counter(self._removals.values())
-        return [*self._wrong, *(f"the counts of {name!r} began anew" for name in unexplained.elements())]
+        return [*self._wrong, *(f"the counts of {name!r} restarted" for name in unexplained.elements())]
 
     def take(self, statuses: Mapping[str, Mapping[str, str]]) -> None:
         """Check the values in one message of diagnostics, by camera and of the node, whose name is ""."""

@@ -29,7 +29,7 @@ class TrackIds:
             if other != camera:
                 self.problems.append(f"track {track_id} of {other} used for {camera}")
             elif stamp_ns > done_ns and first_ns < begun_ns:
-                self.problems.append(f"track {track_id} of {camera} from before its tracker began anew")
+                self.problems.append(f"track {track_id} of {camera} from before its tracker restarted")
 
     def restart(self, cameras: Collection[str], begun_ns: int, done_ns: int) -> None:
         """The trackers of `cameras` were replaced at some time between these two."""

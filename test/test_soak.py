@@ -147,7 +147,7 @@ def test_counts_begin_anew_only_with_a_camera_that_was_removed() -> None:
     watch = BalanceWatch()
     for cameras in ({"front": told(3)}, {"front": told(1)}, {"front": told(2), "rear": told(5)}):
         watch.take(node | cameras)
-    assert watch.problems == ["the counts of 'front' began anew"]
+    assert watch.problems == ["the counts of 'front' restarted"]
     watch.read(["[INFO] [1.5] [yolov5]: camera front removed: 4 frames received, 0 pending, 4 detected"] * 2)
     assert (watch.problems, watch.received) == ([], 10)
     watch.take(node | {"front": told(1), "rear": told(5)})
@@ -176,7 +176,7 @@ def test_the_balance_of_a_removed_camera_is_closed(balance: str, problems: int) 
         pytest.param("front", 30, ["3", "", ""], "", id="a new track"),
         pytest.param("rear", 30, ["1"], "track 1 of front used for rear", id="of another camera"),
         pytest.param("front", 30, ["4", "4"], "twice", id="twice in an image"),
-        pytest.param("front", 90, ["1"], "from before its tracker began anew", id="of the previous tracker"),
+        pytest.param("front", 90, ["1"], "from before its tracker restarted", id="of the previous tracker"),
         pytest.param("front", 90, ["5"], "", id="a new track of the next tracker"),
         pytest.param("front", 55, ["1"], "", id="while the tracker is replaced"),
     ],

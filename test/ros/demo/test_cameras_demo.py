@@ -20,7 +20,7 @@ from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.command import main
 from yolov5_lifecycle.ros.demo.driven_detector import DETECTOR
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, matched
-from yolov5_lifecycle.ros.demo.picture import saved, side_by_side
+from yolov5_lifecycle.ros.demo.image_file import saved, side_by_side
 from yolov5_lifecycle.ros.demo.several_cameras import CAMERAS, problems_of
 
 BOXES = np.array([[0, 0, 10, 10], [20, 0, 30, 10], [40, 0, 50, 10]], np.float64)
@@ -54,7 +54,7 @@ def frame(
 
 
 @pytest.mark.long
-def test_the_demo_of_two_cameras_passes_and_leaves_picture_and_figures(
+def test_the_demo_of_two_cameras_passes_and_leaves_image_and_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -68,9 +68,9 @@ def test_the_demo_of_two_cameras_passes_and_leaves_picture_and_figures(
     assert found["problems"] == []
     assert found["cameras"].keys() == {camera.name for camera in CAMERAS}
     assert all(one["frames"] >= FRAMES and one["switches"] == 0 for one in found["cameras"].values())
-    picture = cv2.imread(str(tmp_path / "build/demo/cameras.png"))
-    assert picture is not None
-    assert picture.shape[1] > sum(camera.size_hw[1] for camera in CAMERAS)
+    image = cv2.imread(str(tmp_path / "build/demo/cameras.png"))
+    assert image is not None
+    assert image.shape[1] > sum(camera.size_hw[1] for camera in CAMERAS)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_a_camera_above_its_rate_is_a_problem(good: dict[str, CameraFigures]) ->
     ]
 
 
-def test_the_picture_shows_both_images_beside_each_other_in_their_colours(tmp_path: Path) -> None:
+def test_the_image_shows_both_images_beside_each_other_in_their_colours(tmp_path: Path) -> None:
     high = ColourImage(np.full((60, 30, 3), (10, 20, 200), np.uint8), "bgr")
     low = ColourImage(np.full((40, 20, 3), (250, 20, 10), np.uint8), "rgb")
     path = saved(side_by_side({"front": high, "rear": low}), tmp_path / "both.png")
@@ -187,6 +187,6 @@ def test_the_picture_shows_both_images_beside_each_other_in_their_colours(tmp_pa
     assert pixels[-1, -5].tolist() == [255, 255, 255]
 
 
-def test_a_picture_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
+def test_an_image_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="cannot be written"):
         saved(ColourImage(np.zeros((2, 2, 3), np.uint8), "bgr"), tmp_path / "nowhere" / "both.png")

@@ -81,7 +81,7 @@ class CameraRecord:
             Image, f"{self._folder}/image", self._keep_image, QoSProfile(depth=1)
         )
 
-    def picture(self, min_objects: int) -> ColourImage | None:
+    def complete_image(self, min_objects: int) -> ColourImage | None:
         """An annotated image of at least so many objects, all with an id and a place; None if none came."""
         for message in self._images:
             stamp = stamp_ns(message.header)

@@ -13,9 +13,9 @@ from yolov5_lifecycle.ros.demo.child_process import ProcessError, entry_point
 from yolov5_lifecycle.ros.demo.demonstration import Demonstration, Phase
 from yolov5_lifecycle.ros.demo.driven_detector import DETECTOR
 from yolov5_lifecycle.ros.demo.ground_truth import objects_per_class
+from yolov5_lifecycle.ros.demo.image_file import saved
 from yolov5_lifecycle.ros.demo.observer import NoAnswerError
 from yolov5_lifecycle.ros.demo.outcome import DemonstrationError, Outcome, aligned
-from yolov5_lifecycle.ros.demo.picture import saved
 from yolov5_lifecycle.ros.demo.processes import DETECTOR_PROCESS, OUTPUT, demonstrated, project_file
 from yolov5_lifecycle.ros.demo.several_cameras import FRAMES, demonstrate_cameras
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
@@ -59,7 +59,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--cameras",
         action="store_true",
         help="instead, two cameras with depth on one detector: tracks and places in space, compared with "
-        f"ground truth; picture and figures are written to {OUTPUT}",
+        f"ground truth; image and figures are written to {OUTPUT}",
     )
     parser.add_argument(
         "--frames",

@@ -13,9 +13,9 @@ from yolov5_lifecycle.ros.demo.camera_figures import CameraFigures, figures
 from yolov5_lifecycle.ros.demo.camera_record import CameraRecord, JudgedFrame
 from yolov5_lifecycle.ros.demo.child_process import entry_point
 from yolov5_lifecycle.ros.demo.driven_detector import DETECTOR, DrivenDetector
+from yolov5_lifecycle.ros.demo.image_file import saved, side_by_side
 from yolov5_lifecycle.ros.demo.observer import PATIENCE_S, Observer
 from yolov5_lifecycle.ros.demo.outcome import Outcome, aligned
-from yolov5_lifecycle.ros.demo.picture import saved, side_by_side
 from yolov5_lifecycle.ros.demo.processes import DETECTOR_PROCESS, OUTPUT, demonstrated, project_file
 
 FRAMES = 100
@@ -24,7 +24,7 @@ MAX_RATE_HZ = 5.0
 """Of the rear camera, as config/demo_cameras.yaml has it."""
 _RATE_SLACK = 1.1
 _MIN_OBJECTS = 5
-"""In the picture, of the six in the scene."""
+"""In the image, of the six in the scene."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ CAMERAS = (
 
 
 def demonstrate_cameras(frames: int, report: Callable[[str], None]) -> Outcome:
-    """Run the demonstration with so many images of each camera; writes picture and figures below OUTPUT.
+    """Run the demonstration with so many images of each camera; writes image and figures below OUTPUT.
 
     Raises what `demonstrated` raises.
     """
@@ -84,7 +84,7 @@ def demonstrate_cameras(frames: int, report: Callable[[str], None]) -> Outcome:
     path = _written(found, problems)
     watched = sum(one.frames for one in found.values())
     summary = f"{watched} frames of {len(found)} cameras compared, figures in {path}"
-    return Outcome(_table(found), f"{summary}, picture in {_picture_path()}", tuple(problems))
+    return Outcome(_table(found), f"{summary}, image in {_image_path()}", tuple(problems))
 
 
 class CamerasDemonstration:
@@ -113,7 +113,7 @@ class CamerasDemonstration:
         self._detector.transition("configure", "inactive")
         self._detector.transition("activate", "active")
         found = self._watch(frames)
-        self._save_picture()
+        self._save_image()
         self._detector.transition("deactivate", "inactive")
         self._detector.transition("cleanup", "unconfigured")
         return found
@@ -132,24 +132,24 @@ class CamerasDemonstration:
         )
         return {name: figures(frames) for name, frames in seen().items()}
 
-    def _save_picture(self) -> None:
+    def _save_image(self) -> None:
         self._report("waiting for annotated images in which every object has an id and a distance")
         for record in self._records.values():
             record.show_images()
 
-        def pictures() -> dict[str, ColourImage | None]:
-            return {name: record.picture(_MIN_OBJECTS) for name, record in self._records.items()}
+        def complete() -> dict[str, ColourImage | None]:
+            return {name: record.complete_image(_MIN_OBJECTS) for name, record in self._records.items()}
 
-        self._observer.wait_for(lambda: None not in pictures().values(), "such an image of each camera")
-        shown = {name: image for name, image in pictures().items() if image is not None}
-        saved(side_by_side(shown), _picture_path())
+        self._observer.wait_for(lambda: None not in complete().values(), "such an image of each camera")
+        shown = {name: image for name, image in complete().items() if image is not None}
+        saved(side_by_side(shown), _image_path())
 
 
 def _remapped(names: Mapping[str, str]) -> list[str]:
     return [word for name, other in names.items() for word in ("-r", f"{name}:={other}")]
 
 
-def _picture_path() -> Path:
+def _image_path() -> Path:
     return OUTPUT / "cameras.png"
 
 
