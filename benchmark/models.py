@@ -9,7 +9,7 @@ from torch import nn
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.architecture import SIZES, Architecture
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.models.network import Detect, Network
+from yolov5_lifecycle.models.network import Network
 
 _OBJECTNESS_LOGIT = -6.0
 
@@ -28,8 +28,7 @@ def untrained_network(architecture: Architecture, path: Path) -> Path:
 
 def _sceptical(network: Network) -> Network:
     """Lower the scores: otherwise half of all boxes would be objects, and NMS dominate the measurement."""
-    detect = network.model[-1]
-    assert isinstance(detect, Detect)
+    detect = network.head
     for convolution in detect.m:
         assert isinstance(convolution, nn.Conv2d)
         assert convolution.bias is not None

@@ -44,8 +44,8 @@ def scene_image(image_hw: tuple[int, int]) -> ColourImage:
 def _stage(name: str, detector: Detector, image: ColourImage) -> Callable[[], object]:
     letterbox = _letterbox(detector, image)
     frame = letterbox.apply(image.pixels)
-    raw = detector.runtime(frame, image.order, Selection().min_objectness)
-    crowded = _crowded(detector.runtime(frame, image.order))
+    raw = detector.runtime(frame, image.order, Selection().min_objectness).rows
+    crowded = _crowded(detector.runtime(frame, image.order).rows)
     stages: dict[str, Callable[[], object]] = {
         "letterbox": lambda: letterbox.apply(image.pixels),
         "selection": lambda: letterbox.undo(select(raw, Selection()).boxes_xyxy),

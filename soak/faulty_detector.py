@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 from yolov5_lifecycle.process.environment import prepare_environment
 from yolov5_lifecycle.process.memory import prepare_heap
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.prepared_model import PreparedModel, prepare_model
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.ros.detector.process import main
-from yolov5_lifecycle.runtimes.runtime import DeviceLostError, Runtime
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError, Predictions, Runtime
 from yolov5_lifecycle.settings.settings import Settings
 
 Raw = NDArray[np.float32]
@@ -91,7 +92,7 @@ class FaultyRuntime:
         self.device = runtime.device
         self.precision = runtime.precision
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Raw:
+    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         return _with_fault(frame, self._runtime(frame, order, min_objectness))
 
     def run_batch(
@@ -99,7 +100,7 @@ class FaultyRuntime:
         frames: Sequence[NDArray[np.uint8]],
         orders: Sequence[Order],
         min_objectness: Sequence[float],
-    ) -> list[Raw]:
+    ) -> list[Predictions]:
         return list(map(_with_fault, frames, self._runtime.run_batch(frames, orders, min_objectness)))
 
     def keep_batches(self, sizes: Collection[int]) -> None:
@@ -109,12 +110,14 @@ class FaultyRuntime:
         self._runtime.close()
 
 
-def _with_fault(frame: NDArray[np.uint8], raw: Raw) -> Raw:
-    """The predictions `raw` with the fault that `frame` selects."""
+def _with_fault(frame: NDArray[np.uint8], predictions: Predictions) -> Predictions:
+    """The `predictions` with the fault that `frame` selects."""
     height, width, _ = frame.shape
     middle = frame[height // 3 : -height // 3, width // 3 : -width // 3]  # without letterbox padding
     fault = _FAULT_OF_GREY.get(int(middle[0, 0, 0]))
-    return fault(raw) if fault is not None and (middle == middle[0, 0, 0]).all() else raw
+    if fault is None or not (middle == middle[0, 0, 0]).all():
+        return predictions
+    return replace(predictions, rows=fault(predictions.rows))
 
 
 def prepare(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:

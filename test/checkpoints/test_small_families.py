@@ -9,10 +9,19 @@ from typing import Any
 
 import pytest
 import torch
-from support.checkpoint_builder import SMALL, foreign, head, layers_of, official_model, saved, stripped
+from support.checkpoint_builder import (
+    SMALL,
+    foreign,
+    head,
+    layers_of,
+    official_model,
+    pickled_method,
+    saved,
+    stripped,
+)
 from support.random_model import random_network
 from support.small_families import EVERY_SMALL
-from support.wrong_models import data_parallel, pickled_method
+from support.wrong_models import data_parallel
 from torch import distributed, nn
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint

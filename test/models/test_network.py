@@ -14,7 +14,7 @@ from support.random_model import TINY, random_network
 from torch import nn
 
 from yolov5_lifecycle.models.architecture import SIZES
-from yolov5_lifecycle.models.network import Detect, Network, fuse
+from yolov5_lifecycle.models.network import Network, fuse
 
 # Parameters and digest of the table of names, shapes, anchors and strides of the official checkpoints.
 OFFICIAL = {
@@ -67,8 +67,7 @@ def test_there_is_a_row_for_every_anchor_of_every_cell(size: str, height: int, w
 
 
 def test_decoding_follows_the_formula() -> None:
-    detect = random_network(0).model[-1]
-    assert isinstance(detect, Detect)
+    detect = random_network(0).head
     shapes = [(2, 3, ny, nx, detect.outputs) for ny, nx in ((8, 12), (4, 6), (2, 3))]
     logits = [2 * torch.randn(shape, generator=torch.Generator().manual_seed(1)) for shape in shapes]
     rows = iter(detect.decode(logits)[1])

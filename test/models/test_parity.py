@@ -92,7 +92,7 @@ def test_the_letterboxed_image_is_the_same(case: Any, bus: ColourImage) -> None:
 
 def test_detections_in_source_pixels_are_the_same(case: Any, bus: ColourImage, runtime: TorchRuntime) -> None:
     letterbox = letterbox_of(case, bus)
-    found = select(runtime(letterbox.apply(bus.pixels), bus.order), selection_of(case))
+    found = select(runtime(letterbox.apply(bus.pixels), bus.order).rows, selection_of(case))
     in_source = Detections(letterbox.undo(found.boxes_xyxy), found.scores, found.class_ids)
     # YOLOv5 pads by whole pixels but maps back with half ones; we map back what was padded.
     assert_same(

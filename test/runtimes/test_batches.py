@@ -30,16 +30,22 @@ def runtime(request: pytest.FixtureRequest) -> Runtime:
     return loaded(str(request.param))
 
 
+def rows_of(
+    runtime: Runtime, frames: list[NDArray[np.uint8]], orders: list[Order], least: list[float]
+) -> list[NDArray[np.float32]]:
+    return [predictions.rows for predictions in runtime.run_batch(frames, orders, least)]
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_every_frame_has_the_predictions_of_a_run_with_it_alone(count: int, runtime: Runtime) -> None:
     frames = different_frames(count)
     orders: list[Order] = ["rgb", "bgr", "bgr", "rgb"]
-    median = float(np.median(runtime(frames[0], "rgb")[:, 4]))
+    median = float(np.median(runtime(frames[0], "rgb").rows[:, 4]))
     least = [0.0, median, 1.0, 0.0]
-    rows = runtime.run_batch(frames, orders[:count], least[:count])
+    rows = rows_of(runtime, frames, orders[:count], least[:count])
     assert len(rows) == count
     for raw, frame, order, each in zip(rows, frames, orders, least, strict=False):
-        expected = runtime(frame, order, each)
+        expected = runtime(frame, order, each).rows
         assert raw.dtype == np.float32
         assert raw.shape == expected.shape
         np.testing.assert_allclose(raw, expected, rtol=1e-4, atol=1e-4)
@@ -48,7 +54,7 @@ def test_every_frame_has_the_predictions_of_a_run_with_it_alone(count: int, runt
 
 def test_frames_and_earlier_predictions_stay_as_they_are(runtime: Runtime) -> None:
     frames = different_frames(2)
-    first = runtime.run_batch(frames, ["bgr", "rgb"], [0.0, 0.0])
+    first = rows_of(runtime, frames, ["bgr", "rgb"], [0.0, 0.0])
     before = [raw.copy() for raw in first]
     runtime.run_batch([255 - frame for frame in frames], ["bgr", "rgb"], [0.0, 0.0])
     np.testing.assert_array_equal(first, before)
@@ -59,9 +65,9 @@ def test_a_frame_that_gives_no_numbers_leaves_the_others_theirs() -> None:
     """Infinity in the frame, as no weights give it for one image of uint8 only."""
     runtime = loaded("torch")
     good = different_frames(1)[0].astype(np.float32)
-    rows = runtime.run_batch([np.full_like(good, np.inf), good], ["rgb"] * 2, [0.0] * 2)  # type: ignore[list-item]
+    rows = rows_of(runtime, [np.full_like(good, np.inf), good], ["rgb"] * 2, [0.0] * 2)  # type: ignore[list-item]
     assert not np.isfinite(rows[0]).all()
-    np.testing.assert_allclose(rows[1], runtime(different_frames(1)[0], "rgb"), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(rows[1], runtime(different_frames(1)[0], "rgb").rows, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -93,10 +99,10 @@ def test_a_batch_is_compiled_once_and_kept_on_disk_by_itself(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     cache = tmp_path / "yolov5_lifecycle" / "compiled"
     batch = different_frames(3)
-    expected = loaded(runtime_name).run_batch(batch, ["rgb"] * 3, [0.0] * 3)
+    expected = rows_of(loaded(runtime_name), batch, ["rgb"] * 3, [0.0] * 3)
     (file,) = cache.iterdir()
     again = loaded(runtime_name)
-    np.testing.assert_array_equal(again.run_batch(batch, ["rgb"] * 3, [0.0] * 3), expected)
+    np.testing.assert_array_equal(rows_of(again, batch, ["rgb"] * 3, [0.0] * 3), expected)
     assert list(cache.iterdir()) == [file]
     again(batch[0], "rgb")
     again.run_batch(batch[:2], ["rgb"] * 2, [0.0] * 2)
@@ -105,6 +111,6 @@ def test_a_batch_is_compiled_once_and_kept_on_disk_by_itself(
 
 def test_a_batch_that_was_not_kept_is_made_again(runtime: Runtime) -> None:
     frames = different_frames(2)
-    first = runtime.run_batch(frames, ["rgb"] * 2, [0.0] * 2)
+    first = rows_of(runtime, frames, ["rgb"] * 2, [0.0] * 2)
     runtime.keep_batches([])
-    np.testing.assert_array_equal(runtime.run_batch(frames, ["rgb"] * 2, [0.0] * 2), first)
+    np.testing.assert_array_equal(rows_of(runtime, frames, ["rgb"] * 2, [0.0] * 2), first)

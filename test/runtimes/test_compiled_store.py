@@ -171,7 +171,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def predictions(model: Model, runtime_name: str, frame: NDArray[np.uint8] = FRAME) -> NDArray[np.float32]:
     runtime = load_runtime(model, runtime_name, device="cpu", precision="fp32")
-    rows = runtime(frame, "rgb")
+    rows = runtime(frame, "rgb").rows
     runtime.close()
     return rows
 

@@ -23,7 +23,7 @@ needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch see
 
 
 def on_cpu(seed: int, frame: NDArray[np.uint8], order: Order = "rgb") -> NDArray[np.float32]:
-    return TorchRuntime.load(random_model(seed), device="cpu", precision="fp32")(frame, order)
+    return TorchRuntime.load(random_model(seed), device="cpu", precision="fp32")(frame, order).rows
 
 
 def on_cuda(seed: int, precision: str = "fp32") -> TorchRuntime:
@@ -43,7 +43,7 @@ def test_cuda_predicts_what_the_cpu_predicts(precision: str, scores: float, boxe
     assert (runtime.device, runtime.precision) == ("cuda:0", precision)
     frame = random_frame(384, 640)
     for each in (frame, 255 - frame, frame):
-        raw, expected = runtime(each, "bgr"), on_cpu(2, each, "bgr")
+        raw, expected = runtime(each, "bgr").rows, on_cpu(2, each, "bgr")
         assert raw.shape == (len(expected), 5 + len(CLASS_NAMES))
         np.testing.assert_allclose(raw[:, :4], expected[:, :4], rtol=1e-3, atol=boxes_px)
         np.testing.assert_allclose(raw[:, 4:], expected[:, 4:], rtol=0, atol=scores)
@@ -54,7 +54,7 @@ def test_on_cuda_earlier_predictions_stay_as_they_are_and_sizes_may_alternate() 
     runtime = on_cuda(2)
     frames = [random_frame(64, width) for width in [*range(32, 225, 32), 32, 64]]
     frames += [255 - frame for frame in frames]
-    predicted = [runtime(frame, "rgb") for frame in frames]
+    predicted = [runtime(frame, "rgb").rows for frame in frames]
     for frame, raw in zip(frames, predicted, strict=True):
         np.testing.assert_allclose(raw, on_cpu(2, frame), rtol=2e-3, atol=2e-3)
 
@@ -67,9 +67,8 @@ def test_on_cuda_frames_of_a_batch_have_the_predictions_that_each_has_on_the_cpu
     runtime = on_cuda(2, precision)
     frames = list(np.random.default_rng(3).integers(0, 256, (4, 64, 96, 3), np.uint8))
     for count in (2, 4, 1, 4, 2):
-        for raw, frame in zip(
-            runtime.run_batch(frames[:count], ["bgr"] * count, [0.0] * count), frames, strict=False
-        ):
+        batch = runtime.run_batch(frames[:count], ["bgr"] * count, [0.0] * count)
+        for raw, frame in zip([each.rows for each in batch], frames, strict=False):
             expected = on_cpu(2, frame, "bgr")
             np.testing.assert_allclose(raw[:, :4], expected[:, :4], rtol=1e-3, atol=boxes_px)
             np.testing.assert_allclose(raw[:, 4:], expected[:, 4:], rtol=0, atol=scores)
@@ -80,7 +79,7 @@ def test_a_second_gpu_records_what_it_predicts_itself() -> None:
     for device in ("cuda:0", "cuda:1"):
         runtime = TorchRuntime.load(random_model(2), device=device, precision="fp32")
         for frame in (random_frame(), 255 - random_frame()):
-            np.testing.assert_allclose(runtime(frame, "rgb"), on_cpu(2, frame), rtol=2e-3, atol=2e-3)
+            np.testing.assert_allclose(runtime(frame, "rgb").rows, on_cpu(2, frame), rtol=2e-3, atol=2e-3)
 
 
 @needs_cuda
@@ -95,7 +94,7 @@ def test_cuda_records_while_another_model_is_loaded_and_recorded(caplog: pytest.
         loading = pool.submit(load_again_and_again)
         try:
             for _ in range(20):
-                raw = on_cuda(2)(random_frame(), "rgb")
+                raw = on_cuda(2)(random_frame(), "rgb").rows
                 np.testing.assert_allclose(raw, on_cpu(2, random_frame()), rtol=2e-3, atol=2e-3)
         finally:
             done.set()
@@ -122,7 +121,7 @@ runtime = TorchRuntime(network, device=torch.device("cuda:0"), dtype=torch.float
 on_cpu = TorchRuntime.load(random_model(2), device="cpu", precision="fp32")
 for grey in (50, 200):
     frame = np.full((64, 96, 3), grey, np.uint8)
-    np.testing.assert_allclose(runtime(frame, "rgb"), on_cpu(frame, "rgb"), rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(runtime(frame, "rgb").rows, on_cpu(frame, "rgb").rows, rtol=2e-3, atol=2e-3)
 assert torch.cuda.current_stream() == torch.cuda.default_stream()
 """
     environment = os.environ | SUPPORT_PATH

@@ -38,22 +38,22 @@ def grey_runtime(runtime_name: str) -> Runtime:
 
 def test_a_grey_frame_is_the_same_for_a_colour_network_as_one_in_three_channels(runtime_name: str) -> None:
     runtime = loaded(random_model(1), runtime_name)
-    expected = runtime(cv2.cvtColor(GREY, cv2.COLOR_GRAY2RGB), "rgb")
-    np.testing.assert_array_equal(runtime(GREY, "grey"), expected)
+    expected = runtime(cv2.cvtColor(GREY, cv2.COLOR_GRAY2RGB), "rgb").rows
+    np.testing.assert_array_equal(runtime(GREY, "grey").rows, expected)
 
 
 def test_a_colour_frame_is_turned_grey_for_a_grey_network(grey_runtime: Runtime) -> None:
     frame = random_frame()
-    expected = grey_runtime(GREY, "grey")
-    np.testing.assert_array_equal(grey_runtime(frame, "rgb"), expected)
-    np.testing.assert_array_equal(grey_runtime(frame[..., ::-1].copy(), "bgr"), expected)
+    expected = grey_runtime(GREY, "grey").rows
+    np.testing.assert_array_equal(grey_runtime(frame, "rgb").rows, expected)
+    np.testing.assert_array_equal(grey_runtime(frame[..., ::-1].copy(), "bgr").rows, expected)
 
 
 def test_frames_of_both_kinds_may_be_in_one_batch(grey_runtime: Runtime) -> None:
     orders: list[Order] = ["grey", "rgb"]
     batch = grey_runtime.run_batch([GREY, random_frame()], orders, [0.0, 0.0])
-    for rows in batch:
-        np.testing.assert_allclose(rows, grey_runtime(GREY, "grey"), rtol=1e-4, atol=1e-4)
+    for predictions in batch:
+        np.testing.assert_allclose(predictions.rows, grey_runtime(GREY, "grey").rows, rtol=1e-4, atol=1e-4)
 
 
 def test_a_detector_sees_the_same_in_an_image_however_it_is_encoded(grey_runtime: Runtime) -> None:

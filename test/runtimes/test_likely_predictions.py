@@ -60,7 +60,7 @@ def test_all_that_are_likely_enough_are_given_in_their_order_and_few_others(
     rank: int, runtime: Runtime, every_row: NDArray[np.float32]
 ) -> None:
     least = float(np.sort(every_row[:, 4])[::-1][rank])
-    given_places = places(runtime(FRAME, "rgb", least - 1e-5), every_row)
+    given_places = places(runtime(FRAME, "rgb", least - 1e-5).rows, every_row)
     assert given_places == sorted(set(given_places))
     wanted = np.flatnonzero(every_row[:, 4] >= least)
     assert set(wanted) <= set(given_places)
@@ -72,7 +72,7 @@ def test_none_is_given_when_none_is_likely_enough(
     min_objectness: float, runtime: Runtime, every_row: NDArray[np.float32]
 ) -> None:
     assert every_row[:, 4].max() < 0.99
-    rows = runtime(FRAME, "rgb", min_objectness)
+    rows = runtime(FRAME, "rgb", min_objectness).rows
     assert rows.shape == (0, every_row.shape[1])
     assert rows.dtype == np.float32
 
@@ -80,7 +80,7 @@ def test_none_is_given_when_none_is_likely_enough(
 def test_all_are_given_to_who_asks_for_no_objectness(
     runtime: Runtime, every_row: NDArray[np.float32]
 ) -> None:
-    np.testing.assert_allclose(runtime(FRAME, "rgb"), every_row, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(runtime(FRAME, "rgb").rows, every_row, rtol=1e-3, atol=1e-3)
 
 
 @settings(max_examples=30, deadline=None)
@@ -94,7 +94,7 @@ def test_detections_and_the_best_that_was_missed_are_those_of_all_predictions(
 ) -> None:
     selection = Selection(confidence_threshold=threshold, agnostic_nms=agnostic, classes=classes)
     found, expected = (
-        select(runtime(FRAME, "rgb", least), selection) for least in (selection.min_objectness, 0.0)
+        select(runtime(FRAME, "rgb", least).rows, selection) for least in (selection.min_objectness, 0.0)
     )
     np.testing.assert_array_equal(found.class_ids, expected.class_ids)
     np.testing.assert_allclose(found.scores, expected.scores, rtol=0, atol=1e-6)

@@ -35,7 +35,7 @@ class FailingNetwork(Network):
         super().__init__(TINY)
         self.error = error
 
-    def forward(self, pixels: Tensor) -> Tensor:
+    def features(self, pixels: Tensor) -> list[Tensor]:
         raise self.error
 
 
@@ -98,7 +98,7 @@ def test_predictions_are_those_of_the_network_as_it_was_trained(size_hw: tuple[i
     pixels = torch.from_numpy(frame).permute(2, 0, 1)[None] / 255
     with torch.inference_mode():
         expected = random_network(5)(pixels)[0].numpy()
-    raw = TorchRuntime.load(random_model(5), device="cpu", precision="auto")(frame, "rgb")
+    raw = TorchRuntime.load(random_model(5), device="cpu", precision="auto")(frame, "rgb").rows
     assert raw.dtype == np.float32
     np.testing.assert_allclose(raw, expected, rtol=1e-3, atol=1e-3)
 

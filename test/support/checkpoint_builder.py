@@ -48,6 +48,8 @@ _OFFICIAL_NAMES = {
     "MixConv2d": "models.experimental.MixConv2d",
     "CrossCSP": "models.experimental.C3",
     "Detect": "models.yolo.Detect",
+    "Segment": "models.yolo.Segment",
+    "Proto": "models.common.Proto",
 }
 """The classes of v7, by the names of ours."""
 _BEFORE_V6 = {
@@ -59,6 +61,7 @@ _OWN_ATTRIBUTES = {
     "architecture",
     "strides",
     "outputs",
+    "coefficients",
     "anchors_per_cell",
     "steps",
     "_kernels",
@@ -122,7 +125,7 @@ def official_model(
         key: _placed(child, layer, int(key))
         for (key, child), layer in zip(vars(layers)["_modules"].items(), architecture.layers, strict=True)
     }
-    vars(head(model)).update(nc=architecture.classes, no=architecture.classes + 5)
+    _add_head_attributes(head(model), architecture)
     vars(model).update(
         names=list(names) if isinstance(names, tuple) else names,
         nc=architecture.classes,
@@ -137,6 +140,20 @@ def official_model(
         del model.yaml["ch"], model.inplace
         _add_anchor_grid(head(model), architecture)
     return model
+
+
+def _add_head_attributes(head: Any, architecture: Architecture) -> None:
+    """What YOLOv5's heads say of themselves; that of segmentation models holds a method of another class."""
+    coefficients = architecture.mask_coefficients
+    vars(head).update(nc=architecture.classes, no=5 + architecture.classes + coefficients)
+    if coefficients:
+        detect = pickled_method(type(foreign("models.yolo.Detect")), "forward")
+        vars(head).update(nm=coefficients, npr=architecture.prototype_channels, detect=detect)
+
+
+def pickled_method(owner: object, method: str) -> Any:
+    """An object that is pickled as the call getattr(owner, method), as pickle writes a method."""
+    return type("Method", (), {"__reduce__": lambda _: (getattr, (owner, method))})()
 
 
 def _add_anchor_grid(detect: Any, architecture: Architecture) -> None:
@@ -183,6 +200,7 @@ def _row(layer: Layer) -> list[Any]:
         "Upsample": ["None", 2, "nearest"],
         "Concat": [1],
         "Detect": ["nc", "anchors"],
+        "Segment": ["nc", "anchors", *layer.args],
         "C3": [*layer.args[:1], *map(bool, layer.args[1:2]), *layer.args[2:]],
     }
     arguments = [*special.get(layer.kind, [_listed(argument) for argument in layer.args])]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.models.network import Detect, Network, fuse
+from yolov5_lifecycle.models.network import Network, fuse
 from yolov5_lifecycle.runtimes.compiled_runtime import Engine
 from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
@@ -29,8 +29,7 @@ def predicted(model: Model, engine: Engine, pixels: NDArray[np.float32]) -> NDAr
     """All predictions (N, 5 + C) for `pixels` (1, 3, h, w) in [0, 1], with the parts of `CompiledRuntime`."""
     network = fuse(model.network())
     height, width = pixels.shape[2:]
-    detect = network.model[-1]
-    assert isinstance(detect, Detect)
+    detect = network.head
     with denormals_as_zero():  # the engines leave the calling thread in that mode, which is ended here
         run, _ = engine.build(graph_of_pixels(network, (height, width)))
         return DetectionHead(detect)(run(cast("NDArray[np.uint8]", pixels)), 0.0)

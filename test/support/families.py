@@ -29,6 +29,7 @@ from yolov5_lifecycle.models.network import Network
 _QUICK = (
     *("v3.0/yolov5s", "v3.1/yolov5s", "v5.0/yolov5s-transformer", "zoo", "zoo-relu", "yolov3-tiny"),
     *("yolov5n-ch1", "yolov5n-act-LeakyReLU", "yolov5s-ghost", "yolov5-p2", "yolov3-spp-depth0.33"),
+    "yolov5n-seg",
 )
 
 
@@ -112,6 +113,7 @@ def family_checkpoint(name: str, **options: Any) -> bytes:
     network = family_network(name)
     classes = network.architecture.classes
     kind = "Model" if name.startswith(("v3.", "v4.", "v5.", "v6.0", "v6.1")) else "DetectionModel"
+    kind = "SegmentationModel" if network.architecture.mask_coefficients else kind
     model = official_model(
         network.architecture,
         [f"class {index}" for index in range(classes)],

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.runtimes.runtime import Predictions
 
 
 class ScriptedRuntime:
@@ -23,6 +24,7 @@ class ScriptedRuntime:
 
     def __init__(self, run: Callable[[], NDArray[np.float32]]) -> None:
         self.run = run
+        self.compute_prototypes: Callable[[], NDArray[np.float32]] | None = None
         self.on_close: Callable[[], None] = lambda: None
         self.on_batch: Callable[[], None] = lambda: None
         self.calls: list[tuple[tuple[int, ...], Order, float]] = []
@@ -30,18 +32,16 @@ class ScriptedRuntime:
         self.kept_batches: tuple[int, ...] | None = None
         self.is_closed = False
 
-    def __call__(
-        self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
-    ) -> NDArray[np.float32]:
+    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         self.calls.append((frame.shape, order, min_objectness))
-        return self.run()
+        return Predictions(self.run(), self.compute_prototypes)
 
     def run_batch(
         self,
         frames: Sequence[NDArray[np.uint8]],
         orders: Sequence[Order],
         min_objectness: Sequence[float],
-    ) -> list[NDArray[np.float32]]:
+    ) -> list[Predictions]:
         self.batches.append(len(frames))
         self.on_batch()
         return [self(*each) for each in zip(frames, orders, min_objectness, strict=True)]

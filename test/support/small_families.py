@@ -47,6 +47,7 @@ SMALL_FAMILIES: Mapping[str, Architecture] = {
         },
         other_activations=(("model.0.act", "Identity"), ("model.2.act", "LeakyReLU(0.1)")),
     ),
+    "segmentation": _with({8: Layer((7, 4), 1, "Segment", (8, 64))}),
 }
 """Those with the layers of SMALL, but for their kinds."""
 

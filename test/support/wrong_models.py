@@ -11,7 +11,17 @@ from typing import Any
 import torch
 from torch import nn
 
-from support.checkpoint_builder import SMALL, foreign, head, layers_of, official_model, saved, stripped
+from support.checkpoint_builder import (
+    SMALL,
+    foreign,
+    head,
+    layers_of,
+    official_model,
+    pickled_method,
+    saved,
+    stripped,
+)
+from support.small_families import SMALL_FAMILIES
 from yolov5_lifecycle.models.architecture import Architecture
 
 NAN, INFINITY = math.nan, math.inf
@@ -100,21 +110,22 @@ def recursive_yaml() -> bytes:
     return saved(stripped(model))
 
 
-def pickled_method(owner: object, method: str) -> Any:
-    """An object that is pickled as the call getattr(owner, method), as pickle writes a method."""
-    return type("Method", (), {"__reduce__": lambda _: (getattr, (owner, method))})()
-
-
-def segmentation() -> bytes:
-    """YOLOv5-seg keeps the forward of Detect, which it overrides, as an attribute of its head."""
+def segment_head_of_detection() -> bytes:
     model = right_model(kind="models.yolo.SegmentationModel")
-    detect = type(head(model))
-    segment = foreign(
-        "models.yolo.Segment", **vars(head(model)), nm=32, detect=pickled_method(detect, "forward")
-    )
-    vars(segment)["no"] = 5 + 3 + 32
-    layers_of(model)[str(len(layers_of(model)) - 1)] = segment
+    layers_of(model)["8"] = foreign("models.yolo.Segment", **vars(head(model)), nm=32, npr=64)
+    vars(head(model))["no"] = 5 + 3 + 32
     return saved(stripped(model))
+
+
+def segmentation(**attributes: object) -> Callable[[], bytes]:
+    """A segmentation model whose head has other `attributes` than it should."""
+
+    def build() -> bytes:
+        model = official_model(SMALL_FAMILIES["segmentation"], kind="models.yolo.SegmentationModel")
+        vars(head(model)).update(attributes)
+        return saved(stripped(model))
+
+    return build
 
 
 def fuse_all(model: Any) -> None:
@@ -165,7 +176,17 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         lambda: saved({"model": foreign("ultralytics.nn.tasks.DetectionModel")}),
         "belongs to the ultralytics package",
     ),
-    "segmentation": (segmentation, "is a 'Segment', the head of a segmentation model"),
+    "segmentation in the head only": (
+        segment_head_of_detection,
+        "is a 'Segment', expected Detect",
+    ),
+    "segmentation without coefficients": (segmentation(nm=None), "the coefficients of a mask: expected"),
+    "segmentation with other coefficients": (segmentation(nm=16), "gives 16 numbers a box, expected 24"),
+    "segmentation with endless coefficients": (
+        segmentation(nm=1 << 60),
+        "the coefficients of a mask: expected",
+    ),
+    "segmentation of detections only": (segmentation(no=8), "gives 8 numbers a box, expected 16"),
     "classification": (
         head_named("models.common.Classify"),
         "is a 'Classify', the head of a classification model",
@@ -300,5 +321,5 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "kernel of 99": (row(0, -1, 1, "Conv", [64, 99, 2]), "the kernel of layer 0"),
     "even kernel": (row(0, -1, 1, "Conv", [64, 4, 1]), "not supported"),
     "odd shortcut": (row(2, -1, 3, "C3", [64, "False"]), "not supported"),
-    "two heads": (row(4, -1, 1, "Detect", []), "expected one Detect layer, the last, found 2"),
+    "two heads": (row(4, -1, 1, "Detect", []), "expected one Detect or Segment layer, the last, found 2"),
 }

@@ -19,7 +19,7 @@ from tools.shapes.loss import detection_loss
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.model import Model, checked_model
-from yolov5_lifecycle.models.network import Detect, Network
+from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 SEED = 20_250_101
@@ -81,8 +81,7 @@ def lower_objectness(network: Network, shift: float) -> None:
 
 def _head_biases(network: Network) -> list[Tensor]:
     """Views of the biases (anchors, 5 + C) of each level."""
-    detect = network.model[-1]
-    assert isinstance(detect, Detect)
+    detect = network.head
     biases = [convolution.bias for convolution in detect.m if isinstance(convolution, nn.Conv2d)]
     return [bias.detach().view(detect.anchors_per_cell, -1) for bias in biases if bias is not None]
 

@@ -35,6 +35,10 @@ _POOL_STRIDE = replace(STRIDE, is_required=True)
 _WHOLE_EXPANSION, _NO_SHORTCUT = replace(EXPANSION, default=1.0), replace(SHORTCUT, default=0)
 _ODD_3 = replace(ODD_KERNEL, default=3)
 
+_COEFFICIENTS, _PROTOTYPE_CHANNELS = (
+    replace(CHANNELS, default=usual, is_required=False, is_kept=True) for usual in (32, 256)
+)
+
 ROWS: Mapping[str, Sequence[Given]] = MappingProxyType(
     {
         "Conv": (CHANNELS, _KEPT_KERNEL, _KEPT_STRIDE, PADDING, GROUPS, DILATION, ACTIVATION),
@@ -62,14 +66,14 @@ ROWS: Mapping[str, Sequence[Given]] = MappingProxyType(
         "Contract": (GAIN,),
         "Expand": (GAIN,),
         "Concat": (only(1),),
+        "Detect": (),
+        "Segment": (_COEFFICIENTS, _PROTOTYPE_CHANNELS),
     }
 )
-"""Arguments by kind of layer; those of Detect are its own attributes."""
+"""Arguments by kind of layer; those of the heads without classes and anchors, which their attributes tell."""
 _FOREIGN_KINDS = {
-    "Segment": "the head of a segmentation model; only detection models are supported: use yolov5s.pt "
-    "instead of yolov5s-seg.pt, say",
-    "Classify": "the head of a classification model; only detection models are supported: use yolov5s.pt "
-    "instead of yolov5s-cls.pt, say",
+    "Classify": "the head of a classification model; only models that detect or segment are supported: use "
+    "yolov5s.pt instead of yolov5s-cls.pt, say",
     "NMS": "which YOLOv5 before 6.0 added for an export: use the checkpoint of the training",
     **dict.fromkeys(
         ("IDetect", "IAuxDetect", "IBin", "MP", "SPPCSPC", "SPPFCSPC", "RepConv"),
@@ -85,9 +89,9 @@ _FOREIGN_KINDS = {
 def layer_kind(name: str, where: str) -> str:
     """The kind of a module named `name`; raises WeightsError with a description of unsupported ones."""
     kind = name.removeprefix("nn.")
-    if kind in ROWS or kind == "Detect":
+    if kind in ROWS:
         return kind
-    why = _FOREIGN_KINDS.get(kind, f"not supported; supported are {', '.join((*ROWS, 'Detect'))}")
+    why = _FOREIGN_KINDS.get(kind, f"not supported; supported are {', '.join(ROWS)}")
     raise WeightsError(f"{where} is a {shown(kind)}, {why}")
 
 
@@ -95,6 +99,8 @@ def layer_arguments(kind: str, row: Sequence[object], where: str) -> tuple[Argum
     """`Layer.args` of the arguments in a row of the yaml; raises WeightsError."""
     if kind == "Detect":
         return ()
+    if kind == "Segment":
+        row = row[2:]  # after classes and anchors
     try:
         arguments = arguments_of(row, ROWS[kind], where)
         return _padded(arguments) if kind == "Conv" else arguments

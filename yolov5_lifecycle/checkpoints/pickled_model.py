@@ -9,11 +9,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from yolov5_lifecycle.checkpoints.layer_arguments import MAX_CHANNELS
 from yolov5_lifecycle.checkpoints.layer_rows import layer_kind
 from yolov5_lifecycle.checkpoints.module_tree import Stub
 from yolov5_lifecycle.checkpoints.stored_tensor import StoredTensor
 from yolov5_lifecycle.checkpoints.yaml_architecture import MAX_ANCHORS, MAX_LEVELS, MAX_STRIDE
 from yolov5_lifecycle.models.architecture import AnchorsPx
+from yolov5_lifecycle.models.head import HEADS
 from yolov5_lifecycle.models.model import MAX_CLASSES, WeightsError, checked_integer, shown
 
 _WRAPPERS: Mapping[str, str] = MappingProxyType(
@@ -78,13 +80,13 @@ def without_nms(modules: Mapping[str, Stub]) -> dict[str, Stub]:
 
 
 def head_path(modules: Mapping[str, Stub]) -> str:
-    """The path of the Detect layer, the last one."""
+    """The path of the head, the last layer."""
     layers = [path for path in modules if path.startswith("model.") and path.count(".") == 1]
     if not layers:
         raise WeightsError(f"expected a YOLOv5 model, found a {shown(modules[''].kind)} without layers")
     path = layers[-1]
-    if layer_kind(modules[path].kind, "the last layer") != "Detect":
-        raise WeightsError(f"the last layer is a {modules[path].kind}, expected Detect")
+    if layer_kind(modules[path].kind, "the last layer") not in HEADS:
+        raise WeightsError(f"the last layer is a {modules[path].kind}, expected {' or '.join(HEADS)}")
     return path
 
 
@@ -116,10 +118,13 @@ def image_channels(stored: Mapping[str, StoredTensor], first: Stub | None) -> in
 
 def classes_of(head: Stub) -> int:
     classes = checked_integer(head.get("nc"), "the number of classes", 1, MAX_CLASSES)
-    outputs = head.get("no")
-    if not isinstance(outputs, int) or outputs != classes + 5:
+    coefficients = 0
+    if head.kind == "Segment":
+        coefficients = checked_integer(head.get("nm"), "the coefficients of a mask", 1, MAX_CHANNELS)
+    outputs, expected = head.get("no"), classes + 5 + coefficients
+    if not isinstance(outputs, int) or outputs != expected:
         raise WeightsError(
-            f"the Detect layer gives {shown(outputs)} numbers a box, expected {classes + 5} for {classes} "
+            f"the last layer gives {shown(outputs)} numbers a box, expected {expected} for {classes} "
             "classes: the head of another kind of model, or a damaged file"
         )
     return classes

@@ -208,7 +208,12 @@ def _activation(name: object) -> str:
 
 
 def _yaml_arguments(kind: str, args: list[Any]) -> list[Any]:
-    """The arguments of a `Layer` as a yaml has them, in which Conv has another default of its padding."""
+    """The arguments of a `Layer` as a yaml has them.
+
+    There Conv has another default of its padding, and Segment begins with classes and anchors.
+    """
+    if kind == "Segment":
+        return ["nc", "anchors", *args]
     if kind != "Conv" or not args or not all(isinstance(side, int) for side in args[1:2] + args[5:6]):
         return args
     filled = args + [1, 1, None, 1, 1][len(args) - 1 :]

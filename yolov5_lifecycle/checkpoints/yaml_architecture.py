@@ -12,6 +12,7 @@ from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture, Layer
 from yolov5_lifecycle.models.blocks import LAYER_KINDS
 from yolov5_lifecycle.models.cells import Cells
 from yolov5_lifecycle.models.geometry import cells_of_layers, size_multiple
+from yolov5_lifecycle.models.head import HEADS
 from yolov5_lifecycle.models.model import WeightsError, checked_integer, shown
 
 MAX_LAYERS = 200
@@ -96,7 +97,7 @@ def _layer(row: object, index: int) -> Layer:
         kind=kind,
         args=layer_arguments(kind, arguments, f"layer {index}"),
     )
-    if len(layer.sources) > {"Concat": 16, "Detect": MAX_LEVELS}.get(kind, 1):
+    if len(layer.sources) > {"Concat": 16, **dict.fromkeys(HEADS, MAX_LEVELS)}.get(kind, 1):
         raise WeightsError(f"layer {index}, a {kind}, reads too many layers: {shown(layer.sources)}")
     return layer
 
@@ -114,10 +115,10 @@ def _check_repeats(architecture: Architecture) -> None:
 
 
 def _check_strides(architecture: Architecture) -> None:
-    """Check that concatenated inputs have equal sizes and that the last layer, Detect, gets `strides`."""
-    kinds = [layer.kind for layer in architecture.layers]
-    if kinds.count("Detect") != 1 or kinds[-1] != "Detect":
-        raise WeightsError(f"expected one Detect layer, the last, found {kinds.count('Detect')}")
+    """Check that concatenated inputs have equal sizes and that the last layer, the head, gets `strides`."""
+    heads = [index for index, layer in enumerate(architecture.layers) if layer.kind in HEADS]
+    if heads != [len(architecture.layers) - 1]:
+        raise WeightsError(f"expected one {' or '.join(HEADS)} layer, the last, found {len(heads)}")
     try:
         cells = cells_of_layers(architecture)
         multiple = size_multiple(architecture)

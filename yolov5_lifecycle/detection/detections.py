@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.detection.masks import Masks
+
 
 @dataclass(frozen=True, eq=False)
 class Detections:
@@ -26,6 +28,8 @@ class Detections:
     """Without detections: the highest score below the threshold, 0 if none was worth reporting."""
     track_ids: tuple[str, ...] = ()
     """(n,) identities, "" where there is none; empty without a tracker."""
+    masks: Masks | None = None
+    """Of n detections; None unless the model segments and masks were asked for."""
 
     def __post_init__(self) -> None:
         count = len(self.scores)
@@ -34,6 +38,8 @@ class Detections:
         _check("class_ids", self.class_ids, (count,), np.int64)
         if len(self.track_ids) not in (0, count):
             raise ValueError(f"track_ids must be none or {count}, found {len(self.track_ids)}.")
+        if self.masks is not None and len(self.masks) != count:
+            raise ValueError(f"masks must be of {count} detections, found {len(self.masks)}.")
         if not np.isfinite(self.boxes_xyxy).all():
             raise ValueError("boxes_xyxy must be finite, found NaN or infinity.")
         if (self.boxes_xyxy[:, :2] > self.boxes_xyxy[:, 2:]).any():
@@ -47,6 +53,10 @@ class Detections:
 
     def __len__(self) -> int:
         return len(self.scores)
+
+    def label_image(self) -> NDArray[np.uint16] | None:
+        """Which pixels belong to which detection, see `Masks.label_image`; None without masks."""
+        return None if self.masks is None else self.masks.label_image(self.boxes_xyxy)
 
     def objects(self, class_names: Sequence[str]) -> list[FoundObject]:
         """The rows as objects with their class names, highest score first."""

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.letterbox import PADDING_VALUE, Letterbox
+from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.detection.nms import Selection, select
 from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.models.architecture import image_size_problem
-from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
+from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
 
 USUAL_SOURCE_HW = (480, 640)
 
@@ -34,6 +35,7 @@ class Detector:
 
     `class_names` by class id. `image_size`: longer side of the network input in pixels, a multiple of
     `stride`, the largest stride of the model; else ValueError. `choice`: why this runtime was selected.
+    `mask_coefficients`: those of each prediction, 0 if the model does not segment.
     `selection`: the thresholds and classes of a call; may be replaced. `batches`: what is worth
     running as one; may be replaced.
     """
@@ -46,6 +48,7 @@ class Detector:
         image_size: int,
         stride: int,
         choice: str = "as set",
+        mask_coefficients: int = 0,
     ) -> None:
         check_image_size(image_size, stride)
         self.runtime = runtime
@@ -54,6 +57,7 @@ class Detector:
         self.class_names = tuple(class_names)
         self.image_size = image_size
         self.stride = stride
+        self.mask_coefficients = mask_coefficients
         self.selection = Selection()
 
     def __call__(self, pixels: NDArray[np.uint8], *, order: Order = "bgr") -> Detections:
@@ -128,13 +132,22 @@ class Detector:
     def _letterbox(self, size_hw: tuple[int, int]) -> Letterbox:
         return Letterbox.fit(size_hw, image_size=self.image_size, stride=self.stride)
 
-    def _detections(self, raw: NDArray[np.float32], letterbox: Letterbox, selection: Selection) -> Detections:
+    def _detections(self, predictions: Predictions, letterbox: Letterbox, selection: Selection) -> Detections:
+        raw = predictions.rows
         self._check(raw)
-        found = select(raw, selection)
+        found = select(raw[:, : 5 + len(self.class_names)], selection)
         boxes_xyxy = letterbox.undo(found.boxes_xyxy)
         visible = (boxes_xyxy[:, :2] < boxes_xyxy[:, 2:]).all(axis=1)
+        masks = None
+        if selection.with_masks and predictions.compute_prototypes is not None:
+            coefficients = raw[found.rows[visible], 5 + len(self.class_names) :]
+            masks = _masks(predictions.compute_prototypes, coefficients, letterbox.source_hw)
         return Detections(
-            boxes_xyxy[visible], found.scores[visible], found.class_ids[visible], found.best_missed
+            boxes_xyxy[visible],
+            found.scores[visible],
+            found.class_ids[visible],
+            found.best_missed,
+            masks=masks,
         )
 
     def warm_up(self, sizes_hw: Iterable[tuple[int, int]]) -> None:
@@ -143,16 +156,19 @@ class Detector:
         The first runs at each size are slow. Raises InferenceError like `detect`.
         """
         for network_hw in dict.fromkeys(map(self.network_hw, sizes_hw)):
-            image = ColourImage(np.full((*network_hw, 3), PADDING_VALUE, np.uint8), "rgb")
+            grey = np.full((*network_hw, 3), PADDING_VALUE, np.uint8)
             for _ in range(2):
-                self.detect(image, Selection())
+                predictions = self.runtime(grey, "rgb", Selection().min_objectness)
+                self._check(predictions.rows)
+                if predictions.compute_prototypes is not None:
+                    predictions.compute_prototypes()
 
     def close(self) -> None:
         """Free the network. Idempotent."""
         self.runtime.close()
 
     def _check(self, raw: NDArray[np.float32]) -> None:
-        outputs = 5 + len(self.class_names)
+        outputs = 5 + len(self.class_names) + self.mask_coefficients
         if raw.ndim != 2 or raw.shape[1] != outputs or raw.dtype != np.float32:
             raise InferenceError(
                 f"Expected float32 predictions of shape (N, {outputs}) for {len(self.class_names)} classes, "
@@ -163,6 +179,23 @@ class Detector:
                 "The network's predictions are not finite numbers. Check the weights file; with precision "
                 "'fp16' try 'fp32'."
             )
+
+
+def _masks(
+    compute_prototypes: Callable[[], NDArray[np.float32]],
+    coefficients: NDArray[np.float32],
+    source_hw: tuple[int, int],
+) -> Masks:
+    """The masks of detections; without any, no prototypes are computed. Raises InferenceError."""
+    if not len(coefficients):
+        return Masks(np.empty((coefficients.shape[1], 1, 1), np.float32), coefficients, source_hw)
+    prototypes = compute_prototypes()
+    if len(prototypes) != coefficients.shape[1] or not np.isfinite(prototypes).all():
+        raise InferenceError(
+            f"Expected {coefficients.shape[1]} prototypes of masks, all finite numbers, found others, of "
+            f"shape {prototypes.shape}. Check the weights file; with precision 'fp16' try 'fp32'."
+        )
+    return Masks.in_image(prototypes, coefficients, source_hw)
 
 
 def check_image_size(image_size: int, stride: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -26,11 +26,21 @@ class Selection:
     max_detections: int = 1000
     classes: frozenset[int] | None = None
     agnostic_nms: bool = False
+    with_masks: bool = False
+    """Whether to compute masks; without effect if the model does not segment."""
 
     @property
     def min_objectness(self) -> float:
         """Minimum objectness of a prediction that can become a detection or `best_missed`."""
         return min(self.confidence_threshold, WORTH_TELLING)
+
+
+@dataclass(frozen=True, eq=False)
+class Selected(Detections):
+    """Detections in network pixels."""
+
+    rows: NDArray[np.int64] = field(kw_only=True)
+    """(n,) indices into the raw predictions."""
 
 
 def cxcywh_to_xyxy(boxes_cxcywh: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -39,16 +49,17 @@ def cxcywh_to_xyxy(boxes_cxcywh: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.concatenate((centre - half_size, centre + half_size), axis=1)
 
 
-def select(raw: NDArray[np.float32], selection: Selection) -> Detections:
-    """Detections in network pixels, highest score first, from raw predictions (n, 5 + C) of a `Runtime`.
+def select(raw: NDArray[np.float32], selection: Selection) -> Selected:
+    """Detections in network pixels, highest score first, from raw predictions (n, 5 + C).
 
     YOLOv5's rules with one class per box: objectness, and objectness * best class score, both above the
     threshold, then NMS per class, or across classes when agnostic. The score is the product.
     Raises ValueError when a box or score above the threshold is infinite, or a box is NaN.
     """
-    boxes_cxcywh, scores, class_ids = _scored(raw, selection.confidence_threshold, selection.classes)
+    rows, scores, class_ids = _scored(raw, selection.confidence_threshold, selection.classes)
     order = np.argsort(-scores, kind="stable")[:MAX_CANDIDATES]
-    boxes_xyxy, scores, class_ids = cxcywh_to_xyxy(boxes_cxcywh[order]), scores[order], class_ids[order]
+    rows, scores, class_ids = rows[order], scores[order], class_ids[order]
+    boxes_xyxy = cxcywh_to_xyxy(raw[rows, :4])
     if not np.isfinite(boxes_xyxy).all():
         raise ValueError("The boxes of raw predictions must be finite numbers, found NaN or infinity.")
     kept = suppress(
@@ -59,20 +70,21 @@ def select(raw: NDArray[np.float32], selection: Selection) -> Detections:
         limit=selection.max_detections,
     )
     best_missed = 0.0 if len(kept) else _scored(raw, WORTH_TELLING, selection.classes)[1].max(initial=0.0)
-    return Detections(boxes_xyxy[kept], scores[kept], class_ids[kept], float(best_missed))
+    return Selected(boxes_xyxy[kept], scores[kept], class_ids[kept], float(best_missed), rows=rows[kept])
 
 
 def _scored(
     raw: NDArray[np.float32], threshold: float, classes: frozenset[int] | None
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-    """Boxes (n, 4), scores and class ids of the rows in `classes` with a score above the threshold."""
-    rows = raw[raw[:, 4] > threshold]
-    class_ids = rows[:, 5:].argmax(axis=1).astype(np.int64)
-    scores = rows[:, 4] * rows[np.arange(len(rows)), 5 + class_ids]
+) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]]:
+    """Indices (n,) of the rows in `classes` with a score above the threshold, these scores and class ids."""
+    rows = np.flatnonzero(raw[:, 4] > threshold)
+    likely = raw[rows]
+    class_ids = likely[:, 5:].argmax(axis=1).astype(np.int64)
+    scores = likely[:, 4] * likely[np.arange(len(likely)), 5 + class_ids]
     wanted = scores > threshold
     if classes is not None:
         wanted &= np.isin(class_ids, list(classes))
-    return rows[wanted, :4], scores[wanted], class_ids[wanted]
+    return rows[wanted], scores[wanted], class_ids[wanted]
 
 
 def suppress(

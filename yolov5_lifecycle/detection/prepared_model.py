@@ -130,7 +130,12 @@ def load_detector(
     kept = max(MIN_KEPT, KEPT_PER_CAMERA * cameras)
     loaded = load_runtime(model, choice.runtime, device=device, precision=precision, kept=kept)
     return Detector(
-        loaded, class_names=model.class_names, image_size=image_size, stride=stride, choice=choice.reason
+        loaded,
+        class_names=model.class_names,
+        image_size=image_size,
+        stride=stride,
+        choice=choice.reason,
+        mask_coefficients=model.architecture.mask_coefficients,
     )
 
 

@@ -97,13 +97,13 @@ P6_LAYERS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Architecture:
-    """A YOLOv5 detection architecture, of whatever version: layers, scaling factors and activations.
+    """A YOLOv5 architecture, of whatever version: layers, scaling factors and activations.
 
     `anchors_px` are (width, height) in network pixels, one row of anchors per detection level; `strides` are
-    the network pixels per grid cell of each level. The last layer is the Detect layer and has one source per
-    level. `image_channels` is 3 for RGB, 1 for grey. `activation` is that of every convolution which has
-    one, by its name in `models/activations.py`; `other_activations` are pairs of a module's path in the
-    network and the activation that it has instead. If it `is_fused`, convolutions have a bias and no
+    the network pixels per grid cell of each level. The last layer is the head, Detect or Segment, and has
+    one source per level. `image_channels` is 3 for RGB, 1 for grey. `activation` is that of every convolution
+    which has one, by its name in `models/activations.py`; `other_activations` are pairs of a module's path in
+    the network and the activation that it has instead. If it `is_fused`, convolutions have a bias and no
     normalisation.
     """
 
@@ -121,8 +121,24 @@ class Architecture:
 
     @property
     def head_outputs(self) -> int:
-        """Channels of each convolution of the Detect layer: for every anchor 5 numbers and the classes."""
+        """Channels of each convolution of a Detect layer: for every anchor 5 numbers and the classes."""
         return len(self.anchors_px[0]) * (5 + self.classes)
+
+    @property
+    def mask_coefficients(self) -> int:
+        """Coefficients of the mask of each prediction; 0 for a network that does not segment."""
+        return self._of_segment(0)
+
+    @property
+    def prototype_channels(self) -> int:
+        """Channels in which a network that segments computes its prototypes."""
+        return self._divisible(self._of_segment(1))
+
+    def _of_segment(self, argument: int) -> int:
+        head = self.layers[-1]
+        value = head.args[argument] if head.kind == "Segment" else 0
+        assert isinstance(value, int)
+        return value
 
     def scaled_channels(self, channels: int) -> int:
         """Number of channels after applying the width multiple.
@@ -131,6 +147,9 @@ class Architecture:
         """
         if channels == self.head_outputs:
             return channels
+        return self._divisible(channels)
+
+    def _divisible(self, channels: int) -> int:
         return math.ceil(channels * self.width_multiple / self.channel_multiple) * self.channel_multiple
 
 

@@ -12,7 +12,7 @@ from yolov5_lifecycle.models.resizing import RESIZING
 
 
 def cells_of_layers(architecture: Architecture) -> list[Cells]:
-    """The cells of each layer, for Detect those of its first input.
+    """The cells of each layer, for the head those of its first input.
 
     Raises ValueError if a layer joins feature maps of different sizes.
     """

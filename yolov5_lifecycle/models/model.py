@@ -147,10 +147,10 @@ def _check_numbers(key: str, tensor: Tensor) -> None:
 
 
 def _check_anchors(architecture: Architecture, state_dict: Mapping[str, Tensor]) -> None:
-    """Check the Detect layer's anchors (grid cells) against those of the architecture (pixels)."""
+    """Check the head's anchors (grid cells) against those of the architecture (pixels)."""
     anchors = state_dict[f"model.{len(architecture.layers) - 1}.anchors"]
     if not bool((anchors > 0).all()):
         raise WeightsError("expected anchors of positive width and height, found others")
     strides = torch.tensor(architecture.strides).view(-1, 1, 1)
     if not torch.allclose(anchors * strides, torch.tensor(architecture.anchors_px).float(), rtol=1e-3):
-        raise WeightsError("the anchors of the Detect layer are not those of the architecture")
+        raise WeightsError("the anchors of the last layer are not those of the architecture")

@@ -11,64 +11,13 @@ from yolov5_lifecycle.models.activations import activation_of
 from yolov5_lifecycle.models.architecture import Architecture, Layer
 from yolov5_lifecycle.models.blocks import LAYER_KINDS, Block
 from yolov5_lifecycle.models.convolutions import Conv
+from yolov5_lifecycle.models.head import HEADS, Detect
 from yolov5_lifecycle.models.resizing import RESIZING, channels_after
 
 
 class Concat(nn.Module):
     def forward(self, features: list[Tensor]) -> Tensor:
         return torch.cat(features, dim=1)
-
-
-class Detect(nn.Module):
-    """Detection head: one 1x1 convolution per level and the decoding of their outputs."""
-
-    anchors: Tensor  # (levels, anchors, 2) width, height in grid cells
-
-    def __init__(self, architecture: Architecture, channels_in: list[int]) -> None:
-        super().__init__()
-        self.strides = architecture.strides
-        self.outputs = architecture.classes + 5
-        self.anchors_per_cell = len(architecture.anchors_px[0])
-        # Python floats: arithmetic on the meta device would import torch._dynamo, which takes seconds.
-        anchors = [
-            [(width / stride, height / stride) for width, height in level]
-            for level, stride in zip(architecture.anchors_px, architecture.strides, strict=True)
-        ]
-        self.register_buffer("anchors", torch.tensor(anchors, dtype=torch.float32))
-        self.m = nn.ModuleList(
-            nn.Conv2d(channels, self.outputs * self.anchors_per_cell, 1) for channels in channels_in
-        )
-
-    def forward(self, features: list[Tensor]) -> list[Tensor]:
-        """Raw logits of each level, (B, anchors, ny, nx, 5 + C)."""
-        logits = []
-        for convolution, level in zip(self.m, features, strict=True):
-            batch, _, ny, nx = level.shape
-            grid = convolution(level).view(batch, self.anchors_per_cell, self.outputs, ny, nx)
-            logits.append(grid.permute(0, 1, 3, 4, 2))
-        return logits
-
-    def decode(self, logits: list[Tensor]) -> Tensor:
-        """Logits of all levels -> (B, N, 5 + C): cx, cy, w, h in network pixels, then probabilities.
-
-        xy = (2 sigma - 0.5 + cell) * stride and wh = (2 sigma)^2 * anchor, with sigma the logistic function.
-        """
-        rows = []
-        for level, stride, anchors in zip(logits, self.strides, self.anchors, strict=True):
-            batch, _, ny, nx, outputs = level.shape
-            xy, wh, scores = level.sigmoid().split((2, 2, outputs - 4), dim=-1)
-            xy = (2 * xy - 0.5 + _cells(ny, nx, like=level)) * stride
-            wh = (2 * wh) ** 2 * (anchors * stride).view(1, -1, 1, 1, 2)
-            rows.append(torch.cat((xy, wh, scores), dim=-1).reshape(batch, -1, outputs))
-        return torch.cat(rows, dim=1)
-
-
-def _cells(ny: int, nx: int, *, like: Tensor) -> Tensor:
-    """Column and row index of every grid cell, (ny, nx, 2)."""
-    rows = torch.arange(ny, device=like.device, dtype=like.dtype)
-    columns = torch.arange(nx, device=like.device, dtype=like.dtype)
-    grid_y, grid_x = torch.meshgrid(rows, columns, indexing="ij")
-    return torch.stack((grid_x, grid_y), dim=-1)
 
 
 class Network(nn.Module):
@@ -84,29 +33,43 @@ class Network(nn.Module):
                 if isinstance(module, Conv):
                     module.drop_bn()
 
-    def heads(self, pixels: Tensor) -> list[Tensor]:
-        """Logits of each detection level, (B, anchors, ny, nx, 5 + C), for training.
+    @property
+    def head(self) -> Detect:
+        """The last layer."""
+        head = self.model[-1]
+        assert isinstance(head, Detect)
+        return head
+
+    def features(self, pixels: Tensor) -> list[Tensor]:
+        """What the head reads: a feature map (B, channels, ny, nx) for each level.
 
         `pixels`: (B, 3, H, W) float RGB in [0, 1], H and W multiples of the largest stride; (B, 1, H, W) for
         networks of grey images.
         """
         outputs: list[Tensor] = []
-        last: Tensor | list[Tensor] = pixels
-        for layer, module in zip(self.architecture.layers, self.model, strict=True):
-            inputs = [last if source == -1 else outputs[source] for source in layer.sources]
-            last = module(inputs if layer.kind in ("Concat", "Detect") else inputs[0])
-            outputs.append(last)  # type: ignore[arg-type]  # only Detect returns a list, and it is the last
-        return last  # type: ignore[return-value]
+        *layers, head = self.architecture.layers
+        for layer, module in zip(layers, self.model[:-1], strict=True):
+            inputs = [(outputs or [pixels])[source] for source in layer.sources]
+            outputs.append(module(inputs if layer.kind == "Concat" else inputs[0]))
+        return [(outputs or [pixels])[source] for source in head.sources]
+
+    def heads(self, pixels: Tensor) -> list[Tensor]:
+        """Logits of each level, (B, anchors, ny, nx, 5 + C + M), for training. `pixels` as for `features`."""
+        logits: list[Tensor] = self.head(self.features(pixels))
+        return logits
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Predictions (B, N, 5 + C): cx, cy, w, h in network pixels, objectness, class scores in [0, 1].
+        """Predictions (B, N, 5 + C + M), see `predictions`. `pixels` as for `features`."""
+        return self.predictions(self.features(pixels))
 
-        `pixels` as for `heads`. Decoded in float32 whatever the layers' dtype: fp16 resolves a box at x = 600
+    def predictions(self, features: list[Tensor]) -> Tensor:
+        """Predictions (B, N, 5 + C + M) from the features of all levels.
+
+        cx, cy, w, h in network pixels, objectness and class scores in [0, 1]; if the network segments, the M
+        coefficients of a mask. Decoded in float32 whatever the layers' dtype: fp16 resolves a box at x = 600
         only to half a pixel. Training mode returns the same format.
         """
-        detect = self.model[-1]
-        assert isinstance(detect, Detect)
-        return detect.decode([level.float() for level in self.heads(pixels)])
+        return self.head.decode([level.float() for level in self.head(features)])
 
 
 def fuse(network: Network) -> Network:
@@ -137,8 +100,8 @@ def _module(layer: Layer, channels_in: list[int], architecture: Architecture) ->
     """The module of one layer and its number of output channels."""
     if layer.kind == "Concat":
         return Concat(), sum(channels_in)
-    if layer.kind == "Detect":
-        return Detect(architecture, channels_in), 0
+    if layer.kind in HEADS:
+        return HEADS[layer.kind](architecture, channels_in), 0
     if layer.kind in RESIZING:
         module = RESIZING[layer.kind].make(*layer.args)
         return module, channels_after(module, channels_in[0])

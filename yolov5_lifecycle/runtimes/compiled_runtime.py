@@ -8,6 +8,7 @@ import pkgutil
 import threading
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -16,12 +17,13 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle import models, runtimes
 from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.models.network import Detect, fuse
+from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
-from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
-from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph, prototype_graph
+from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead, Features
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
 
@@ -35,6 +37,7 @@ _GRAPH_MAKERS = tuple(
 )
 """Modules on which the ONNX graph of a model depends."""
 
+Result = TypeVar("Result")
 _log = logging.getLogger(__name__)
 
 
@@ -46,9 +49,8 @@ class CompiledRuntime:
 
     def __init__(self, compiler: Compiler, engine: Engine, *, kept: int = MIN_KEPT) -> None:
         self._engine = engine
-        self._compiled = NetworksByShape(
-            lambda shape: _Compiled(compiler.run(shape), compiler.head, shape, compiler.channels), kept=kept
-        )
+        self._segments = compiler.proto is not None
+        self._compiled = NetworksByShape(lambda shape: _Compiled(compiler, shape), kept=kept)
 
     @classmethod
     def load(
@@ -70,25 +72,42 @@ class CompiledRuntime:
     def name(self) -> str:
         return self._engine.name
 
-    def __call__(
-        self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
-    ) -> NDArray[np.float32]:
+    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         """See `Runtime`; the first frame of each size waits for the compiler."""
-        (rows,) = self.run_batch((frame,), (order,), (min_objectness,))
-        return rows
+        (predictions,) = self.run_batch((frame,), (order,), (min_objectness,))
+        return predictions
 
     def run_batch(
         self,
         frames: Sequence[NDArray[np.uint8]],
         orders: Sequence[Order],
         min_objectness: Sequence[float],
-    ) -> list[NDArray[np.float32]]:
+    ) -> list[Predictions]:
         """See `Runtime`; the first batch of each shape waits for the compiler."""
         shape = shape_of_batch(frames, orders, min_objectness)
+
+        def predict(compiled: _Compiled) -> list[Predictions]:
+            features = compiled.features(frames, orders)
+            of_frames = [[level[index : index + 1] for level in features] for index in range(len(frames))]
+            return [
+                Predictions(compiled.rows(levels, least), self._prototypes(shape, levels[0]))
+                for levels, least in zip(of_frames, min_objectness, strict=True)
+            ]
+
+        return self._using(shape, predict)
+
+    def _prototypes(self, shape: Shape, finest: Features) -> Callable[[], NDArray[np.float32]] | None:
+        """Computes prototypes from the features of the finest level, (1, channels, ny, nx)."""
+        if not self._segments:
+            return None
+        return lambda: self._using(shape, lambda compiled: compiled.prototypes(finest))
+
+    def _using(self, shape: Shape, use: Callable[[_Compiled], Result]) -> Result:
+        """What `use` returns of the network for batches of `shape`; InferenceError for an engine's error."""
         try:
             # Denormal floats are zero in this thread; the engine sees to its own threads.
             with self._compiled.running(shape) as compiled:
-                return compiled(frames, orders, min_objectness)
+                return use(compiled)
         except InferenceError:  # it was closed
             raise
         except self._engine.errors as error:
@@ -105,27 +124,32 @@ class CompiledRuntime:
 
 
 class _Compiled:
-    """A compiled network for one input shape, with its detection head and input buffer."""
+    """A compiled network for one input shape, with its input buffer."""
 
-    def __init__(self, run: Run, head: DetectionHead, shape: Shape, channels: int) -> None:
-        self._run = run
-        self._head = head
+    def __init__(self, compiler: Compiler, shape: Shape) -> None:
+        self._compiler = compiler
+        self._run = compiler.run(shape)
+        self._run_proto: Run | None = None
         batch, height, width = shape
-        self._planes = np.empty((batch, channels, height, width), np.uint8)
+        self._planes = np.empty((batch, compiler.channels, height, width), np.uint8)
 
-    def __call__(
-        self,
-        frames: Sequence[NDArray[np.uint8]],
-        orders: Sequence[Order],
-        min_objectness: Sequence[float],
-    ) -> list[NDArray[np.float32]]:
+    def features(self, frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order]) -> Sequence[Features]:
+        """Those of all levels for all frames; the next run may overwrite them."""
         for planes, frame, order in zip(self._planes, frames, orders, strict=True):
             _write_planes(frame, order, planes)
-        features = self._run(self._planes)
-        return [
-            self._head([level[index : index + 1] for level in features], least)
-            for index, least in enumerate(min_objectness)
-        ]
+        return self._run(self._planes)
+
+    def rows(self, features: Sequence[Features], min_objectness: float) -> NDArray[np.float32]:
+        """The predictions for one frame."""
+        return self._compiler.head(features, min_objectness)
+
+    def prototypes(self, finest: Features) -> NDArray[np.float32]:
+        """Prototypes (M, h, w) from the features of the finest level, for one frame."""
+        if self._run_proto is None:
+            self._run_proto = self._compiler.prototypes(finest)
+        (batch,) = self._run_proto(finest)
+        prototypes: NDArray[np.float32] = batch[0].copy()  # the next run may overwrite them
+        return prototypes
 
 
 def _write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uint8]) -> None:
@@ -141,7 +165,8 @@ def _write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uin
 class Compiler:
     """Compiles the network of `model` with `engine` and caches the result in `store`.
 
-    `head` is the network's last layer, which is not compiled. Its images have `channels`, 3 or 1.
+    `head` is the network's last layer, which is not compiled; `proto` its part that computes prototypes of
+    masks, None if the network does not segment. Its images have `channels`, 3 or 1.
     """
 
     def __init__(self, model: Model, engine: Engine, store: CompiledStore) -> None:
@@ -151,13 +176,22 @@ class Compiler:
         self._store = store
         self._fusing = threading.Lock()  # an abandoned thread may compile concurrently with its successor
         self._identity = _identity(model, engine)
-        detect = self._network.model[-1]
-        assert isinstance(detect, Detect)
+        detect = self._network.head
         self.head = DetectionHead(detect)
+        self.proto = detect.proto if isinstance(detect, Segment) else None
 
     def run(self, shape: Shape) -> Run:
         """The compiled network for batches of `shape`; raises the engine's errors."""
-        key = hashlib.sha256(f"{self._identity} {shape}".encode()).hexdigest()
+        return self._compiled(str(shape), lambda: onnx_graph(self._network, shape))
+
+    def prototypes(self, finest: Features) -> Run:
+        """The compiled `proto` for features like `finest`; raises the engine's errors."""
+        proto, shape = self.proto, finest.shape
+        assert proto is not None
+        return self._compiled(f"prototypes {shape}", lambda: prototype_graph(proto, shape))
+
+    def _compiled(self, part: str, graph: Callable[[], bytes]) -> Run:
+        key = hashlib.sha256(f"{self._identity} {part}".encode()).hexdigest()
         kept = self._store.read(key)
         if kept is not None:
             try:
@@ -166,7 +200,7 @@ class Compiler:
                 _log.warning("A compiled model that was kept cannot be loaded, it is recompiled: %s", error)
         with self._fusing:
             fuse(self._network)
-        run, content = self._engine.build(onnx_graph(self._network, shape))
+        run, content = self._engine.build(graph())
         if content:
             self._store.keep(key, content)
         return run
@@ -182,8 +216,11 @@ def _identity(model: Model, engine: Engine) -> str:
     return repr([builds, processor(), model.architecture, weights.hexdigest()])
 
 
-Run = Callable[[NDArray[np.uint8]], Sequence[Features]]
-"""Planes (batch, 3 or 1, h, w), RGB or grey -> features of each level, which the next run may overwrite."""
+Run = Callable[[NDArray[np.generic]], Sequence[Features]]
+"""Planes (batch, 3 or 1, h, w), RGB or grey -> features of each level, which the next run may overwrite.
+
+Or features of the finest level (1, channels, ny, nx) -> prototypes (1, M, h, w).
+"""
 
 
 @dataclass(frozen=True)

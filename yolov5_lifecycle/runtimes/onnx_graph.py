@@ -1,28 +1,42 @@
-"""ONNX export of the network without its last layer, at a fixed input shape."""
+"""ONNX export of the parts of a network that engines run, at a fixed input shape."""
 
 from __future__ import annotations
 
 import numpy as np
 from onnx import TensorProto
 
+from yolov5_lifecycle.models.head import Proto
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.runtimes.onnx_blocks import written
-from yolov5_lifecycle.runtimes.onnx_graph_builder import Graph
+from yolov5_lifecycle.runtimes.onnx_graph_builder import INPUT, Graph
 
 
 def onnx_graph(network: Network, shape: tuple[int, int, int]) -> bytes:
     """A serialized ONNX model of a fused `network` for a number of frames, their height and their width.
 
-    Height and width are multiples of the network's `size_multiple`. The input `planes` is uint8 (batch, c, h,
-    w) in 0..255, RGB or grey as the network has it. The outputs, float32 (batch, channels, ny, nx), are the
-    inputs of the network's last layer, `Detect`, which is not exported.
+    Height and width are multiples of the network's `size_multiple`. The input is uint8 (batch, c, h, w) in
+    0..255, RGB or grey as the network has it. The outputs, float32 (batch, channels, ny, nx), are the inputs
+    of the network's last layer, which is not exported.
     """
-    graph = Graph(shape, network.architecture.image_channels)
-    pixels = graph.add("Cast", "planes", to=TensorProto.FLOAT)
+    batch, height, width = shape
+    graph = Graph((batch, network.architecture.image_channels, height, width), TensorProto.UINT8)
+    pixels = graph.add("Cast", INPUT, to=TensorProto.FLOAT)
     pixels = graph.add("Mul", pixels, graph.constant(np.float32(1 / 255)))
-    *layers, detect = network.architecture.layers
+    *layers, head = network.architecture.layers
     outputs: list[str] = []
     for layer, module in zip(layers, network.model[:-1], strict=True):
         inputs = [(outputs or [pixels])[source] for source in layer.sources]
         outputs.append(written(graph, module, *inputs))
-    return graph.serialized([(outputs or [pixels])[source] for source in detect.sources])
+    return graph.serialized([(outputs or [pixels])[source] for source in head.sources])
+
+
+def prototype_graph(proto: Proto, shape: tuple[int, int, int, int]) -> bytes:
+    """A serialized ONNX model of the fused `proto` for features of `shape`, (1, channels, ny, nx) in float32.
+
+    The output are the prototypes, float32 (1, M, 2 ny, 2 nx).
+    """
+    graph = Graph(shape, TensorProto.FLOAT)
+    features = INPUT
+    for module in (proto.cv1, proto.upsample, proto.cv2, proto.cv3):
+        features = written(graph, module, features)
+    return graph.serialized([features])

@@ -14,19 +14,23 @@ from torch import Tensor
 # The oldest versions that have every operator used here; all current runtimes read them.
 _OPSET = 13
 _IR_VERSION = 8
+INPUT = "input"
+"""The name of the array that a graph reads."""
 
 
 class Graph:
-    """Builder of an ONNX graph; values are referenced by name."""
+    """Builder of an ONNX graph that reads one array of `shape` and of an ONNX `dtype`, named INPUT.
 
-    def __init__(self, shape: tuple[int, int, int], channels: int) -> None:
-        self._batch, *size_hw = shape
+    Values are referenced by name.
+    """
+
+    def __init__(self, shape: tuple[int, int, int, int], dtype: int) -> None:
         opset = helper.make_opsetid("", _OPSET)
         self._model = onnx.ModelProto(ir_version=_IR_VERSION, opset_import=[opset])
         self._graph = self._model.graph  # built in place, as copying large weights is slow
         self._graph.name = "yolov5"
-        planes = helper.make_tensor_value_info("planes", TensorProto.UINT8, [self._batch, channels, *size_hw])
-        self._graph.input.append(planes)
+        self._graph.input.append(helper.make_tensor_value_info(INPUT, dtype, shape))
+        self._batch = shape[0]
 
     def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
         """Add a node; return the name of its output."""

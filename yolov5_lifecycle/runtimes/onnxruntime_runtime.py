@@ -13,6 +13,7 @@ import torch
 from onnxruntime.capi import onnxruntime_pybind11_state as state
 
 from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Run
+from yolov5_lifecycle.runtimes.onnx_graph_builder import INPUT
 from yolov5_lifecycle.unfinished import remove_abandoned_folders, temporary_folder
 
 _log = logging.getLogger(__name__)
@@ -67,7 +68,7 @@ def _session(graph: bytes, optimized_file: str = "") -> Run:
     session = onnxruntime.InferenceSession(
         graph, options, providers=["CPUExecutionProvider"], disabled_optimizers=disabled
     )
-    return lambda planes: session.run(None, {"planes": planes})
+    return lambda values: session.run(None, {INPUT: values})
 
 
 def _waiting() -> tuple[str, str]:

@@ -31,4 +31,4 @@ def _compile(graph: bytes) -> Run:
         },
     )
     request = compiled.create_infer_request()
-    return lambda planes: list(request.infer([planes], share_inputs=True, share_outputs=True).values())
+    return lambda values: list(request.infer([values], share_inputs=True, share_outputs=True).values())

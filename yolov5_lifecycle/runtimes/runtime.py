@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +18,19 @@ class InferenceError(RuntimeError):
 
 class DeviceLostError(InferenceError):
     """The device is lost to this process; only a new process can use it again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """What the network predicts for one frame."""
+
+    rows: NDArray[np.float32]
+    """(n, 5 + C + M): rows of `Network.predictions`."""
+    compute_prototypes: Callable[[], NDArray[np.float32]] | None = None
+    """Prototypes of masks, (M, h, w) for the whole frame; None for a network that does not segment.
+
+    Computed when called, which must happen before the next run. Raises InferenceError.
+    """
 
 
 class Runtime(Protocol):
@@ -34,16 +48,14 @@ class Runtime(Protocol):
     def precision(self) -> str:
         """The resolved precision: fp32 or fp16."""
 
-    def __call__(
-        self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
-    ) -> NDArray[np.float32]:
-        """Raw predictions (n, 5 + C) for a letterboxed frame: rows of `Network.forward`.
+    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
+        """Raw predictions for a letterboxed frame.
 
         The frame has the shape (h, w, 3), or (h, w) if its order is grey; whatever it is, the network gets
         the channels that it reads.
 
-        In that order: all rows whose objectness is not below `min_objectness`, in [0, 1], up to rounding;
-        which other rows are returned depends on the runtime. Raises InferenceError.
+        Their rows, in the order of the network, are all those whose objectness is not below `min_objectness`,
+        in [0, 1], up to rounding; which others are returned depends on the runtime. Raises InferenceError.
         """
 
     def run_batch(
@@ -51,8 +63,8 @@ class Runtime(Protocol):
         frames: Sequence[NDArray[np.uint8]],
         orders: Sequence[Order],
         min_objectness: Sequence[float],
-    ) -> list[NDArray[np.float32]]:
-        """The predictions of each frame, as a call with it alone returns them up to rounding, in one run.
+    ) -> list[Predictions]:
+        """The predictions for each frame, as a call with it alone returns them up to rounding, in one run.
 
         Raises ValueError unless there is at least one frame, all of one shape, each with an order
         and an objectness; InferenceError when the run fails, for all frames together.

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from yolov5_lifecycle.models.network import Detect
+from yolov5_lifecycle.models.head import Detect
 
 Features = NDArray[np.float32]
 """Feature map of one detection level, (batch, channels, ny, nx)."""
 
 
 class DetectionHead:
-    """`Detect` in numpy: of 15,120 predictions per image, at most about 300 are evaluated.
+    """`Detect` and `Segment` in numpy: of 15,120 predictions per image, at most about 300 are evaluated.
 
     All of them would be a twelfth of the network's arithmetic and 5 MB to convert and pass on: together a
     fifth of the time of yolov5n at 384x640.
@@ -23,7 +23,7 @@ class DetectionHead:
 
     def __init__(self, detect: Detect) -> None:
         self._levels = [
-            _Level(convolution, anchors, stride, detect.outputs)
+            _Level(convolution, anchors, stride, detect)
             for convolution, anchors, stride in zip(detect.m, detect.anchors, detect.strides, strict=True)
         ]
 
@@ -41,14 +41,15 @@ class DetectionHead:
 class _Level:
     """The 1x1 convolution of one level and the decoding of its output."""
 
-    def __init__(self, convolution: nn.Module, anchors: Tensor, stride: int, outputs: int) -> None:
+    def __init__(self, convolution: nn.Module, anchors: Tensor, stride: int, detect: Detect) -> None:
         assert isinstance(convolution, nn.Conv2d)
         assert convolution.bias is not None
-        shape = (len(anchors), outputs, -1)
+        shape = (len(anchors), detect.outputs, -1)
         self._weights = convolution.weight.numpy().reshape(shape)  # (anchors, outputs, channels)
         self._bias = convolution.bias.numpy().reshape(shape)  # (anchors, outputs, 1)
         self._anchors_px = anchors.numpy()[:, None] * np.float32(stride)  # (anchors, 1, 2)
         self._stride = stride
+        self._bounded = detect.outputs - detect.coefficients
 
     def objectness(self, features: Features) -> NDArray[np.float32]:
         """The highest objectness logit of every cell, (ny * nx)."""
@@ -60,9 +61,11 @@ class _Level:
         """Predictions (anchors * n, outputs) of n cells; formula: see `Detect.decode`."""
         _, channels, _, nx = features.shape
         logits = self._weights @ features.reshape(channels, -1)[:, cells] + self._bias
-        sigma = (1 / (1 + np.exp(-logits))).transpose(0, 2, 1)  # (anchors, n, outputs)
+        rows = np.ascontiguousarray(logits.transpose(0, 2, 1))  # (anchors, n, outputs)
+        sigma = rows[..., : self._bounded]  # all but the coefficients of masks
+        sigma[:] = 1 / (1 + np.exp(-sigma))
         cells_xy = np.stack((cells % nx, cells // nx), axis=-1).astype(np.float32)
         sigma[..., :2] = (2 * sigma[..., :2] - 0.5 + cells_xy) * self._stride
         sigma[..., 2:4] = (2 * sigma[..., 2:4]) ** 2 * self._anchors_px
-        rows: NDArray[np.float32] = sigma.reshape(-1, sigma.shape[2])
-        return rows
+        predictions: NDArray[np.float32] = rows.reshape(-1, rows.shape[2])
+        return predictions

@@ -6,6 +6,7 @@ import logging
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -14,10 +15,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.models.network import Detect, Network, fuse
+from yolov5_lifecycle.models.network import Network, fuse
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
-from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError, Predictions
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
 
 _PRECISIONS = {torch.float32: "fp32", torch.float16: "fp16"}
@@ -28,10 +30,10 @@ _CAPTURE_PATIENCE_S = 10.0
 _ONE_AT_A_TIME = threading.Lock()
 _HAS_FAILED = threading.Event()
 
-Forward = Callable[[Tensor], Tensor]
-"""Frames (batch, h, w, 3) RGB or (batch, h, w, 1) grey -> all predictions (batch, N, 5 + C).
-
-The next run may overwrite them.
+Result = TypeVar("Result")
+Forward = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""Frames (batch, h, w, 3) RGB or (batch, h, w, 1) grey -> all predictions (batch, N, 5 + C + M), and the
+features of the finest level (batch, channels, ny, nx). The next run may overwrite both.
 """
 
 _log = logging.getLogger(__name__)
@@ -49,6 +51,7 @@ class TorchRuntime:
         self._dtype = dtype
         self._channels = network.architecture.image_channels
         prepared = _prepared(network, device, dtype)
+        self._proto = prepared.head.proto if isinstance(prepared.head, Segment) else None
         self._forwards: NetworksByShape[Forward] = NetworksByShape(
             lambda shape: _forward(prepared, shape, device=device, dtype=dtype), kept=kept
         )
@@ -80,25 +83,40 @@ class TorchRuntime:
     def precision(self) -> str:
         return _PRECISIONS[self._dtype]
 
-    def __call__(
-        self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0
-    ) -> NDArray[np.float32]:
+    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         """See `Runtime`; DeviceLostError when CUDA no longer works in this process."""
-        (rows,) = self.run_batch((frame,), (order,), (min_objectness,))
-        return rows
+        (predictions,) = self.run_batch((frame,), (order,), (min_objectness,))
+        return predictions
 
     def run_batch(
         self,
         frames: Sequence[NDArray[np.uint8]],
         orders: Sequence[Order],
         min_objectness: Sequence[float],
-    ) -> list[NDArray[np.float32]]:
+    ) -> list[Predictions]:
         """See `Runtime`; DeviceLostError when CUDA no longer works in this process."""
         shape = shape_of_batch(frames, orders, min_objectness)
+
+        def predict(forward: Forward) -> list[Predictions]:
+            raw, finest = forward(_stacked(frames, orders, self._channels))
+            return [
+                Predictions(_likely(rows, least), self._prototypes(shape, finest[index : index + 1]))
+                for index, (rows, least) in enumerate(zip(raw, min_objectness, strict=True))
+            ]
+
+        return self._using(shape, predict)
+
+    def _prototypes(self, shape: Shape, finest: Tensor) -> Callable[[], NDArray[np.float32]] | None:
+        """Computes prototypes from the features of the finest level, (1, channels, ny, nx)."""
+        if (proto := self._proto) is None:
+            return None
+        return lambda: self._using(shape, lambda _: proto(finest)[0].float().cpu().numpy())
+
+    def _using(self, shape: Shape, use: Callable[[Forward], Result]) -> Result:
+        """What `use` returns of the network for batches of `shape`; InferenceError for an error of torch."""
         try:
             with torch.inference_mode(), self._forwards.running(shape) as forward:
-                raw = forward(_stacked(frames, orders, self._channels))
-                return [_likely(rows, least) for rows, least in zip(raw, min_objectness, strict=True)]
+                return use(forward)
         except InferenceError:  # it was closed
             raise
         except torch.OutOfMemoryError as error:
@@ -145,11 +163,11 @@ def _as_channels(frame: NDArray[np.uint8], order: Order, channels: int) -> NDArr
 def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: torch.dtype) -> Forward:
     """Forward pass of `network` on uint8 frames (batch, h, w, channels), as a CUDA graph where possible."""
 
-    def eager(frames: Tensor) -> Tensor:
+    def eager(frames: Tensor) -> tuple[Tensor, Tensor]:
         # The frames are channels-last already.
         pixels = frames.to(device).permute(0, 3, 1, 2).to(dtype) / 255
-        predictions: Tensor = network(pixels)
-        return predictions
+        features = network.features(pixels)
+        return network.predictions(features), features[0]
 
     if device.type != "cuda":
         return eager
@@ -184,7 +202,7 @@ class RecordedNetwork:
                     self._predictions = forward(self._frames)
             torch.cuda.current_stream().wait_stream(stream)
 
-    def __call__(self, frames: Tensor) -> Tensor:
+    def __call__(self, frames: Tensor) -> tuple[Tensor, Tensor]:
         """The output of `forward`, in memory that the next run overwrites."""
         self._frames.copy_(frames)
         self._graph.replay()
@@ -225,9 +243,7 @@ def _likely(raw: Tensor, min_objectness: float) -> NDArray[np.float32]:
 
 def _prepared(network: Network, device: torch.device, dtype: torch.dtype) -> Network:
     fuse(network)
-    detect = network.model[-1]
-    assert isinstance(detect, Detect)
-    for module in (*network.model[:-1], detect.m):  # the anchors stay float32
+    for module in (*network.model[:-1], *network.head.children()):  # the anchors stay float32
         module.to(dtype)
     if device.type == "cuda" and dtype == torch.float32:  # else convolutions use TF32, as coarse as fp16
         torch.backends.cudnn.allow_tf32 = False

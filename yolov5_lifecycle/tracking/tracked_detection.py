@@ -56,6 +56,7 @@ def published(detections: Detections, ids: Sequence[str], confidence_threshold: 
         class_ids=detections.class_ids[:count],
         best_missed=best_missed,
         track_ids=tuple(ids[:count]),
+        masks=None if detections.masks is None else detections.masks.first(count),
     )
 
 
