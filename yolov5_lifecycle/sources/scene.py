@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -60,7 +61,15 @@ class Shape:
 
 
 def random_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[NDArray[np.uint8], Truth]:
-    """A still RGB image (H, W, 3) with 0 to 12 random shapes, and its ground truth.
+    """A still RGB image (H, W, 3) of `random_shapes`, and its ground truth."""
+    pixels, shapes = random_shapes(rng, size_hw)
+    return pixels, truth_of(shapes, size_hw)
+
+
+def random_shapes(
+    rng: np.random.Generator, size_hw: tuple[int, int]
+) -> tuple[NDArray[np.uint8], list[Shape]]:
+    """A still RGB image (H, W, 3) with 0 to 12 random shapes, in the order in which they were drawn.
 
     Shapes measure 0.09 to 0.62 of the shorter side, overlap slightly at most and lie mostly inside the
     image. Raises ValueError when `size_hw` has a side below SMALLEST_SIDE_PX.
@@ -73,7 +82,7 @@ def random_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[ND
         if all(_are_apart(shape, other) for other in shapes):
             shape.draw(pixels)
             shapes.append(shape)
-    return pixels, _truth(shapes, size_hw)
+    return pixels, shapes
 
 
 class Scene:
@@ -102,7 +111,7 @@ class Scene:
         shapes = self.shapes(index)
         for shape in shapes:
             shape.draw(pixels)
-        return pixels, _truth(shapes, self.size_hw)
+        return pixels, truth_of(shapes, self.size_hw)
 
     def shapes(self, index: int) -> list[Shape]:
         """The shapes in image number `index`, in the order of the ground truth."""
@@ -271,7 +280,8 @@ def _random_path(
     )
 
 
-def _truth(shapes: list[Shape], size_hw: tuple[int, int]) -> Truth:
+def truth_of(shapes: Sequence[Shape], size_hw: tuple[int, int]) -> Truth:
+    """Ground truth of an image that shows `shapes`."""
     boxes = np.zeros((len(shapes), 4), np.float32)
     for box, shape in zip(boxes, shapes, strict=True):
         corners = np.clip(shape.outline(), 0, size_hw[::-1])
