@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.sources.scene import Truth
+from yolov5_lifecycle.sources.scene import Shape, Truth
 from yolov5_lifecycle.sources.scene_depth import DepthFrame
 
 
@@ -20,6 +20,8 @@ class SourceFrame:
 
     image: ColourImage
     truth: Truth | None = None
+    shapes: Sequence[Shape] = ()
+    """In the order of the ground truth."""
     depth: DepthFrame | None = None
 
 

@@ -113,7 +113,8 @@ def _synthetic(seed: int, size_hw: tuple[int, int], with_depth: bool) -> ImageSo
 
     def frame(index: int) -> SourceFrame:
         pixels, truth = scene.frame(index)
-        return SourceFrame(ColourImage(pixels, "rgb"), truth, space.frame(index) if space else None)
+        depth = space.frame(index) if space else None
+        return SourceFrame(ColourImage(pixels, "rgb"), truth, scene.shapes(index), depth)
 
     return ImageSource(map(frame, itertools.count()), IMAGE_RATE_HZ)
 

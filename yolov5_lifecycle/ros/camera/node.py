@@ -29,7 +29,7 @@ _DELIVERY_S = 1.0
 _END_S = 2.0  # longer than the delivery of the current frame may take
 _USAGE = """\
 camera: publishes images on image_raw or image_raw/compressed, their size on camera_info beside it, and
-what the synthetic scene shows on ~/truth.
+what the synthetic scene shows on ~/truth and ~/ground_truth_masks.
 Parameters are given as in `camera --ros-args -p source:=video.mp4 -r image_raw:=/yolov5/image_raw`:"""
 
 

@@ -21,11 +21,16 @@ from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.camera.depth_outputs import DepthOutputs
 from yolov5_lifecycle.ros.camera.publishers import camera_info_publisher, overridable_publisher
 from yolov5_lifecycle.ros.camera.settings import CameraSettings, Transport
-from yolov5_lifecycle.ros.messages import compressed_image_message, detection_array, image_message
+from yolov5_lifecycle.ros.messages import (
+    compressed_image_message,
+    detection_array,
+    image_message,
+    masks_message,
+)
 from yolov5_lifecycle.sources.calibration import Calibration
 from yolov5_lifecycle.sources.frames import SourceError, SourceFrame
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth
-from yolov5_lifecycle.sources.scene_depth import DepthFrame
+from yolov5_lifecycle.sources.scene_masks import label_image
 
 _RELIABILITIES = {"reliable": ReliabilityPolicy.RELIABLE, "best_effort": ReliabilityPolicy.BEST_EFFORT}
 
@@ -60,12 +65,13 @@ IMAGE_FORMS: dict[Transport, list[ImageForm]] = {
 
 
 class CameraOutputs:
-    """Owns the publishers of the images, of `camera_info` in the same namespace, of `~/truth` and of depth.
+    """Owns the publishers of images, `camera_info` in the same namespace, ground truth and depth.
 
     Image topics, `camera_info` and those of depth follow the remapping of `image_raw`, as with
     image_transport. `camera_info` has the calibration of the scene with depth, else that of the settings, if
-    any, and is transient local. `~/truth` has the shapes of the synthetic scene with their true identities.
-    It is sent before the image, and so is depth. `forms` create the image messages, only for subscribers.
+    any, and is transient local. `~/truth` has the shapes of the synthetic scene with their true identities,
+    `~/ground_truth_masks` their pixels. They are sent before the image, and so is depth. `forms` create the
+    image messages, only for subscribers.
 
     Raises RuntimeError or ParameterException for invalid `qos_overrides`, and SettingsError for an invalid
     calibration.
@@ -93,6 +99,7 @@ class CameraOutputs:
         folder = topic.rpartition("/")[0]
         self._infos = camera_info_publisher(node, folder)
         self._truths = node.create_publisher(Detection2DArray, "~/truth", 10)
+        self._true_masks = node.create_publisher(Image, "~/ground_truth_masks", 10)
         self._depth = DepthOutputs(node, f"{folder}/depth", offered) if settings.depth else None
 
     @property
@@ -115,7 +122,7 @@ class CameraOutputs:
         calibration = self._calibration if frame.depth is None else frame.depth.calibration
         info = camera_info(header, frame.image.size_hw, calibration)
         if frame.truth is not None:
-            self._publish_scene(frame.truth, frame.depth, info)
+            self._publish_scene(frame, frame.truth, info)
         for publisher, message in self._images:
             if publisher.get_subscription_count():
                 publisher.publish(message(frame.image, self._settings.encoding, header))
@@ -126,16 +133,19 @@ class CameraOutputs:
         deadline_s = time.monotonic() + timeout_s
         of_depth = self._depth.publishers if self._depth else ()
         images = (publisher for publisher, _ in self._images)
-        for publisher in (*images, self._infos, self._truths, *of_depth):
+        for publisher in (*images, self._infos, self._truths, self._true_masks, *of_depth):
             left_s = max(0.0, deadline_s - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left_s))
 
-    def _publish_scene(self, truth: Truth, depth: DepthFrame | None, info: CameraInfo) -> None:
+    def _publish_scene(self, frame: SourceFrame, truth: Truth, info: CameraInfo) -> None:
         truths = detection_array(_certain(truth), CLASS_NAMES, info.header)
         if self._truths.get_subscription_count():
             self._truths.publish(truths)
-        if self._depth is not None and depth is not None:
-            self._depth.publish(depth, truths, info)
+        if self._true_masks.get_subscription_count():
+            labels = label_image([shape.outline() for shape in frame.shapes], frame.image.size_hw)
+            self._true_masks.publish(masks_message(labels, info.header))
+        if self._depth is not None and frame.depth is not None:
+            self._depth.publish(frame.depth, truths, info)
 
 
 def camera_info(header: Header, size_hw: tuple[int, int], calibration: Calibration | None) -> CameraInfo:
