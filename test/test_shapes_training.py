@@ -10,6 +10,7 @@ import torch
 
 from tools.shapes.evaluate import iou, tally
 from tools.shapes.images import Batches, spoil
+from tools.shapes.labelled_image import LabelledImage
 from tools.shapes.loss import ciou, detection_loss, match
 from tools.shapes.train import ARCHITECTURE
 from yolov5_lifecycle.detection.detections import Detections
@@ -22,6 +23,10 @@ NO_TARGETS = torch.empty(0, 6)
 def _truth(*rows: tuple[int, tuple[float, ...]]) -> Truth:
     boxes = np.array([box for _, box in rows], np.float32).reshape(-1, 4)
     return Truth(boxes, np.array([class_id for class_id, _ in rows], np.int64))
+
+
+def _image(*rows: tuple[int, tuple[float, ...]]) -> LabelledImage:
+    return LabelledImage(np.zeros((64, 64, 3), np.uint8), _truth(*rows), np.zeros((64, 64), np.uint16))
 
 
 def _detections(*rows: tuple[int, tuple[float, ...]]) -> Detections:
@@ -155,7 +160,8 @@ def test_detections_are_counted_against_the_truth(
     wrong: int,
     missed: int,
 ) -> None:
-    result = tally([(_detections(*detections), _truth(*truth))])
+    result = tally([(_detections(*detections), _image(*truth))])
+    assert len(result.mask_ious) == 0
     assert (len(result.scores), result.wrong, result.missed) == (right, wrong, missed)
     assert result.precision == (right / (right + wrong) if right + wrong else 1)
     assert result.recall == (right / (right + missed) if right + missed else 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from tools.shapes.labelled_image import LabelledImage, still
 from yolov5_lifecycle.detection.letterbox import PADDING_VALUE
-from yolov5_lifecycle.sources.scene import Truth, random_scene
+from yolov5_lifecycle.sources.scene import Truth, random_shapes, truth_of
+from yolov5_lifecycle.sources.scene_masks import label_image
+
+MASK_CELL_PX = 4
+"""Side of a cell of the prototypes: half the stride of the finest level."""
 
 # (height, width) of the images of a batch, batch size and probability; all batches cost about the same.
 _BATCHES = (((256, 320), 16, 0.75), ((192, 256), 27, 0.05), ((480, 640), 4, 0.2))
@@ -26,6 +31,8 @@ class Batch:
     """uint8 (B, 3, H, W), RGB."""
     targets: Tensor
     """float32 (n, 6): image index, class, cx, cy, w, h in pixels."""
+    masks: Tensor
+    """float32 (n, H / MASK_CELL_PX, W / MASK_CELL_PX): the share of each cell that belongs to the target."""
 
 
 class Batches(Dataset[Batch]):
@@ -42,18 +49,21 @@ class Batches(Dataset[Batch]):
         rng = np.random.default_rng((self.seed, index))
         size_hw, count, _ = _BATCHES[rng.choice(len(_BATCHES), p=[share for *_, share in _BATCHES])]
         images = [spoilt_scene(rng, size_hw) for _ in range(count)]
-        pixels = np.stack([pixels for pixels, _ in images]).transpose(0, 3, 1, 2)
-        targets = np.concatenate([_targets(number, truth) for number, (_, truth) in enumerate(images)])
-        return Batch(torch.from_numpy(np.ascontiguousarray(pixels)), torch.from_numpy(targets))
+        pixels = np.stack([image.pixels for image in images]).transpose(0, 3, 1, 2)
+        targets = [_targets(number, image.truth) for number, image in enumerate(images)]
+        masks = [covered_shares(image.labels, len(image.truth.class_ids)) for image in images]
+        return Batch(
+            pixels=torch.from_numpy(np.ascontiguousarray(pixels)),
+            targets=torch.from_numpy(np.concatenate(targets)),
+            masks=torch.from_numpy(np.concatenate(masks)),
+        )
 
 
-def spoilt_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[NDArray[np.uint8], Truth]:
+def spoilt_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> LabelledImage:
     """A random scene as delivered by a camera and processed by the letterbox."""
-    if rng.random() < 0.2:
-        pixels, truth = _shrunk_scene(rng, size_hw)
-    else:
-        pixels, truth = random_scene(rng, size_hw)
-    return spoil(rng, pixels), truth
+    make = _shrunk_scene if rng.random() < 0.2 else still
+    image = make(rng, size_hw)
+    return replace(image, pixels=spoil(rng, image.pixels))
 
 
 def spoil(rng: np.random.Generator, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -78,18 +88,33 @@ def spoil(rng: np.random.Generator, pixels: NDArray[np.uint8]) -> NDArray[np.uin
     return pixels
 
 
-def _shrunk_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[NDArray[np.uint8], Truth]:
+def covered_shares(labels: NDArray[np.uint16], count: int) -> NDArray[np.float32]:
+    """(count, H / MASK_CELL_PX, W / MASK_CELL_PX): the share of each cell that has the label i + 1."""
+    height, width = labels.shape
+    cells = labels.reshape(height // MASK_CELL_PX, MASK_CELL_PX, width // MASK_CELL_PX, MASK_CELL_PX)
+    wanted = np.arange(1, count + 1, dtype=np.uint16)[:, None, None, None, None]
+    return np.asarray((cells == wanted).mean(axis=(2, 4)), np.float32)
+
+
+def _shrunk_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> LabelledImage:
     """A scene drawn larger, downscaled without smoothing like the letterbox, with bands above and below."""
     height, width = size_hw
     band = int(rng.integers(0, height // 12))
     scale = rng.uniform(1.2, 2.0)
     large_hw = (round((height - 2 * band) * scale), round(width * scale))
-    pixels, truth = random_scene(rng, large_hw)
+    pixels, shapes = random_shapes(rng, large_hw)
     small = cv2.resize(pixels, (width, height - 2 * band), interpolation=cv2.INTER_LINEAR)
     small = cv2.copyMakeBorder(small, band, band, 0, 0, cv2.BORDER_CONSTANT, value=(PADDING_VALUE,) * 3)
+    truth = truth_of(shapes, large_hw)
     scale_xy = (width / large_hw[1], (height - 2 * band) / large_hw[0])
     boxes = truth.boxes_xyxy * np.array(scale_xy * 2) + np.array((0, band, 0, band))
-    return np.asarray(small, np.uint8), Truth(boxes.astype(np.float32), truth.class_ids)
+    labels = np.zeros(size_hw, np.uint16)
+    labels[band : height - band] = label_image(
+        [shape.outline() * scale_xy for shape in shapes], (height - 2 * band, width)
+    )
+    return LabelledImage(
+        np.asarray(small, np.uint8), Truth(boxes.astype(np.float32), truth.class_ids), labels
+    )
 
 
 def _targets(number: int, truth: Truth) -> NDArray[np.float32]:

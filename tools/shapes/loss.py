@@ -33,6 +33,7 @@ class Matches:
     anchors_wh: Tensor  # (m, 2) grid cells
     boxes: Tensor  # (m, 4) cx, cy, w, h in grid cells, relative to the cell's corner
     class_ids: Tensor
+    targets: Tensor  # rows of the targets
 
 
 def detection_loss(logits: list[Tensor], targets: Tensor, architecture: Architecture) -> Tensor:
@@ -84,6 +85,7 @@ def match(targets: Tensor, anchors_wh: Tensor, *, stride: int, grid_hw: tuple[in
         anchors_wh=anchors_wh[anchor],
         boxes=torch.cat((boxes[target, :2] - cells, boxes[target, 2:]), dim=1),
         class_ids=targets[target, 1].long(),
+        targets=target,
     )
 
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 import argparse
 import logging
 import math
-import time
+from collections.abc import Mapping
 from pathlib import Path
 
-import cv2
 import torch
 from torch import Tensor, nn
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
-from torch.utils.data import DataLoader
 
-from tools.shapes.images import Batch, Batches
+from tools.shapes.images import Batch
+from tools.shapes.learning import as_input, learned
 from tools.shapes.loss import detection_loss
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.architecture import Architecture
@@ -40,37 +38,14 @@ OBJECTNESS_SHIFT = 1.4
 """Logits subtracted from every objectness after the training, so that precision and recall are similar at the
 default threshold: chosen among 0.6, 1.0 and 1.4 on 150 images of seed 7."""
 _PEAK_LEARNING_RATE = 3e-3
-_log = logging.getLogger("train")
 
 
 def train(*, seed: int, steps: int) -> Network:
     """Train a network on `steps` batches; returned in evaluation mode, reproducible on one machine."""
     torch.manual_seed(seed)
-    # The operations are too small to parallelize: beside other processes two threads mostly wait.
-    torch.set_num_threads(1)
-    network = _fresh_network()
-    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(0.998), use_buffers=True)
-    optimizer = _optimizer(network)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, _PEAK_LEARNING_RATE, total_steps=steps, pct_start=0.05, final_div_factor=100
-    )
-    started = time.monotonic()
-    recent = 0.0
-    for step, batch in enumerate(_batches(seed, steps), start=1):
-        loss = _loss(network, batch)
-        optimizer.zero_grad()
-        loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 10.0)
-        optimizer.step()
-        schedule.step()
-        average.update_parameters(network)
-        recent = loss.item() if step == 1 else 0.98 * recent + 0.02 * loss.item()
-        if step % 50 == 0:
-            _log.info("step %d of %d, loss %.4f, %.0f s", step, steps, recent, time.monotonic() - started)
-    averaged = average.module
-    assert isinstance(averaged, Network)
-    lower_objectness(averaged, OBJECTNESS_SHIFT)
-    return averaged.eval()
+    network = learned(_fresh_network(), _loss, seed=seed, steps=steps, peak_learning_rate=_PEAK_LEARNING_RATE)
+    lower_objectness(network, OBJECTNESS_SHIFT)
+    return network.eval()
 
 
 def lower_objectness(network: Network, shift: float) -> None:
@@ -96,28 +71,8 @@ def _fresh_network() -> Network:
     return network
 
 
-def _optimizer(network: Network) -> torch.optim.Optimizer:
-    """AdamW with weight decay on the convolutions only."""
-    kernels = [parameter for parameter in network.parameters() if parameter.ndim > 1]
-    others = [parameter for parameter in network.parameters() if parameter.ndim == 1]
-    groups = [{"params": kernels, "weight_decay": 0.02}, {"params": others, "weight_decay": 0.0}]
-    return torch.optim.AdamW(groups, lr=_PEAK_LEARNING_RATE)
-
-
-def _batches(seed: int, steps: int) -> DataLoader[Batch]:
-    """Batches generated in another process, in order."""
-    return DataLoader(
-        Batches(seed, steps),
-        batch_size=None,
-        num_workers=1,
-        prefetch_factor=8,
-        worker_init_fn=lambda _: cv2.setNumThreads(1),
-    )
-
-
 def _loss(network: Network, batch: Batch) -> Tensor:
-    pixels = batch.pixels.to(memory_format=torch.channels_last).float() / 255
-    return detection_loss(network.heads(pixels), batch.targets, network.architecture)
+    return detection_loss(network.heads(as_input(batch.pixels)), batch.targets, network.architecture)
 
 
 def main() -> None:
@@ -128,16 +83,16 @@ def main() -> None:
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     network = train(seed=arguments.seed, steps=arguments.steps)
-    write_safetensors(model_of(network), arguments.out)
+    write_safetensors(model_of(network.architecture, network.state_dict()), arguments.out)
 
 
-def model_of(network: Network) -> Model:
-    """The model of `network` and the class names, with weights rounded to fp16."""
+def model_of(architecture: Architecture, state_dict: Mapping[str, Tensor]) -> Model:
+    """The model of a network that knows CLASS_NAMES, with weights rounded to fp16."""
     tensors = {
         key: tensor.half().float() if tensor.is_floating_point() else tensor
-        for key, tensor in network.state_dict().items()
+        for key, tensor in state_dict.items()
     }
-    return checked_model(network.architecture, CLASS_NAMES, tensors)
+    return checked_model(architecture, CLASS_NAMES, tensors)
 
 
 if __name__ == "__main__":
