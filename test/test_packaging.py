@@ -63,9 +63,10 @@ def test_every_file_of_a_data_folder_is_installed(prefix: Path, folder: str) -> 
     assert ({file.name for file in shared.iterdir()} if shared.exists() else set()) == published
 
 
-def test_the_configuration_and_the_embedded_model_are_shared(prefix: Path) -> None:
+def test_the_configuration_and_the_embedded_models_are_shared(prefix: Path) -> None:
     assert (prefix / "share" / PACKAGE / "config" / "yolov5.yaml").is_file()
-    assert list((prefix / "share" / PACKAGE / "weights").glob("*.safetensors"))
+    models = {file.name for file in (prefix / "share" / PACKAGE / "weights").glob("*.safetensors")}
+    assert models == {"shapes.safetensors", "shapes-seg.safetensors"}
 
 
 def test_every_module_is_installed(prefix: Path) -> None:
