@@ -22,8 +22,8 @@ _WORKER_BYTES = 2 << 30
 
 
 def suitable_count() -> int:
-    """How many workers this machine has room for: more than cores, because they often wait for each other."""
-    return max(1, min(_cores() * 3 // 2, _available_bytes() // _WORKER_BYTES, _MAX_COUNT))
+    """How many workers this machine has room for: two for each core, as tests of nodes mostly wait."""
+    return max(1, min(2 * _cores(), _available_bytes() // _WORKER_BYTES, _MAX_COUNT))
 
 
 def _available_bytes() -> int:

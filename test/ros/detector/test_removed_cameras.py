@@ -23,6 +23,7 @@ def prepare(ros_domain: int) -> Preparations:
     return Preparations()
 
 
+@pytest.mark.long
 def test_cameras_that_are_removed_together_while_inference_hangs_abandon_one_thread(
     prepare: Preparations,
 ) -> None:
