@@ -1,4 +1,4 @@
-"""From settings to a model that is ready, or to nothing at all."""
+"""From settings to a loaded model, or to an error that leaves nothing behind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ONNX Runtime and OpenVINO predict what torch predicts, for every size, and give everything back."""
+"""ONNX Runtime and OpenVINO predict what torch predicts, for every size, and free all memory on close."""
 
 from __future__ import annotations
 

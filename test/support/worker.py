@@ -45,7 +45,7 @@ def _cores() -> int:
 def worker_domain() -> Iterator[int]:
     """Exclusive ROS domain that no other worker uses before or after, and this one only after all its others.
 
-    A client may send its request to a node of a finished test that is still in the domain, and wait for ever.
+    A client may send its request to a node of a finished test that is still in the domain, and wait forever.
     Such nodes are removed by garbage collection, as they are in reference cycles, or found by nobody, as the
     next test has another domain. The last domains come first, as `demo` takes the first free one.
     """

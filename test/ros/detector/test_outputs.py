@@ -1,4 +1,4 @@
-"""Annotated images come raw and compressed, to those who listen."""
+"""Annotated images, raw and compressed, are published for those who subscribe to them."""
 
 from __future__ import annotations
 

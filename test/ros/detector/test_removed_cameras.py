@@ -1,4 +1,4 @@
-"""Cameras that are removed in the worst moment: they take nothing of the others along."""
+"""Cameras that are removed at the worst moment do not disturb the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why nothing comes out of an active node, and what is told of it."""
+"""Why an active node publishes nothing, and how it is reported."""
 
 from __future__ import annotations
 

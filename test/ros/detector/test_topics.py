@@ -1,4 +1,4 @@
-"""What the node subscribes to and publishes, and what it says of it."""
+"""What the node subscribes to and publishes, and how it is reported."""
 
 from __future__ import annotations
 
