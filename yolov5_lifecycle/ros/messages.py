@@ -45,11 +45,20 @@ def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> I
 
 def depth_image_message(depth_mm: NDArray[np.uint16], header: Header) -> Image:
     """16UC1 image message of depths (H, W) in millimetres, 0 where there is no measurement."""
-    height, width = depth_mm.shape
+    return _image_message_16uc1(depth_mm, header)
+
+
+def masks_message(label_image: NDArray[np.uint16], header: Header) -> Image:
+    """16UC1 image message of a `Detections.label_image`, (H, W)."""
+    return _image_message_16uc1(label_image, header)
+
+
+def _image_message_16uc1(values: NDArray[np.uint16], header: Header) -> Image:
+    height, width = values.shape
     message = Image(
         header=header, height=height, width=width, encoding="16UC1", is_bigendian=0, step=2 * width
     )
-    message.data = _array_of(depth_mm.astype("<u2"))
+    message.data = _array_of(values.astype("<u2", copy=False))
     return message
 
 
