@@ -107,10 +107,11 @@ class DetectionBag:
             self._is_labelled = True
         found = detections.objects(self._class_names)
         self._add(self._detections, timestamp_ns, detection_array(found, header))
-        if self._masks is not None and (numbers := detections.label_image()) is not None:
-            self._add(self._masks, timestamp_ns, _image(numbers.astype("<u2"), "16UC1", header))
+        labels = detections.label_image()
+        if self._masks is not None and labels is not None:
+            self._add(self._masks, timestamp_ns, _image(labels.astype("<u2"), "16UC1", header))
         if self._images is not None:
-            drawn = annotate(image, detections, self._class_names)
+            drawn = annotate(image, detections, self._class_names, label_image=labels)
             self._add(self._images, timestamp_ns, _image(drawn, f"{image.order}8", header))
 
     def _topic(

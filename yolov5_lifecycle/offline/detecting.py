@@ -102,8 +102,8 @@ class OfflineDetector:
 
     @property
     def segments(self) -> bool:
-        """Whether the model finds masks, too."""
-        return self._detector.mask_coefficients > 0
+        """Whether the model computes masks."""
+        return self._detector.segments
 
     def run(
         self,
