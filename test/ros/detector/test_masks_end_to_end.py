@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from std_msgs.msg import Header
-from support.checkpoint_builder import official_model, saved, stripped
 from support.random_model import random_frame
 from support.runtime_names import EVERY_RUNTIME
 from support.segmented_scene import MasksSubscriber, pixels
 from support.served_node import ServedNode
-from support.small_families import SMALL_FAMILIES
+from support.small_families import segmentation_checkpoint
 
 from yolov5_lifecycle import load_model
 from yolov5_lifecycle.detection.prepared_model import prepare_model
@@ -27,8 +26,7 @@ SETTINGS = {"device": "cpu", "image_size": 96, "confidence_threshold": 0.3, "max
 @pytest.mark.parametrize("runtime", EVERY_RUNTIME)
 def test_the_masks_of_a_checkpoint_are_published(runtime: str, tmp_path: Path) -> None:
     weights = tmp_path / "small-seg.pt"
-    model = official_model(SMALL_FAMILIES["segmentation"], kind="models.yolo.SegmentationModel")
-    weights.write_bytes(saved(stripped(model)))
+    weights.write_bytes(segmentation_checkpoint())
     shown = random_frame(*SIZE_HW)
     detector = load_model(weights, runtime=runtime, **SETTINGS)  # type: ignore[arg-type]  # of any keyword
     detector.selection = dataclasses.replace(detector.selection, with_masks=True)
