@@ -23,6 +23,7 @@ from yolov5_lifecycle.images.compressed import decode_compressed
 from yolov5_lifecycle.images.encodings import ENCODINGS, decode_raw
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError
 from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model, WeightsError
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
@@ -91,11 +92,12 @@ def check_weights(read: Callable[[bytes], Model], data: bytes) -> None:
     network.load_state_dict(model.state_dict, strict=True)
     assert len(model.class_names) == model.architecture.classes
     assert all(bool(torch.isfinite(tensor).all()) for tensor in model.state_dict.values())
-    side = size_multiple(model.architecture)
-    assert (
-        network(torch.zeros(1, model.architecture.image_channels, side, side)).shape[2]
-        == 5 + model.architecture.classes
-    )
+    architecture, side = model.architecture, size_multiple(model.architecture)
+    features = network.features(torch.zeros(1, architecture.image_channels, side, side))
+    outputs = 5 + architecture.classes + architecture.mask_coefficients
+    assert network.predictions(features).shape[2] == outputs
+    if isinstance(network.head, Segment):
+        assert network.head.proto(features[0]).shape[1] == architecture.mask_coefficients
 
 
 def check_checkpoint(data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""What README and docs/ say of files, commands, parameters, topics and messages is so."""
+"""What README and docs/ say of files, commands, parameters, topics and messages is true."""
 
 from __future__ import annotations
 

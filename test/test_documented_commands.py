@@ -33,6 +33,7 @@ from support.pages import (
     typed,
 )
 from support.recorded_scene import images, jpeg, raw, record, video
+from support.small_families import segmentation_checkpoint
 
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
@@ -227,6 +228,7 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     for name in ("best.pt", "yolov5n.pt", "models/best.pt", ".ros/yolov5/yolov5n.pt"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(checkpoint)
+    (tmp_path / "models" / "yolov5n-seg.pt").write_bytes(segmentation_checkpoint())
     (tmp_path / "my_detector.yaml").write_text(blocks(TUTORIAL, "yaml")[0])
     record(tmp_path / "drive", [raw(0)], storage=StoragePlugin.MCAP)
     record(tmp_path / "two_cameras", [raw(0)], storage=StoragePlugin.SQLITE3, topics=CAMERAS)

@@ -1,4 +1,4 @@
-"""What the search of `make fuzz` has found to reach further is taken well for ever."""
+"""Inputs that `make fuzz` found are still handled correctly."""
 
 from __future__ import annotations
 

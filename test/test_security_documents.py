@@ -1,4 +1,4 @@
-"""docs/security.md and the SROS2 policy tell what the node does."""
+"""docs/security.md and the SROS2 policy agree with what the node does."""
 
 from __future__ import annotations
 

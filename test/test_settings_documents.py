@@ -1,4 +1,4 @@
-"""The generated files tell what the settings say."""
+"""The generated files agree with the settings."""
 
 from __future__ import annotations
 

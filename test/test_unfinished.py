@@ -1,4 +1,4 @@
-"""Files and folders in the making are removed once their owner is dead, and never before."""
+"""Unfinished files and folders are removed once the process that owns them is dead, and never before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hostile and wrong weights files are refused, each in its own words, and nothing in them is run."""
+"""Hostile and wrong weights files are refused, each with its own message, and nothing in them is run."""
 
 from __future__ import annotations
 

@@ -241,6 +241,14 @@ def _reinterpreted(parts: Parts) -> None:
         pytest.param(_layer(7, [[7, 4], 1, "Detect", []]), "the input of layer 7", id="Detect reads itself"),
         pytest.param(_layer(7, [[6, 4], 1, "Detect", []]), "expected one Detect or", id="two Detects"),
         pytest.param(_layer(8, [[-1], 1, "Conv", [64, 1, 1]]), "expected one Detect or", id="no Detect"),
+        pytest.param(
+            _layer(8, [[7, 4], 1, "Segment", [257, 64]]),
+            "coefficients of masks of layer 8: expected an integer from 1 to 256",
+            id="many prototypes",
+        ),
+        pytest.param(
+            _layer(8, [[7, 4], 1, "Segment", [8, 64]]), "model.8.m.0.weight has the shape", id="no masks"
+        ),
         pytest.param(_entry(dtype="F8_E4M3"), "holds 'F8_E4M3', expected one of", id="number format"),
         pytest.param(_entry(dtype=["F16"]), "expected one of F16", id="number format a list"),
         pytest.param(

@@ -110,6 +110,16 @@ def test_layers_images_anchors_and_classes_are_told(
     }
 
 
+def test_a_model_that_segments_is_told_with_its_masks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = official_model(SMALL_FAMILIES["segmentation"], kind="models.yolo.SegmentationModel")
+    facts = described(written(tmp_path, stripped(activated(model, shared=True, inplace=True))), capsys)
+    assert facts["written by"] == "YOLOv5 v7.0"
+    assert facts["layers"].endswith("1 Segment")
+    assert facts["masks"] == "8 prototypes, computed in 8 channels"
+
+
 def test_a_trained_model_is_told_with_its_date(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = official_model()
     for layer in layers_of(model).values():

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.checkpoint_builder import official_model, saved, stripped
 from support.fetched_weights import PATTERN, fetch_from, unfinished
 from support.file_server import (
     FileServer,
@@ -16,6 +17,7 @@ from support.file_server import (
     sending_ranges,
 )
 from support.random_model import CLASS_NAMES
+from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
 from yolov5_lifecycle.commands.download import DownloadError
@@ -39,6 +41,15 @@ def test_the_file_of_the_size_comes_to_where_the_detector_looks(
     assert fetched.path.read_bytes() == checkpoint
     assert fetched.model.class_names == CLASS_NAMES
     assert not unfinished(folder).exists()
+
+
+def test_a_model_that_segments_comes_under_its_own_name(folder: Path) -> None:
+    model = official_model(SMALL_FAMILIES["segmentation"], kind="models.yolo.SegmentationModel")
+    with FileServer(sending_ranges(saved(stripped(model)))) as server:
+        fetched = fetch_from(server, folder, model="n-seg")
+    assert server.requests == [("/releases/yolov5n-seg.pt", "")]
+    assert fetched.path == folder / "yolov5n-seg.pt"
+    assert fetched.model.architecture.mask_coefficients == 8
 
 
 def test_a_file_that_is_there_is_not_asked_for_again(folder: Path, checkpoint: bytes, digest: str) -> None:
@@ -186,7 +197,7 @@ def test_a_digest_that_is_none_is_refused_before_anything_is_downloaded(
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["n", "--list"], ["huge"], ["n", "s"], ["n", "--unknown"]], ids=str
+    "arguments", [[], ["n", "--list"], ["huge"], ["n6-seg"], ["n", "s"], ["n", "--unknown"]], ids=str
 )
 def test_wrong_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:

@@ -1,4 +1,4 @@
-"""A hostile server can neither hold a download for ever nor lead it to an insecure place."""
+"""A hostile server can neither stall a download forever nor redirect it to an insecure address."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Annotated images show boxes and labels that can be read, and nothing leaves the image."""
+"""Annotated images show masks, boxes and labels that can be read, and nothing leaves the image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.draw import annotate, class_colour, printable, text_colour
+from yolov5_lifecycle.detection.draw import annotate, class_colour, draw_masks, printable, text_colour
+from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import ColourImage, Order
 
 NAMES = ("circle", "square", "triangle", "star")
@@ -162,6 +163,85 @@ def test_a_better_detection_covers_a_worse_one() -> None:
     both = Detections(boxes_xyxy, np.array([0.9, 0.4], np.float32), np.array([0, 1]))
     drawn = annotate(black(150, 150), both, NAMES)
     assert tuple(drawn[100, 75]) == class_colour(0, "rgb")
+
+
+LARGE = 400
+"""Sides of an image in which boxes and labels leave room."""
+
+
+def masked(count: int = 2) -> tuple[Detections, NDArray[np.uint16]]:
+    """Detections of classes 1 and 2, without boxes to be seen, and their labels."""
+    boxes_xyxy = np.array([[390, 390, 399, 399]] * count, np.float32)
+    label_image = np.zeros((LARGE, LARGE), np.uint16)
+    label_image[100:200, 50:150] = 2
+    label_image[150:250, 100:200] = 1
+    scores = np.linspace(0.9, 0.4, count, dtype=np.float32)
+    return Detections(boxes_xyxy, scores, np.arange(1, count + 1)), label_image
+
+
+def random_image(height: int, width: int, order: Order = "rgb") -> ColourImage:
+    pixels = np.random.default_rng(1).integers(0, 256, (height, width, 3), np.uint8)
+    return ColourImage(pixels, order)
+
+
+@pytest.mark.parametrize("order", ["rgb", "bgr"])
+def test_masks_are_translucent_in_the_colours_of_their_classes(order: Order) -> None:
+    detections, label_image = masked()
+    image = random_image(LARGE, LARGE, order)
+    drawn = annotate(image, detections, NAMES, label_image=label_image)
+    plain = annotate(image, detections, NAMES)
+    for label, class_id in ((1, 1), (2, 2)):
+        inside = label_image == label
+        expected = (image.pixels[inside].astype(float) + class_colour(class_id, order)) / 2
+        np.testing.assert_allclose(drawn[inside], expected, atol=1)
+    np.testing.assert_array_equal(drawn[label_image == 0], plain[label_image == 0])
+
+
+def test_boxes_and_labels_are_drawn_over_masks() -> None:
+    detections = one(100, 100, 300, 300, class_id=2)
+    label_image = np.ones((LARGE, LARGE), np.uint16)
+    drawn = annotate(black(LARGE, LARGE), detections, NAMES, label_image=label_image)
+    plain = annotate(black(LARGE, LARGE), detections, NAMES)
+    boxes = (plain != 0).any(axis=2)
+    np.testing.assert_array_equal(drawn[boxes], plain[boxes])
+    assert count_of(class_colour(2, "rgb"), drawn) == count_of(class_colour(2, "rgb"), plain) > 0
+
+
+def test_masks_of_detections_are_drawn_also_where_nobody_has_computed_their_labels() -> None:
+    prototypes = np.ones((1, LARGE // 4, LARGE // 4), np.float32)
+    masks = Masks(prototypes, np.array([[5.0]], np.float32), (LARGE, LARGE))
+    detections = replace(one(100, 100, 300, 300, class_id=2), masks=masks)
+    image = random_image(LARGE, LARGE)
+    given = annotate(image, detections, NAMES, label_image=detections.label_image())
+    np.testing.assert_array_equal(annotate(image, detections, NAMES), given)
+    assert (given != annotate(image, replace(detections, masks=None), NAMES)).any()
+
+
+def test_an_image_without_objects_has_no_mask_to_draw() -> None:
+    image = random_image(48, 64)
+    np.testing.assert_array_equal(
+        annotate(image, NONE, NAMES, label_image=np.zeros((48, 64), np.uint16)), image.pixels
+    )
+
+
+def test_there_may_be_more_detections_than_a_byte_can_number() -> None:
+    detections, _ = masked(1000)
+    label_image = np.repeat(np.arange(LARGE, dtype=np.uint16)[:, None], LARGE, axis=1)
+    drawn = annotate(black(LARGE, LARGE), detections, ["?"] * 1001, label_image=label_image)
+    for row in (1, 255, 256, 257, 300):
+        np.testing.assert_allclose(drawn[row, 5], np.array(class_colour(row, "rgb")) / 2, atol=1)
+
+
+@settings(max_examples=60)
+@given(height=st.integers(1, 20), width=st.integers(1, 20), seed=st.integers(0, 1000))
+def test_pixels_of_no_object_stay_as_they_are_whatever_the_masks(height: int, width: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    image = random_image(height, width)
+    label_image = np.where(rng.random((height, width)) < 0.2, 1, 0).astype(np.uint16)
+    blended = image.pixels.copy()
+    draw_masks(blended, label_image, [(0, 0, 0)])
+    np.testing.assert_array_equal(blended[label_image == 0], image.pixels[label_image == 0])
+    np.testing.assert_allclose(blended[label_image == 1], image.pixels[label_image == 1] / 2, atol=1)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""From settings to a model that is ready, or to nothing at all."""
+"""From settings to a loaded model, or to an error that leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from support.random_model import random_model
+from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.prepared_model import prepare_model
@@ -55,3 +56,14 @@ def test_one_camera_or_no_batches_are_not_measured(tiny: Settings) -> None:
     model = prepare_model(tiny, [(64, 64)] * 3)
     assert "batches" not in model.facts
     assert model.detector.batch_sizes == ()
+
+
+def test_only_a_model_that_segments_is_said_to(tiny: Settings, tmp_path: Path) -> None:
+    path = tmp_path / "segmentation.safetensors"
+    write_safetensors(random_model(0, SMALL_FAMILIES["segmentation"]), path)
+    model = prepare_model(tiny.model_copy(update={"weights": str(path)}), [(64, 64)])
+    assert model.detector.segments
+    assert model.facts["masks"] == "8 coefficients"
+    detection_model = prepare_model(tiny, [(64, 64)])
+    assert not detection_model.detector.segments
+    assert "masks" not in detection_model.facts

@@ -1,4 +1,4 @@
-"""The embedded model finds circles, squares, triangles and stars, by the way of every frame."""
+"""The embedded model finds circles, squares, triangles and stars, in the same steps as the node."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Property: whatever is sent as an image becomes an image of the size it claims, or an ImageError."""
+"""Property: whatever is sent as an image becomes an image of the size that it claims, or an ImageError."""
 
 from __future__ import annotations
 

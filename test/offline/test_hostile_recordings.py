@@ -1,4 +1,4 @@
-"""Recordings and videos that were made to harm: `detect_bag` refuses them with a reason."""
+"""Hostile recordings and videos: `detect_bag` refuses them with a reason."""
 
 from __future__ import annotations
 

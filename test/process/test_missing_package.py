@@ -1,4 +1,4 @@
-"""Who lacks a package is told how to install it."""
+"""A missing package is reported with the command that installs it."""
 
 from __future__ import annotations
 

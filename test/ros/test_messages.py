@@ -1,16 +1,19 @@
-"""Detections in space become a Detection3DArray that belongs to the array of 2D."""
+"""Detections in space become a Detection3DArray that belongs to the array of 2D; masks become an image."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+from support.segmented_scene import pixels
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.ros.messages import detection_3d_array_message, detection_array
+from yolov5_lifecycle.ros.messages import detection_3d_array_message, detection_array, masks_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced
 
 CUP = Box3D((0.5, -0.25, 2.0), (0.1, 0.2, 0.05))
@@ -88,3 +91,22 @@ def test_without_detections_the_array_is_empty_but_stamped() -> None:
 def test_placements_of_another_image_are_refused() -> None:
     with pytest.raises(ValueError, match="argument 2"):
         detection_3d_array_message(detections_2d(), [CUP], "depth_optical_frame")
+
+
+@pytest.mark.parametrize(
+    "label_image",
+    [
+        pytest.param(np.arange(6, dtype=np.uint16).reshape(2, 3) * 13_000, id="two bytes"),
+        pytest.param(np.arange(12, dtype=np.uint16).reshape(3, 4)[:, ::2], id="a view"),
+        pytest.param(np.arange(6, dtype=np.dtype(">u2")).reshape(2, 3), id="big-endian"),
+    ],
+)
+def test_masks_are_an_image_of_16_bits_with_the_header_of_the_source(
+    label_image: NDArray[np.uint16],
+) -> None:
+    header = Header(stamp=Time(sec=7, nanosec=8), frame_id="lens")
+    message = deserialize_message(serialize_message(masks_message(label_image, header)), Image)
+    assert message.header == header
+    assert (message.encoding, message.is_bigendian) == ("16UC1", 0)
+    assert (message.height, message.width) == label_image.shape
+    np.testing.assert_array_equal(pixels(message), label_image)

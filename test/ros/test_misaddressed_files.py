@@ -1,4 +1,4 @@
-"""A parameter file that is written for another node is told of."""
+"""A parameter file that is written for another node is reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Foreign text reaches nobody as it came: not the log, not diagnostics, not an answer, not a terminal."""
+"""Foreign text is made printable wherever it is shown: log, diagnostics, responses, terminal."""
 
 from __future__ import annotations
 

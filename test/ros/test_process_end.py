@@ -65,6 +65,7 @@ def test_a_lost_device_is_reported_and_ends_the_process_with_its_own_code() -> N
     assert DEVICE_LOST in process.output
 
 
+@pytest.mark.long
 def test_too_many_abandoned_threads_are_reported_and_end_the_process_with_their_own_code() -> None:
     reports: list[dict[str, str]] = []
 

@@ -1,4 +1,4 @@
-"""How commands and nodes begin: command line, version, and what a machine may lack."""
+"""How commands and nodes start: command line, version, and what a machine may lack."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fastest runtime is measured once; what was remembered is used only when it can be true."""
+"""The fastest runtime is measured once; a cached result is used only where it is plausible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ONNX Runtime and OpenVINO predict what torch predicts, for every size, and give everything back."""
+"""ONNX Runtime and OpenVINO predict what torch predicts, for every size, and free all memory on close."""
 
 from __future__ import annotations
 
@@ -121,6 +121,7 @@ def test_a_frame_of_another_shape_than_the_stride_allows_is_an_inference_error(r
         loaded(random_model(), runtime_name)(random_frame(72, 96), "rgb")
 
 
+@pytest.mark.long
 def test_loading_and_closing_many_times_keeps_no_memory(runtime_name: str) -> None:
     model = random_model(0, dataclasses.replace(SIZES["n"], classes=len(CLASS_NAMES)))
     image = ColourImage(random_frame(240, 320), "rgb")

@@ -1,4 +1,4 @@
-"""What was compiled is kept on disk for what it was compiled for, and a damaged file is as good as none."""
+"""Compiled models are cached on disk for what they were compiled for; a damaged file counts as none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Of all predictions every runtime gives those that are likely enough to matter, and few others."""
+"""Every runtime returns the predictions that are likely enough to matter, and few others."""
 
 from __future__ import annotations
 

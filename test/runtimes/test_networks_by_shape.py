@@ -1,4 +1,4 @@
-"""What is made for an input shape is made once, those used last are kept, and nothing after the close."""
+"""A network is made once for each input shape; those used last are kept, none after the close."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def problems(values: dict[str, Any]) -> list[str]:
         pytest.param(("front",), id="one"),
         pytest.param(("Front", "front", "f", "front_2", "front_"), id="alike"),
         pytest.param(("a" * 64,), id="long"),
-        pytest.param(("images", "my_depth", "masks"), id="similar-to-topics"),
+        pytest.param(("images", "my_depth", "mask"), id="similar-to-topics"),
         pytest.param(tuple(f"camera{number}" for number in range(MAX_CAMERAS)), id="many"),
     ],
 )

@@ -102,16 +102,16 @@ def test_playback_that_nobody_awaits_can_be_stopped() -> None:
 
 
 def test_a_source_that_hangs_is_abandoned() -> None:
-    is_mended = threading.Event()
+    is_repaired = threading.Event()
 
     def hang() -> ImageSource:
-        is_mended.wait(PATIENCE_S)
+        is_repaired.wait(PATIENCE_S)
         return ImageSource(map(frame, range(1)), 1000.0)
 
     shown: list[SourceFrame] = []
     with playback(hang, shown.append) as playing:
         assert not playing.stop(0.1)
-        is_mended.set()
+        is_repaired.set()
     assert shown == []
 
 

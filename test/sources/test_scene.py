@@ -1,4 +1,4 @@
-"""Scenes show what their truth says, the same each time."""
+"""Scenes show what their ground truth says, the same each time."""
 
 from __future__ import annotations
 

@@ -13,14 +13,12 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
 from support.checkpoint_builder import official_model, saved, stripped
 from support.colcon_workspace import REPOSITORY
-from support.formula_model import formula_tensors
+from support.formula_model import ExpectedPredictions, formula_pixels, formula_tensors
 from yolov5_lifecycle.checkpoints.module_tree import Stub, tensors_of
 from yolov5_lifecycle.checkpoints.yaml_architecture import architecture_of
 from yolov5_lifecycle.models.architecture import Architecture
@@ -46,38 +44,9 @@ EVERY_FAMILY = [
 QUICK_FAMILIES = list(_QUICK)
 
 
-@dataclasses.dataclass(frozen=True)
-class ExpectedFamily:
-    """Raw predictions of a model: sums over all rows, and some of the rows, up to `tolerance`."""
-
-    input_shape: tuple[int, ...]
-    number_of_rows: int
-    tolerance: float
-    column_sums: NDArray[np.float64]
-    row_indices: NDArray[np.int64]
-    rows: NDArray[np.float64]
-
-    def check(self, raw: NDArray[np.float32]) -> None:
-        """Fail unless `raw` (N, 5 + C) are these predictions up to rounding."""
-        assert raw.dtype == np.float32
-        assert raw.shape == (self.number_of_rows, self.rows.shape[1])
-        # Numbers near zero are compared with a thousandth of what is usual.
-        rtol, atol = self.tolerance, self.tolerance * 1e-3
-        np.testing.assert_allclose(raw[self.row_indices], self.rows, rtol=rtol, atol=atol)
-        np.testing.assert_allclose(raw.sum(axis=0, dtype=np.float64), self.column_sums, rtol=rtol)
-
-
-def expected_family(name: str) -> ExpectedFamily:
+def expected_family(name: str) -> ExpectedPredictions:
     found = families()[name]
-    numbers = families()[found.get("same_numbers_as", name)]
-    return ExpectedFamily(
-        tuple(found["input_shape"]),
-        found["number_of_rows"],
-        found["tolerance"],
-        np.array(numbers["column_sums"]),
-        np.array(numbers["row_indices"]),
-        np.array(numbers["rows"]),
-    )
+    return ExpectedPredictions.of(found, found["tolerance"], families()[found.get("same_numbers_as", name)])
 
 
 def family_architecture(name: str, **changes: object) -> Architecture:
@@ -146,5 +115,4 @@ def modules_digest(modules: Mapping[str, Stub]) -> str:
 
 def family_pixels(name: str) -> torch.Tensor:
     """Network input (1, c, h, w) in [0, 1]."""
-    shape = families()[name]["input_shape"]
-    return torch.from_numpy(np.random.RandomState(11).rand(*shape).astype(np.float32))
+    return formula_pixels(tuple(families()[name]["input_shape"]))

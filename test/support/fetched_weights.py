@@ -11,8 +11,10 @@ from yolov5_lifecycle.commands.fetch_weights import fetch
 PATTERN = "/releases/yolov5{size}.pt"
 
 
-def fetch_from(server: FileServer, folder: Path, *, sha256: str = "", stall_s: float = 20) -> WeightsFile:
-    return fetch("n", folder, url=server.address + PATTERN, sha256=sha256, stall_s=stall_s)
+def fetch_from(
+    server: FileServer, folder: Path, *, model: str = "n", sha256: str = "", stall_s: float = 20
+) -> WeightsFile:
+    return fetch(model, folder, url=server.address + PATTERN, sha256=sha256, stall_s=stall_s)
 
 
 def unfinished(folder: Path) -> Path:

@@ -39,34 +39,40 @@ _AMPLIFYING = ("x", "x6")
 
 @dataclasses.dataclass(frozen=True)
 class ExpectedPredictions:
-    """Expected raw predictions of one size: sums over all rows, and some of the rows."""
+    """Expected raw predictions of a model: sums over all rows, and some of the rows, up to `tolerance`."""
 
-    size: str
     input_shape: tuple[int, ...]
     number_of_rows: int
+    tolerance: float
     column_sums: NDArray[np.float64]
     row_indices: NDArray[np.int64]
     rows: NDArray[np.float64]
 
+    @classmethod
+    def of(
+        cls, model: Mapping[str, Any], tolerance: float, numbers: Mapping[str, Any]
+    ) -> ExpectedPredictions:
+        """Those of an entry of the data; `numbers` may be those of another entry."""
+        return cls(
+            tuple(model["input_shape"]),
+            model["number_of_rows"],
+            tolerance,
+            *(np.array(numbers[name]) for name in ("column_sums", "row_indices", "rows")),
+        )
+
     def check(self, raw: NDArray[np.float32]) -> None:
-        """Fail unless `raw` (N, 5 + C) are these predictions up to rounding."""
+        """Fail unless `raw` (N, outputs) are these predictions up to rounding."""
         assert raw.dtype == np.float32
         assert raw.shape == (self.number_of_rows, self.rows.shape[1])
-        rtol = 1e-3 if self.size in _AMPLIFYING else 1e-5
-        np.testing.assert_allclose(raw[self.row_indices], self.rows, rtol=rtol, atol=rtol * 1e-3)
+        # Numbers near zero are compared with a thousandth of what is usual.
+        rtol, atol = self.tolerance, self.tolerance * 1e-3
+        np.testing.assert_allclose(raw[self.row_indices], self.rows, rtol=rtol, atol=atol)
         np.testing.assert_allclose(raw.sum(axis=0, dtype=np.float64), self.column_sums, rtol=rtol)
 
 
 def expected_predictions(size: str) -> ExpectedPredictions:
     found = _read("raw_predictions.json")["sizes"][size]
-    return ExpectedPredictions(
-        size,
-        tuple(found["input_shape"]),
-        found["number_of_rows"],
-        np.array(found["column_sums"]),
-        np.array(found["row_indices"]),
-        np.array(found["rows"]),
-    )
+    return ExpectedPredictions.of(found, 1e-3 if size in _AMPLIFYING else 1e-5, found)
 
 
 def expected_nms() -> Mapping[str, Any]:

@@ -42,6 +42,8 @@ GOOD_CAMERA = CameraStatus(
         image=SOURCE, camera_info=SOURCE, counts=PlacingCounts(), run=None, recently_rejected=""
     ),
     subscribers_3d=1,
+    segments=True,
+    mask_subscribers=1,
     busy_s=0.02,
 )
 GOOD = Status(

@@ -27,7 +27,10 @@ def prediction(class_name: str, score: float) -> NDArray[np.float32]:
 
 
 class Preparations:
-    """Stands in for `prepare_model`: hands out scripted detectors; `refusal` and `gate` control it."""
+    """Stands in for `prepare_model`: hands out scripted detectors; `refusal` and `gate` control it.
+
+    `run`, `compute_prototypes` and `mask_coefficients` are those of the next detector.
+    """
 
     def __init__(self) -> None:
         self.refusal = ""
@@ -39,6 +42,9 @@ class Preparations:
         self.sizes_hw: list[list[tuple[int, int]]] = []
         self.class_names = CLASS_NAMES
         self.batches = Batches()
+        self.run: Callable[[], NDArray[np.float32]] = lambda: prediction("cat", 0.9)
+        self.compute_prototypes: Callable[[], NDArray[np.float32]] | None = None
+        self.mask_coefficients = 0
         self.runtimes: list[ScriptedRuntime] = []
 
     def __call__(self, settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
@@ -48,9 +54,16 @@ class Preparations:
         if refusal := self.refusal:
             self.on_refusal()
             raise self.refusal_type(refusal)
-        runtime = ScriptedRuntime(lambda: prediction("cat", 0.9))
+        runtime = ScriptedRuntime(self.run)
+        runtime.compute_prototypes = self.compute_prototypes
         self.runtimes.append(runtime)
-        detector = Detector(runtime, class_names=self.class_names, image_size=settings.image_size, stride=32)
+        detector = Detector(
+            runtime,
+            class_names=self.class_names,
+            image_size=settings.image_size,
+            stride=32,
+            mask_coefficients=self.mask_coefficients,
+        )
         detector.batches = self.batches
         return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64)
 

@@ -17,6 +17,10 @@ CLASS_NAMES = ("cat", "dog", "cow")
 _GAIN = 2.3  # as they are initialised, weights let an image fade away from layer to layer
 TINY: Architecture = dataclasses.replace(SIZES["n"], width_multiple=0.125, classes=len(CLASS_NAMES))
 
+TINY_SEGMENT: Architecture = dataclasses.replace(
+    TINY, layers=(*TINY.layers[:-1], TINY.layers[-1]._replace(kind="Segment", args=(8, 64)))
+)
+
 
 def random_network(seed: int, architecture: Architecture = TINY) -> Network:
     """A network in evaluation mode, whose predictions depend on what it sees as much as after a training."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 
-from support.checkpoint_builder import SMALL
+from support.checkpoint_builder import SMALL, official_model, saved, stripped
 from yolov5_lifecycle.models.architecture import Architecture, Layer
 
 
@@ -72,3 +72,9 @@ RESIZED = dataclasses.replace(
 )
 """One with the kinds that change the size of what they read."""
 EVERY_SMALL: Mapping[str, Architecture] = SMALL_FAMILIES | {"resized": RESIZED}  # type: ignore[operator]
+
+
+def segmentation_checkpoint() -> bytes:
+    """A small segmentation model as YOLOv5 saves it."""
+    architecture = SMALL_FAMILIES["segmentation"]
+    return saved(stripped(official_model(architecture, kind="models.yolo.SegmentationModel")))

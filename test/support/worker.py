@@ -22,8 +22,8 @@ _WORKER_BYTES = 2 << 30
 
 
 def suitable_count() -> int:
-    """How many workers this machine has room for: more than cores, because they often wait for each other."""
-    return max(1, min(_cores() * 3 // 2, _available_bytes() // _WORKER_BYTES, _MAX_COUNT))
+    """How many workers this machine has room for: two for each core, as tests of nodes mostly wait."""
+    return max(1, min(2 * _cores(), _available_bytes() // _WORKER_BYTES, _MAX_COUNT))
 
 
 def _available_bytes() -> int:
@@ -45,7 +45,7 @@ def _cores() -> int:
 def worker_domain() -> Iterator[int]:
     """Exclusive ROS domain that no other worker uses before or after, and this one only after all its others.
 
-    A client may send its request to a node of a finished test that is still in the domain, and wait for ever.
+    A client may send its request to a node of a finished test that is still in the domain, and wait forever.
     Such nodes are removed by garbage collection, as they are in reference cycles, or found by nobody, as the
     next test has another domain. The last domains come first, as `demo` takes the first free one.
     """

@@ -180,11 +180,11 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         segment_head_of_detection,
         "is a 'Segment', expected Detect",
     ),
-    "segmentation without coefficients": (segmentation(nm=None), "the coefficients of a mask: expected"),
+    "segmentation without coefficients": (segmentation(nm=None), "the coefficients of masks: expected"),
     "segmentation with other coefficients": (segmentation(nm=16), "gives 16 numbers a box, expected 24"),
     "segmentation with endless coefficients": (
         segmentation(nm=1 << 60),
-        "the coefficients of a mask: expected",
+        "the coefficients of masks: expected",
     ),
     "segmentation of detections only": (segmentation(no=8), "gives 8 numbers a box, expected 16"),
     "classification": (

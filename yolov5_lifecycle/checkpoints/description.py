@@ -75,6 +75,8 @@ def _of_model(model: Model) -> Iterator[tuple[str, str]]:
             for level in architecture.anchors_px
         ),
     )
+    if coefficients := architecture.mask_coefficients:
+        yield "masks", f"{coefficients} prototypes, computed in {architecture.prototype_channels} channels"
     yield "classes", f"{architecture.classes}: {', '.join(model.class_names)}"
 
 

@@ -9,6 +9,8 @@ from yolov5_lifecycle.models.architecture import Argument
 from yolov5_lifecycle.models.model import checked_integer
 
 MAX_CHANNELS = 8192
+MAX_COEFFICIENTS = 256
+"""Of a mask, so as many prototypes; YOLOv5's own models have 32."""
 MAX_KERNEL = 15
 MAX_LAYER_STRIDE = 8
 _MAX_GROUPS = 8192
@@ -128,6 +130,8 @@ def only(*accepted: object) -> Given:
 
 
 CHANNELS = Given(_whole("channels", 1, MAX_CHANNELS), is_required=True)
+COEFFICIENTS = Given(_whole("coefficients of masks", 1, MAX_COEFFICIENTS), 32, is_kept=True)
+PROTOTYPE_CHANNELS = Given(_whole("channels of prototypes", 1, MAX_CHANNELS), 256, is_kept=True)
 KERNEL = Given(_whole("kernel", 1, MAX_KERNEL), 1)
 ODD_KERNEL = Given(_odd_kernel, 1)
 STRIDE = Given(_whole("stride", 1, MAX_LAYER_STRIDE), 1)

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from yolov5_lifecycle.checkpoints.layer_arguments import (
     ACTIVATION,
     CHANNELS,
+    COEFFICIENTS,
     DILATION,
     EXPANSION,
     GAIN,
@@ -17,6 +18,7 @@ from yolov5_lifecycle.checkpoints.layer_arguments import (
     NO_PADDING,
     ODD_KERNEL,
     PADDING,
+    PROTOTYPE_CHANNELS,
     SHORTCUT,
     SIDES,
     STRIDE,
@@ -35,9 +37,6 @@ _POOL_STRIDE = replace(STRIDE, is_required=True)
 _WHOLE_EXPANSION, _NO_SHORTCUT = replace(EXPANSION, default=1.0), replace(SHORTCUT, default=0)
 _ODD_3 = replace(ODD_KERNEL, default=3)
 
-_COEFFICIENTS, _PROTOTYPE_CHANNELS = (
-    replace(CHANNELS, default=usual, is_required=False, is_kept=True) for usual in (32, 256)
-)
 
 ROWS: Mapping[str, Sequence[Given]] = MappingProxyType(
     {
@@ -67,7 +66,7 @@ ROWS: Mapping[str, Sequence[Given]] = MappingProxyType(
         "Expand": (GAIN,),
         "Concat": (only(1),),
         "Detect": (),
-        "Segment": (_COEFFICIENTS, _PROTOTYPE_CHANNELS),
+        "Segment": (COEFFICIENTS, PROTOTYPE_CHANNELS),
     }
 )
 """Arguments by kind of layer; those of the heads without classes and anchors, which their attributes tell."""

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from yolov5_lifecycle.checkpoints.layer_arguments import MAX_CHANNELS
+from yolov5_lifecycle.checkpoints.layer_arguments import MAX_COEFFICIENTS
 from yolov5_lifecycle.checkpoints.layer_rows import layer_kind
 from yolov5_lifecycle.checkpoints.module_tree import Stub
 from yolov5_lifecycle.checkpoints.stored_tensor import StoredTensor
@@ -120,7 +120,7 @@ def classes_of(head: Stub) -> int:
     classes = checked_integer(head.get("nc"), "the number of classes", 1, MAX_CLASSES)
     coefficients = 0
     if head.kind == "Segment":
-        coefficients = checked_integer(head.get("nm"), "the coefficients of a mask", 1, MAX_CHANNELS)
+        coefficients = checked_integer(head.get("nm"), "the coefficients of masks", 1, MAX_COEFFICIENTS)
     outputs, expected = head.get("no"), classes + 5 + coefficients
     if not isinstance(outputs, int) or outputs != expected:
         raise WeightsError(

@@ -1,4 +1,4 @@
-"""Command `fetch_weights SIZE`: download an official checkpoint to the folder the detector loads it from."""
+"""Command `fetch_weights MODEL`: download an official checkpoint to the folder the detector loads it from."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings, validated
 from yolov5_lifecycle.unfinished import open_itself
 
+MODELS = (*SIZES, *(f"{size}-seg" for size in SIZES if len(size) == 1))
+"""The official ones that detect, and those that segment."""
 URL = "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5{size}.pt"
 URL_VARIABLE = "YOLOV5_WEIGHTS_URL"
 _LICENCE = "The official YOLOv5 weights are by Ultralytics, under AGPL-3.0 or a licence bought from them.\n"
@@ -35,7 +37,7 @@ _IRREGULAR = "{}: expected a regular file, found a link, pipe or device: remove 
 
 
 def fetch(
-    size: str,
+    model: str,
     folder: Path,
     *,
     url: str = URL,
@@ -43,21 +45,21 @@ def fetch(
     stall_s: float = _STALL_S,
     progress: Progress = lambda done_bytes, total_bytes: None,
 ) -> WeightsFile:
-    """Load yolov5`size`.pt from `folder`, downloading it if it does not exist.
+    """Load yolov5`model`.pt from `folder`, downloading it if it does not exist.
 
     `url` contains the placeholder `{size}`. The resulting file is complete, readable and, with `sha256`, has
     that digest. A download that is unfinished or could not be checked is kept beside it and resumed by the
     next call; one with another digest or without a model in it is removed. Raises DownloadError, WeightsError
     or OSError.
     """
-    target = folder / f"yolov5{size}.pt"
+    target = folder / f"yolov5{model}.pt"
     if os.path.lexists(target):
         return load_weights(target, sha256=sha256)
     if "{size}" not in url:
         raise DownloadError(f"{url}: expected an address with {{size}} in it, as in {URL}")
     folder.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
-        return _downloaded(url.replace("{size}", size), target, sha256, stall_s, progress)
+        return _downloaded(url.replace("{size}", model), target, sha256, stall_s, progress)
 
 
 def _downloaded(url: str, target: Path, sha256: str, stall_s: float, progress: Progress) -> WeightsFile:
@@ -102,8 +104,8 @@ def listing(folder: Path) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = _parser()
     arguments = parser.parse_args(argv)
-    if arguments.list == (arguments.size is not None):
-        parser.error("give a SIZE, or --list")
+    if arguments.list == (arguments.model is not None):
+        parser.error("give a MODEL, or --list")
     try:
         summary = _run(arguments)
     except (DownloadError, WeightsError, OSError) as error:
@@ -122,7 +124,7 @@ def _run(arguments: argparse.Namespace) -> str:
     if arguments.list:
         return listing(folder)
     sys.stderr.write(_LICENCE)
-    found = fetch(arguments.size, folder, url=arguments.url, sha256=arguments.sha256, progress=_show_bytes)
+    found = fetch(arguments.model, folder, url=arguments.url, sha256=arguments.sha256, progress=_show_bytes)
     if arguments.safetensors:
         found = convert(found.path, found.path.with_suffix(".safetensors"), overwrite=True)
     return report(found)
@@ -130,7 +132,9 @@ def _run(arguments: argparse.Namespace) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = CommandParser("fetch_weights", description="Download an official YOLOv5 checkpoint. " + _LICENCE)
-    parser.add_argument("size", nargs="?", choices=SIZES, metavar="SIZE", help=f"one of {', '.join(SIZES)}")
+    parser.add_argument(
+        "model", nargs="?", choices=MODELS, metavar="MODEL", help=f"one of {', '.join(MODELS)}"
+    )
     parser.add_argument("--list", action="store_true", help="only show which weights are in the folder")
     parser.add_argument(
         "--dir",

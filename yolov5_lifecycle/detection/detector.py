@@ -124,6 +124,11 @@ class Detector:
         """Numbers of images for which `detect_batch` is faster than `detect`, ascending; see `batches`."""
         return self.batches.sizes
 
+    @property
+    def segments(self) -> bool:
+        """Whether the model computes masks."""
+        return self.mask_coefficients > 0
+
     def _detect_alone(
         self, images: Sequence[ColourImage], selections: Sequence[Selection]
     ) -> list[Detections | InferenceError]:

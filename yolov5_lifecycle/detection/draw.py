@@ -1,4 +1,4 @@
-"""Drawing of boxes and labels on an image."""
+"""Drawing of masks, boxes and labels on an image."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ from yolov5_lifecycle.images.image import ColourImage, Order
 
 Colour = tuple[int, int, int]
 
+MASK_OPACITY = 0.5
+"""Share of the class colour in the pixels of an object, from 0 to 1."""
+
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _MAX_NAME_CHARACTERS = 40
 _GOLDEN_RATIO = 0.618034  # its multiples spread evenly over the hue circle for any number of classes
@@ -27,16 +30,23 @@ def annotate(
     class_names: Sequence[str],
     *,
     distances_m: Sequence[float | None] = (),
+    label_image: NDArray[np.uint16] | None = None,
 ) -> NDArray[np.uint8]:
     """A copy (H, W, 3) of the image, same channel order, with boxes and labels such as "dog #3 0.87 2.4 m".
 
     The number is that of the track, if there is one. `distances_m` has one entry for each detection, None
-    where it is unknown, or is empty.
+    where it is unknown, or is empty. If the detections have masks, these are drawn translucent below the
+    boxes; `label_image` is their `Detections.label_image()` where that has been computed already.
 
     Line width and font size scale with the image; a label that does not fit is truncated. Non-ASCII
     characters lose their accents or become question marks. Higher scores are drawn over lower ones.
     """
     canvas = np.array(image.pixels, order="C")
+    labels = detections.label_image() if label_image is None else label_image
+    if labels is not None:
+        draw_masks(
+            canvas, labels, [class_colour(each, image.order) for each in detections.class_ids.tolist()]
+        )
     pen = _Pen.for_image(image.size_hw)
     corners = _corners_inside(detections.boxes_xyxy, image.size_hw)
     class_ids, details = detections.class_ids.tolist(), _details(detections, distances_m)
@@ -48,6 +58,17 @@ def annotate(
         label = pen.label(printable(class_names[class_id]), detail, canvas.shape[1])
         _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, image.order))
     return canvas
+
+
+def draw_masks(canvas: NDArray[np.uint8], labels: NDArray[np.uint16], colours: Sequence[Colour]) -> None:
+    """Blend each pixel that `labels` (H, W) gives to the i-th detection with the i-th of `colours`."""
+    left, top, width, height = cv2.boundingRect((labels > 0).view(np.uint8))
+    if not width:
+        return
+    part = (slice(top, top + height), slice(left, left + width))
+    tints = np.array([(0, 0, 0), *colours], np.uint8).take(labels[part], axis=0)
+    blended = cv2.addWeighted(canvas[part], 1 - MASK_OPACITY, tints, MASK_OPACITY, 0)
+    cv2.copyTo(blended, (labels[part] > 0).view(np.uint8), canvas[part])
 
 
 def _details(detections: Detections, distances_m: Sequence[float | None]) -> list[str]:

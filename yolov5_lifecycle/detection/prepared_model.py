@@ -35,11 +35,13 @@ class PreparedModel:
     @property
     def facts(self) -> dict[str, str]:
         """Resolved weights, runtime, device, precision and measured batches, for log and diagnostics."""
+        coefficients = self.detector.mask_coefficients
         runtime = self.detector.runtime
         facts = {
             "weights": str(self.weights_path),
             "sha256": self.weights_sha256,
             "classes": str(len(self.detector.class_names)),
+            "masks": f"{coefficients} coefficients" if coefficients else "",
             "runtime": runtime.name,
             "runtime choice": self.detector.choice,
             "device": runtime.device,

@@ -85,7 +85,9 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
         if problem := _usage_problem(arguments):
             parser.error(problem)
         with _unwound_by_sigterm(), closing(_Terminal(shows_progress=bool(arguments.output))) as terminal:
-            account = _run(arguments, functools.partial(OfflineDetector, watch=terminal, prepare=prepare))
+            with_masks = bool(arguments.masks or arguments.images or arguments.annotated)
+            load = functools.partial(OfflineDetector, watch=terminal, with_masks=with_masks, prepare=prepare)
+            account = _run(arguments, load)
     except BrokenPipeError:
         raise  # not reported: the reader closed the output pipe, as with `| head`
     except SettingsError as error:
@@ -104,7 +106,13 @@ def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetect
     source, output = arguments.source, arguments.output
     settings = wanted_settings(arguments.params_file, arguments.assignments, arguments.node)
     if not is_recording(source):
-        return detect_files(source, output, annotated=arguments.annotated, load=lambda: load(settings))
+        return detect_files(
+            source,
+            output,
+            annotated=arguments.annotated,
+            masks=arguments.masks,
+            load=lambda: load(settings),
+        )
     try:
         from yolov5_lifecycle.offline.detect_recording import detect_recording
     except ImportError as error:
@@ -118,6 +126,7 @@ def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetect
         topic=arguments.topic,
         node=arguments.node,
         images=arguments.images,
+        masks=arguments.masks,
         load=lambda: load(settings),
     )
 
@@ -193,6 +202,12 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--images", action="store_true", help="put annotated images into the new recording")
     parser.add_argument(
         "--annotated", type=Path, metavar="PATH", help="new annotated video, image or folder of images"
+    )
+    parser.add_argument(
+        "--no-masks",
+        action="store_false",
+        dest="masks",
+        help="write no masks of a model that segments; annotated images show them all the same",
     )
     _add_detector_options(parser)
     return parser

@@ -26,32 +26,37 @@ from yolov5_lifecycle.offline.image_files import (
     has_still_images,
     image_files,
 )
+from yolov5_lifecycle.offline.run_lengths import coco_rle
 
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 
 
-def detect_files(source: Path, output: Path | None, *, annotated: Path | None, load: LoadDetector) -> Account:
+def detect_files(
+    source: Path, output: Path | None, *, annotated: Path | None, masks: bool, load: LoadDetector
+) -> Account:
     """Write a JSON line for every image of `source` to the new file `output`, or to stdout.
 
-    `annotated` is a new folder if `source` is one, else a new image or video. Raises SourceError,
-    OutputError, DetectingError and what `load` raises.
+    `annotated` is a new folder if `source` is one, else a new image or video. With `masks` the lines have
+    those of a model that segments. Raises SourceError, OutputError, DetectingError and what `load` raises.
     """
     with ExitStack() as stack:
         lines = stack.enter_context(_text(output)) if output else sys.stdout
         drawings = stack.enter_context(whole_output(annotated)) if annotated else None
         if has_still_images(source):
-            return _detect_images(source, lines, drawings, load)
-        return _detect_video(source, lines, drawings, load)
+            return _detect_images(source, lines, drawings, masks=masks, load=load)
+        return _detect_video(source, lines, drawings, masks=masks, load=load)
 
 
-def _detect_images(source: Path, lines: TextIO, drawings: Path | None, load: LoadDetector) -> Account:
+def _detect_images(
+    source: Path, lines: TextIO, drawings: Path | None, *, masks: bool, load: LoadDetector
+) -> Account:
     files = image_files(source)
     detector = load()
     if drawings and source.is_dir():
         drawings.mkdir()
 
     def write(file: ImageFile, image: ColourImage, detections: Detections) -> None:
-        lines.write(detection_line(file.identity, image, detections, detector.class_names))
+        lines.write(detection_line(file.identity, image, detections, detector.class_names, masks=masks))
         if drawings:
             target = drawings / file.path.name if source.is_dir() else drawings
             write_image(target, _drawn(image, detections, detector))
@@ -59,14 +64,16 @@ def _detect_images(source: Path, lines: TextIO, drawings: Path | None, load: Loa
     return detector.run(files, expected=len(files), write=write)
 
 
-def _detect_video(source: Path, lines: TextIO, drawings: Path | None, load: LoadDetector) -> Account:
+def _detect_video(
+    source: Path, lines: TextIO, drawings: Path | None, *, masks: bool, load: LoadDetector
+) -> Account:
     video = VideoFile.open(source)
     with ExitStack() as stack:
         output = stack.enter_context(closing(VideoOutput(drawings, video.rate_hz))) if drawings else None
         detector = load()
 
         def write(frame: VideoFrame, image: ColourImage, detections: Detections) -> None:
-            lines.write(detection_line(frame.identity, image, detections, detector.class_names))
+            lines.write(detection_line(frame.identity, image, detections, detector.class_names, masks=masks))
             if output:
                 output.add(_drawn(image, detections, detector))
 
@@ -131,9 +138,17 @@ class VideoOutput:
 
 
 def detection_line(
-    identity: Mapping[str, str | int], image: ColourImage, detections: Detections, class_names: Sequence[str]
+    identity: Mapping[str, str | int],
+    image: ColourImage,
+    detections: Detections,
+    class_names: Sequence[str],
+    *,
+    masks: bool,
 ) -> str:
-    """A line of JSON with the `identity` of an image, its size and its detections, boxes in image pixels."""
+    """A line of JSON with the `identity` of an image, its size and its detections, boxes in image pixels.
+
+    With `masks` each detection that has a mask gets it as COCO's RLE of the whole image.
+    """
     height, width = image.size_hw
     found: list[dict[str, object]] = [
         {"class_name": one.class_name, "score": one.score, "box_xyxy": one.box_xyxy}
@@ -141,4 +156,8 @@ def detection_line(
     ]
     for one, track_id in zip(found, detections.track_ids, strict=False):  # none without a tracker
         one["id"] = track_id
+    if masks and detections.masks is not None:
+        for row, one in enumerate(found):
+            window, inside = detections.masks.inside_box(row, detections.boxes_xyxy[row])
+            one["mask"] = coco_rle(window, inside, detections.masks.size_hw)
     return json.dumps({**identity, "width": width, "height": height, "detections": found}) + "\n"

@@ -31,12 +31,19 @@ _IMAGE = "sensor_msgs/msg/Image"
 
 
 def detect_recording(
-    source: Path, output: Path, *, topic: str | None, node: str, images: bool, load: LoadDetector
+    source: Path,
+    output: Path,
+    *,
+    topic: str | None,
+    node: str,
+    images: bool,
+    masks: bool,
+    load: LoadDetector,
 ) -> Account:
     """Write the detections in the images of `source` to the new recording `output`, as the node `node`.
 
-    Uses the storage format of the source. Raises RecordingError, OutputError, DetectingError and what `load`
-    raises.
+    With `images` annotated images, too; with `masks` those of a model that segments. Uses the storage format
+    of the source. Raises RecordingError, OutputError, DetectingError and what `load` raises.
     """
     with open_recording(source) as recording, whole_output(output) as unfinished:
         image_topic = recording.image_topic(topic)
@@ -49,6 +56,7 @@ def detect_recording(
                 class_names=detector.class_names,
                 threshold=detector.settings.confidence_threshold,
                 images=images,
+                masks=masks and detector.segments,
             )
             return detector.run(images_of_topic, expected=image_topic.count, write=bag.write)
 
@@ -67,11 +75,19 @@ def _not_empty(source: Path, topic: ImageTopic, images: Iterator[RecordedImage])
 class DetectionBag:
     """Adds detections, labels and, with `images`, annotated images to the recording of `writer`.
 
-    Topics and QoS are those of the node named `node`.
+    With `masks`, which all detections must then have, these too, as label images. Topics and QoS are those
+    of the node named `node`.
     """
 
     def __init__(
-        self, writer: Writer, *, node: str, class_names: Sequence[str], threshold: float, images: bool
+        self,
+        writer: Writer,
+        *,
+        node: str,
+        class_names: Sequence[str],
+        threshold: float,
+        images: bool,
+        masks: bool,
     ) -> None:
         self._writer = writer
         self._class_names = class_names
@@ -80,6 +96,7 @@ class DetectionBag:
         self._labels = self._topic(f"{node}/label_info", _LABELS, depth=1, durability=_LATCHED)
         self._detections = self._topic(f"{node}/detections", _DETECTIONS, depth=10)
         self._images = self._topic(f"{node}/image", _IMAGE, depth=1) if images else None
+        self._masks = self._topic(f"{node}/masks", _IMAGE, depth=1) if masks else None
 
     def write(self, recorded: RecordedImage, image: ColourImage, detections: Detections) -> None:
         """Write the node's messages for `recorded`, with its header and at the time of its recording."""
@@ -90,8 +107,11 @@ class DetectionBag:
             self._is_labelled = True
         found = detections.objects(self._class_names)
         self._add(self._detections, timestamp_ns, detection_array(found, header))
+        labels = detections.label_image()
+        if self._masks is not None and labels is not None:
+            self._add(self._masks, timestamp_ns, _image(labels.astype("<u2"), "16UC1", header))
         if self._images is not None:
-            drawn = annotate(image, detections, self._class_names)
+            drawn = annotate(image, detections, self._class_names, label_image=labels)
             self._add(self._images, timestamp_ns, _image(drawn, f"{image.order}8", header))
 
     def _topic(
@@ -148,8 +168,8 @@ def _label_info(class_names: Sequence[str], threshold: float, stamp: Any) -> Any
     )
 
 
-def _image(pixels: NDArray[np.uint8], encoding: str, header: Any) -> Any:
-    height, width, channels = pixels.shape
+def _image(pixels: NDArray[np.uint8 | np.uint16], encoding: str, header: Any) -> Any:
+    height, width = pixels.shape[:2]
     return _new(
         _IMAGE,
         header=header,
@@ -157,8 +177,8 @@ def _image(pixels: NDArray[np.uint8], encoding: str, header: Any) -> Any:
         width=width,
         encoding=encoding,
         is_bigendian=0,
-        step=width * channels,
-        data=np.ascontiguousarray(pixels).reshape(-1),
+        step=pixels.nbytes // height,
+        data=np.ascontiguousarray(pixels).reshape(-1).view(np.uint8),
     )
 
 

@@ -6,6 +6,7 @@ import itertools
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Protocol, TypeVar
 
 from yolov5_lifecycle.detection.detections import Detections
@@ -82,19 +83,27 @@ class OfflineDetector:
     """Detector that owns the model that `prepare` loads and applies `settings` to every image.
 
     With the setting `tracker` the images of its runs that have a time are tracked, as those of one camera.
+    `with_masks`: whether the detections of a model that segments have masks; computing them takes time.
     Raises ValueError or OSError like `prepare_model`, and SettingsError for a class unknown to the model.
     """
 
-    def __init__(self, settings: Settings, watch: Watch, *, prepare: Prepare = prepare_model) -> None:
+    def __init__(
+        self, settings: Settings, watch: Watch, *, with_masks: bool, prepare: Prepare = prepare_model
+    ) -> None:
         self.settings = settings
         self._watch = watch
         self._detector = prepare(settings, (USUAL_SOURCE_HW,)).detector
         self.class_names = self._detector.class_names
         if problems := model_problems(settings, self.class_names):
             raise SettingsError(problems)
-        self._selection = selection(settings, self.class_names)
+        self._selection = replace(selection(settings, self.class_names), with_masks=with_masks)
         self._tracking = tracked_detection(settings)
         self._failures = 0
+
+    @property
+    def segments(self) -> bool:
+        """Whether the model computes masks."""
+        return self._detector.segments
 
     def run(
         self,

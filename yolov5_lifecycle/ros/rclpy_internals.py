@@ -73,7 +73,7 @@ def attribute_logs_to_callers_of(path: str) -> None:
 class ForgettingGroup(ReentrantCallbackGroup):
     """Callback group that forgets its publishers, subscriptions and so on when they cease to exist.
 
-    rclpy's keep a dead reference to each for ever (ros2/rclpy#1356): 2 KB for a camera that comes and goes.
+    rclpy's keep a dead reference to each forever (ros2/rclpy#1356): 2 KB for a camera that comes and goes.
     """
 
     def add_entity(self, entity: object) -> None:

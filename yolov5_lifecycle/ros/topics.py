@@ -8,6 +8,7 @@ from rclpy.node import Node
 
 DETECTIONS = "~/detections"
 DETECTIONS_3D = "~/detections_3d"
+MASKS = "~/masks"
 IMAGE = "~/image"
 COMPRESSED_IMAGE = "~/image/compressed"
 LABEL_INFO = "~/label_info"
@@ -17,7 +18,7 @@ DEPTH_IMAGE_RAW = "~/depth/image_raw"
 DEPTH_CAMERA_INFO = "~/depth/camera_info"
 
 COLOUR_IMAGES = (IMAGE_RAW, COMPRESSED_IMAGE_RAW)
-_PUBLISHED = (DETECTIONS, DETECTIONS_3D, IMAGE, COMPRESSED_IMAGE)
+_PUBLISHED = (DETECTIONS, DETECTIONS_3D, MASKS, IMAGE, COMPRESSED_IMAGE)
 _SUBSCRIBED = (*COLOUR_IMAGES, DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)
 _OTHERS = ("/diagnostics", "/rosout", "/parameter_events")
 

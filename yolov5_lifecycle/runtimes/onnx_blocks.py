@@ -13,6 +13,7 @@ from torch import nn
 from yolov5_lifecycle.models.attention import TransformerBlock
 from yolov5_lifecycle.models.bottlenecks import GhostBottleneck, GhostConv, Shortcut
 from yolov5_lifecycle.models.convolutions import Conv, Focus, MixConv2d
+from yolov5_lifecycle.models.head import PARITIES, Proto
 from yolov5_lifecycle.models.network import Concat
 from yolov5_lifecycle.models.partial import NormalisedPartial, Partial
 from yolov5_lifecycle.models.pooling import SPP, SPPF
@@ -67,6 +68,7 @@ def _weighted(
     **attributes: list[int],
 ) -> str:
     assert module.bias is not None, "expected a fused network"
+    usual = {"pads": [int(pad) for pad in module.padding] * 2}
     return graph.add(
         operator,
         features,
@@ -74,9 +76,8 @@ def _weighted(
         graph.constant(module.bias),
         kernel_shape=list(module.kernel_size),
         strides=list(module.stride),
-        pads=[int(pad) for pad in module.padding] * 2,
         group=module.groups,
-        **attributes,
+        **(usual | attributes),
     )
 
 
@@ -223,6 +224,19 @@ def _expanded(graph: Graph, module: Expand, features: str) -> str:
 @_writes(Concat)
 def _concatenated(graph: Graph, module: Concat, *features: str) -> str:
     return graph.add("Concat", *features, axis=1)
+
+
+@_writes(Proto)
+def _prototypes(graph: Graph, module: Proto, features: str) -> str:
+    assert module.quarters is not None, "expected a fused network"
+    widened = written(graph, module.cv1, features)
+    quarters = []
+    for convolution, (row, column) in zip(module.quarters, PARITIES, strict=True):
+        assert isinstance(convolution, nn.Conv2d)
+        pads = [1 - row, 1 - column, row, column]
+        quarter = _weighted(graph, "Conv", convolution, widened, pads=pads)
+        quarters.append(written(graph, module.cv3, written(graph, module.cv2.act, quarter)))
+    return graph.add("DepthToSpace", graph.add("Concat", *quarters, axis=1), blocksize=2, mode="DCR")
 
 
 _writes(TransformerBlock)(transformed)

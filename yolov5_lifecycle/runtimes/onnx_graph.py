@@ -36,7 +36,4 @@ def prototype_graph(proto: Proto, shape: tuple[int, int, int, int]) -> bytes:
     The output are the prototypes, float32 (1, M, 2 ny, 2 nx).
     """
     graph = Graph(shape, TensorProto.FLOAT)
-    features = INPUT
-    for module in (proto.cv1, proto.upsample, proto.cv2, proto.cv3):
-        features = written(graph, module, features)
-    return graph.serialized([features])
+    return graph.serialized([written(graph, proto, INPUT)])

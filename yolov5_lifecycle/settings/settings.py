@@ -117,7 +117,7 @@ class Settings(BaseModel):
     )
     lazy: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
         True,
-        description="Subscribe to images only while detections or annotated images have subscribers.",
+        description="Subscribe to images only while detections, masks or annotated images have subscribers.",
     )
     max_consecutive_failures: Annotated[int, Change.LIVE] = Field(
         10,

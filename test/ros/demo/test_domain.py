@@ -1,4 +1,4 @@
-"""A ROS domain of one's own."""
+"""An exclusive ROS domain."""
 
 from __future__ import annotations
 

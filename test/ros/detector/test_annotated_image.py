@@ -40,9 +40,12 @@ class Viewer:
         self._client = client
         self._images: list[Image] = []
         node = client.served.client
-        node.create_subscription(Image, "/yolov5/image", self._images.append, QoSProfile(depth=1))
-        topic = "/yolov5/image"
-        client.served.wait_for(lambda: node.count_publishers(topic) == 1, "the publisher of images")
+        node.create_subscription(Image, "/yolov5/image", self._images.append, QoSProfile(depth=10))
+        client.served.wait_for(self._sees_something, "the node to discover the subscriber")
+
+    def _sees_something(self) -> bool:
+        self._client.detect(self._client.next_stamp_s())
+        return bool(self._images)
 
     def image_of(self, array: Detection2DArray) -> NDArray[np.uint8]:
         """The pixels (H, W, 3) of the annotated image with the header of `array`."""

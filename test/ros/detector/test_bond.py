@@ -55,6 +55,7 @@ def test_a_manager_drives_the_process_through_every_transition() -> None:
     assert "Traceback" not in detector.process.output
 
 
+@pytest.mark.long
 def test_a_manager_notices_that_the_process_was_killed() -> None:
     with managed(bond_timeout=1.0) as (detector, observer):
         manager = LifecycleManager(observer, bond_timeout_s=1.0)

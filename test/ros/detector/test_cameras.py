@@ -129,6 +129,7 @@ def test_failures_of_one_camera_do_not_end_the_detection_of_another(
     assert "too wide" in front.values()["last problem"]
 
 
+@pytest.mark.long
 def test_a_camera_that_fails_faster_than_others_deliver_does_not_end_their_detection(
     served: ServedNode, prepare: Preparations, cameras: dict[str, CameraClient]
 ) -> None:

@@ -68,6 +68,7 @@ def test_the_array_in_space_has_the_stamp_ids_and_scores_of_that_in_the_image(cl
     assert int(values["images with depth"]) >= 1
 
 
+@pytest.mark.long
 def test_a_slow_model_places_detections_with_the_depth_image_of_their_moment(
     client: DepthClient, prepare: Preparations
 ) -> None:
@@ -130,6 +131,7 @@ def test_an_image_without_depth_is_detected_and_counted_with_the_reason(
     assert client.received == [], "an empty array would say that there is no object"
 
 
+@pytest.mark.long
 def test_images_of_another_size_than_depth_are_counted_and_explained(client: DepthClient) -> None:
     client.begin()
     stamp_s = client.next_stamp_s()

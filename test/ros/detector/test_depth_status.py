@@ -1,4 +1,4 @@
-"""Why detections have no place in space, and what is told of it."""
+"""Why detections have no place in space, and how it is reported."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ OF_ENGINE = {f"runtimes/{name}.py" for name in ("compiled_runtime", "onnxruntime
 INSTEAD = {
     "onnxruntime": OF_ENGINE,
     "openvino": OF_ENGINE - {"runtimes/onnxruntime_runtime.py"} | {"runtimes/openvino_runtime.py"},
-    "torch": {"runtimes/torch_runtime.py", "models/network.py", *LAYERS},
+    "torch": {"runtimes/torch_runtime.py", "models/network.py", "models/head.py", *LAYERS},
 }
 """What each runtime has in the place of `OF_ENGINE`."""
 

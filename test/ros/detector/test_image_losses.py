@@ -1,4 +1,4 @@
-"""Images that were sent and never taken are counted per publisher, and never across publishers."""
+"""Images that were sent but never received are counted per publisher, and never across publishers."""
 
 from __future__ import annotations
 

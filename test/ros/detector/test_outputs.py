@@ -1,4 +1,4 @@
-"""Annotated images come raw and compressed, to those who listen."""
+"""Annotated images, raw and compressed, are published for those who subscribe to them."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_only_images_with_subscribers_are_encoded(node: LifecycleNode, observer:
 
     raw: list[Image] = []
     outputs = made(node, encode)
-    assert (outputs.subscribers, outputs.image_subscribers) == (0, 0)
+    assert (outputs.subscribers, outputs.image_subscribers, outputs.mask_subscribers) == (0, 0, 0)
     listen(observer, Image, "/yolov5/image", raw)
     observer.wait_for(lambda: outputs.subscribers == 1, "a subscriber")
     publish_until(outputs, ColourImage(PIXELS, "rgb"), observer, lambda: bool(raw))

@@ -1,4 +1,4 @@
-"""Cameras that are removed in the worst moment: they take nothing of the others along."""
+"""Cameras that are removed at the worst moment do not disturb the others."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ def prepare(ros_domain: int) -> Preparations:
     return Preparations()
 
 
+@pytest.mark.long
 def test_cameras_that_are_removed_together_while_inference_hangs_abandon_one_thread(
     prepare: Preparations,
 ) -> None:

@@ -34,6 +34,7 @@ def test_a_signal_ends_the_process_cleanly(state: str, signal_number: signal.Sig
     assert "Traceback" not in detector.process.output
 
 
+@pytest.mark.long
 def test_the_transition_shutdown_is_answered_and_ends_the_process_cleanly() -> None:
     with detector_process(*as_arguments(PARAMETERS)) as detector:
         detector.bring_to("active")

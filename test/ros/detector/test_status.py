@@ -1,4 +1,4 @@
-"""Why nothing comes out of an active node, and what is told of it."""
+"""Why an active node publishes nothing, and how it is reported."""
 
 from __future__ import annotations
 
@@ -119,6 +119,18 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
             "nothing scored above confidence_threshold 0.9 in the last 152 frames, the best 0.61: if "
             "objects were visible, lower it or clear classes",
             id="below-threshold",
+        ),
+        pytest.param(
+            _with_camera(segments=False),
+            "~/masks has a subscriber, but the loaded model does not segment: load a segmentation model, "
+            "such as yolov5n-seg.pt, with weights",
+            id="masks-of-a-model-without",
+        ),
+        pytest.param(_with_camera(segments=False, mask_subscribers=0), "detecting", id="no-masks-wanted"),
+        pytest.param(
+            _with_camera(segments=False, recent_failure="images are rejected: too small"),
+            "images are rejected: too small",
+            id="trouble-before-masks",
         ),
         pytest.param(
             _with_camera(empty=BLIND_RUN, recent_failure="images are rejected: too small"),

@@ -1,4 +1,4 @@
-"""What the node subscribes to and publishes, and what it says of it."""
+"""What the node subscribes to and publishes, and how it is reported."""
 
 from __future__ import annotations
 
@@ -46,6 +46,7 @@ def test_diagnostics_come_in_every_state(served: ServedNode) -> None:
     assert values["sha256"] == "0" * 64
 
 
+@pytest.mark.long
 def test_each_reason_for_missing_detections_is_reported_while_it_lasts(prepare: Preparations) -> None:
     with ServedNode(prepare, arguments=["--ros-args", "-r", "~/image_raw:=/front"]) as served:
 

@@ -135,5 +135,7 @@ class Camera:
             tracking=stream.tracker_values if stream else {},
             depth_status=stream.depth.look() if stream and stream.depth else None,
             subscribers_3d=self._outputs.subscribers_3d if self._outputs else 0,
+            segments=stream.segments if stream else False,
+            mask_subscribers=self._outputs.mask_subscribers if self._outputs else 0,
             busy_s=self._feed.busy_s(),
         )

@@ -11,7 +11,7 @@ from yolov5_lifecycle.detection.nms import WORTH_TELLING
 from yolov5_lifecycle.ros.detector.depth_status import DepthStatus
 from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
 from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S, TopicStatus
-from yolov5_lifecycle.ros.topics import DETECTIONS, DETECTIONS_3D, IMAGE, of_camera
+from yolov5_lifecycle.ros.topics import DETECTIONS, DETECTIONS_3D, IMAGE, MASKS, of_camera
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameBalance, LatencySummary, Outcome
 
 MANY_LOST = 4
@@ -38,7 +38,8 @@ class CameraStatus:
     `lost`, `overtaken`: images sent but not received since activation, as counted by `ImageLosses`.
     `latency`, `empty`: while active. `tracking`: values of the tracker, empty without one.
     `depth_status`: while active with the setting `depth`. `subscribers_3d`: subscriptions to detections in
-    space. `busy_s`: time that inference has spent on the current image, in seconds.
+    space. `segments`: whether there is a model and it segments. `mask_subscribers`: subscriptions to masks.
+    `busy_s`: time that inference has spent on the current image, in seconds.
     """
 
     camera: str
@@ -55,6 +56,8 @@ class CameraStatus:
     tracking: Mapping[str, str]
     depth_status: DepthStatus | None
     subscribers_3d: int
+    segments: bool
+    mask_subscribers: int
     busy_s: float
 
     @property
@@ -91,6 +94,12 @@ class CameraStatus:
         if self.subscribers_3d and self.depth_status is None:
             topic = of_camera(DETECTIONS_3D, self.camera)
             return f"{topic} has a subscriber, but nothing is published on it: set depth to true"
+        if self.mask_subscribers and not self.segments:
+            topic = of_camera(MASKS, self.camera)
+            return (
+                f"{topic} has a subscriber, but the loaded model does not segment: load a segmentation "
+                "model, such as yolov5n-seg.pt, with weights"
+            )
         if self.input is None:
             outputs = " or ".join(of_camera(topic, self.camera) for topic in (DETECTIONS, IMAGE))
             idle = f"idle (lazy): no subscribers to {outputs}, so no images are received"

@@ -16,7 +16,7 @@ from vision_msgs.msg import Detection2DArray, Detection3DArray, LabelInfo
 
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.ros.messages import compressed_image_message, image_message
+from yolov5_lifecycle.ros.messages import compressed_image_message, image_message, masks_message
 from yolov5_lifecycle.ros.qos_overrides import overriding_options
 from yolov5_lifecycle.ros.topics import (
     COMPRESSED_IMAGE,
@@ -24,6 +24,7 @@ from yolov5_lifecycle.ros.topics import (
     DETECTIONS_3D,
     IMAGE,
     LABEL_INFO,
+    MASKS,
     endpoint_name,
     of_camera,
 )
@@ -38,7 +39,7 @@ def label_info_publisher(node: LifecycleNode) -> LifecyclePublisher:
 
 
 class Outputs:
-    """Owns the publishers of a camera's detections and annotated images.
+    """Owns the publishers of a camera's detections, masks and annotated images.
 
     `camera`: see `of_camera`. `on_subscribers_changed()` is called in the executor when a subscriber joins or
     leaves. `encode` compresses an image to JPEG and raises ImageError if it cannot.
@@ -62,6 +63,7 @@ class Outputs:
         try:
             self.detections = self._publisher(Detection2DArray, DETECTIONS, QoSProfile(depth=10))
             self.detections_3d = self._publisher(Detection3DArray, DETECTIONS_3D, QoSProfile(depth=10))
+            self._masks = self._publisher(Image, MASKS, _newest())
             self._image = self._publisher(Image, IMAGE, _newest())
             self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, _newest())
         except Exception:
@@ -70,7 +72,7 @@ class Outputs:
 
     @property
     def subscribers(self) -> int:
-        """Number of subscriptions that need inference, those to detections in space left out."""
+        """Number of subscriptions that need inference with any model and settings."""
         return int(self.detections.get_subscription_count()) + self.image_subscribers
 
     @property
@@ -79,11 +81,20 @@ class Outputs:
         return int(self.detections_3d.get_subscription_count())
 
     @property
+    def mask_subscribers(self) -> int:
+        """Number of subscriptions to masks."""
+        return int(self._masks.get_subscription_count())
+
+    @property
     def image_subscribers(self) -> int:
         """Number of subscriptions that need annotated images."""
         return sum(
             int(publisher.get_subscription_count()) for publisher in (self._image, self._compressed_image)
         )
+
+    def publish_masks(self, label_image: NDArray[np.uint16], header: Header) -> None:
+        """Publish which pixels (H, W) belong to which detection, see `Detections.label_image`."""
+        self._masks.publish(masks_message(label_image, header))
 
     def publish_image(self, image: ColourImage, header: Header) -> None:
         """Publish an annotated image, raw and compressed, on each topic that has a subscriber."""

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.detection.detections import Detections
@@ -69,11 +72,17 @@ class Pipeline:
 
     @property
     def wanted(self) -> Selection:
-        """What the detector is to report: with a tracker, also what may continue a track."""
-        return self.selection if self.tracking is None else self.tracking.wider(self.selection)
+        """What the detector is to report of the next image.
+
+        With a tracker, also what may continue a track; masks while somebody subscribes to what shows them.
+        """
+        outputs = self.outputs
+        with_masks = self.detector.segments and outputs.mask_subscribers + outputs.image_subscribers > 0
+        selection = replace(self.selection, with_masks=with_masks)
+        return selection if self.tracking is None else self.tracking.wider(selection)
 
     def publish(self, result: DetectedFrame) -> None:
-        """Publish the detections and, if they have subscribers, their places and the annotated image.
+        """Publish the detections and, if they have subscribers, their places, masks and annotated image.
 
         The tracker is updated here, as an abandoned frame, which may return at any time, is not published.
         """
@@ -88,8 +97,11 @@ class Pipeline:
         self.empty_frames.add(now_s, len(detections), detections.best_missed)
         has_viewers = self.outputs.image_subscribers > 0
         distances_m = self._publish_3d(array, detections, result.image, has_viewers=has_viewers)
+        label_image = self._publish_masks(detections, header, has_viewers=has_viewers)
         if has_viewers:
-            drawn = annotate(result.image, detections, class_names, distances_m=distances_m)
+            drawn = annotate(
+                result.image, detections, class_names, distances_m=distances_m, label_image=label_image
+            )
             self.outputs.publish_image(ColourImage(drawn, result.image.order), header)
 
     def _publish_3d(
@@ -108,3 +120,16 @@ class Pipeline:
                 messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
             )
         return placed.distances_m
+
+    def _publish_masks(
+        self, detections: Detections, header: Header, *, has_viewers: bool
+    ) -> NDArray[np.uint16] | None:
+        """Publish which pixels belong to which detection; the same for who else asks for it, if anybody.
+
+        For somebody who subscribed after the image was detected in, there may be no masks.
+        """
+        has_subscribers = self.outputs.mask_subscribers > 0
+        label_image = detections.label_image() if has_subscribers or has_viewers else None
+        if has_subscribers and label_image is not None:
+            self.outputs.publish_masks(label_image, header)
+        return label_image

@@ -73,6 +73,11 @@ class Stream:
             return {}
         return {"tracker": self._settings.tracker, "confirmed tracks": str(self._tracker.confirmed)}
 
+    @property
+    def segments(self) -> bool:
+        """Whether the model segments."""
+        return self._detector.segments
+
     def look(self, topic: TopicStatus) -> InputStatus | None:
         """Update the subscription to what the publishers offer; return its status, None without one."""
         self.follow_subscribers()
@@ -98,21 +103,22 @@ class Stream:
             self._topic.follow(settings.image_transport)
         if is_other_camera:
             self.losses.stop()
-        if is_resubscribed or before.lazy != settings.lazy:
+        if is_resubscribed or is_other_model or before.lazy != settings.lazy:
             self.follow_subscribers()
 
     def follow_subscribers(self) -> None:
         """Subscribe if frames are needed; unsubscribe if `lazy` and the outputs have no subscriber."""
-        is_lazy = self._settings.lazy
-        subscribers_3d = self._outputs.subscribers_3d if self._settings.depth else 0
-        wanted = not is_lazy or self._outputs.subscribers + subscribers_3d > 0
+        is_lazy, outputs = self._settings.lazy, self._outputs
+        subscribers_3d = outputs.subscribers_3d if self._settings.depth else 0
+        mask_subscribers = outputs.mask_subscribers if self._detector.segments else 0
+        wanted = not is_lazy or outputs.subscribers + mask_subscribers + subscribers_3d > 0
         if wanted and self._input is None:
             self._input = self._trying(self._subscribed)
         elif not wanted:
             self.unsubscribe()
             self.losses.stop()
         if self.depth is not None and wanted:
-            viewers = subscribers_3d + self._outputs.image_subscribers
+            viewers = subscribers_3d + outputs.image_subscribers
             self.depth.follow(is_needed=not is_lazy or viewers > 0)
 
     def _subscribed(self) -> ImageInput:

@@ -1,0 +1,119 @@
+"""What masks cost beside the forward pass of a network that segments, for 1, 10 and 50 objects.
+
+python -m benchmark.masks [--weights FILE] [--size 640x480] [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.models import untrained_network
+from benchmark.report import Goal, goal_table, row, table, write_report
+from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.detection.masks import Masks
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
+from yolov5_lifecycle.models.architecture import SIZES
+
+REPORT = Path(__file__).parents[1] / "build" / "bench" / "masks.json"
+COUNTS = (1, 10, 50)
+FORWARD, PROTOTYPES = "network without prototypes", "prototypes"
+_LAYERS = SIZES["n"].layers
+SEGMENT_N = dataclasses.replace(
+    SIZES["n"], layers=(*_LAYERS[:-1], _LAYERS[-1]._replace(kind="Segment", args=(32, 256)))
+)
+"""The architecture of yolov5n-seg."""
+_MAX_SHARE_OF_FORWARD = 0.25
+_WARM_UPS = 5
+
+
+def calls(weights: Path, size_hw: tuple[int, int]) -> Mapping[str, Callable[[], object]]:
+    """What is measured, by name."""
+    detector = load_detector(load_weights(weights).model, device="cpu")
+    letterbox = Letterbox.fit(size_hw, image_size=detector.image_size, stride=detector.stride)
+    rng = np.random.default_rng(1)
+    frame = letterbox.apply(rng.integers(0, 256, (*size_hw, 3), np.uint8))
+    compute_prototypes = detector.runtime(frame, "bgr").compute_prototypes
+    if compute_prototypes is None:
+        raise ValueError(f"{weights}: expected a model that segments")
+    prototypes = compute_prototypes()
+
+    def masks_of(count: int) -> Callable[[], object]:
+        boxes_xyxy = random_boxes(rng, count, size_hw)
+        coefficients = rng.normal(size=(count, len(prototypes))).astype(np.float32)
+        return lambda: Masks.in_image(prototypes, coefficients, size_hw).label_image(boxes_xyxy)
+
+    return {
+        FORWARD: lambda: detector.runtime(frame, "bgr", Selection().min_objectness),
+        PROTOTYPES: compute_prototypes,
+        **{of_objects(count): masks_of(count) for count in COUNTS},
+    }
+
+
+def of_objects(count: int) -> str:
+    return f"masks of {count} object{'s'[: count > 1]}"
+
+
+def random_boxes(rng: np.random.Generator, count: int, size_hw: tuple[int, int]) -> NDArray[np.float32]:
+    """Boxes (n, 4) with sides of 5 to 50 % of those of the image."""
+    sides = rng.uniform(0.05, 0.5, (count, 2))
+    corners = rng.uniform(0, 1 - sides)
+    boxes = np.concatenate((corners, corners + sides), axis=1) * np.array(size_hw[::-1] * 2)
+    return np.asarray(boxes, np.float32)
+
+
+def measured_ms(measured: Mapping[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
+    """Milliseconds of each call in `turns` turns."""
+    taken_ms: dict[str, list[float]] = {name: [] for name in measured}
+    for turn in range(turns + _WARM_UPS):
+        for name, call in measured.items():
+            begun_s = time.perf_counter()
+            call()
+            if turn >= _WARM_UPS:
+                taken_ms[name].append((time.perf_counter() - begun_s) * 1e3)
+    return taken_ms
+
+
+def goal(taken_ms: Mapping[str, Sequence[float]]) -> Goal:
+    """Masks of ten objects beside the forward pass of the whole network."""
+    medians_ms = {name: statistics.median(times_ms) for name, times_ms in taken_ms.items()}
+    share = medians_ms[of_objects(10)] / (medians_ms[FORWARD] + medians_ms[PROTOTYPES])
+    return Goal("masks of 10 objects / forward", 0, share, True, _MAX_SHARE_OF_FORWARD)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print and write the report; returns 0."""
+    options = parser().parse_args(arguments)
+    width, height = map(int, options.size.split("x"))
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        weights = options.weights or untrained_network(SEGMENT_N, Path(folder) / "untrained.safetensors")
+        taken_ms = measured_ms(calls(weights, (height, width)), turns=20 if options.quick else 200)
+    rows = [row("masks", name, 0, times_ms) for name, times_ms in taken_ms.items()]
+    goals = [goal(taken_ms)]
+    print(f"{table(rows)}\n\n{goal_table(goals)}")
+    write_report(REPORT, vars(options), rows, goals)
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The argument parser."""
+    parser = argparse.ArgumentParser(prog="benchmark.masks", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n-seg")
+    parser.add_argument("--size", default="640x480", help="width x height of the image; default: %(default)s")
+    parser.add_argument("--quick", action="store_true", help="fewer rounds")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,55 @@
+"""The command `detect_bag` with a small model that segments, whose weights are random."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from support.random_model import random_model
+from support.small_families import SMALL_FAMILIES
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.prepared_model import PreparedModel, load_detector
+from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.settings.settings import Settings
+
+COUNT = 4
+"""Detections in each image, which overlap."""
+SETTINGS = Settings.model_validate({"max_detections": COUNT, "iou_threshold": 0.6})
+SET_MODEL = ["--set", f"max_detections={COUNT}", "--set", f"iou_threshold={SETTINGS.iou_threshold}"]
+
+
+@functools.cache
+def segmenting_detector() -> Detector:
+    model = random_model(7, SMALL_FAMILIES["segmentation"])
+    return load_detector(model, runtime="torch", device="cpu", image_size=320)
+
+
+def _prepare(settings: Settings, _: Sequence[tuple[int, int]]) -> PreparedModel:
+    return PreparedModel(settings, segmenting_detector(), Path("/random.pt"), "0" * 64)
+
+
+segment = functools.partial(main, prepare=_prepare)
+
+
+def segmented(image: ColourImage) -> Detections:
+    """What the model finds in `image`, with masks."""
+    detector = segmenting_detector()
+    return detector.detect(image, replace(selection(SETTINGS, detector.class_names), with_masks=True))
+
+
+def whole_masks(found: Detections) -> NDArray[np.bool_]:
+    """(n, H, W): the mask of each detection in the whole image."""
+    assert found.masks is not None
+    masks = np.zeros((len(found), *found.masks.size_hw), np.bool_)
+    for row, box_xyxy in enumerate(found.boxes_xyxy):
+        window, inside = found.masks.inside_box(row, box_xyxy)
+        masks[row][window.rows, window.columns] = inside
+    return masks
