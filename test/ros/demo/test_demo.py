@@ -34,6 +34,7 @@ def test_the_demo_passes_and_leaves_its_image(tmp_path: Path, monkeypatch: pytes
     lines = demo.output.splitlines()
     assert code == 0, demo.output
     assert lines[-1].startswith("demo ok: ")
+    assert any("] mask IoU " in line for line in lines)
     assert any(line.startswith("all classes") for line in lines)
     drawn = cv2.imread(str(tmp_path / "build" / "demo" / "annotated.png"))
     assert drawn is not None

@@ -99,18 +99,18 @@ def _run(report: Callable[[str], None]) -> Outcome:
         "camera": [entry_point("camera"), *camera_arguments],
         DETECTOR_PROCESS: [entry_point("detector"), "--ros-args", "--params-file", parameter_file],
     }
-    phases, annotated = demonstrated(
+    found = demonstrated(
         commands,
         lambda observer, detector: Demonstration(observer, detector, report=report).run(),
         report=report,
     )
-    path = saved(annotated, OUTPUT / "annotated.png")
-    first = phases[0]
+    path = saved(found.annotated, OUTPUT / "annotated.png")
+    first = found.phases[0]
     summary = (
         f"{len(first.sightings)} frames watched, {first.recall:.1%} of the shapes found, "
-        f"median latency {first.latencies_ms[0]:.0f} ms, image in {path}"
+        f"mask IoU {found.mask_iou:.2f}, median latency {first.latencies_ms[0]:.0f} ms, image in {path}"
     )
-    return Outcome(table(phases), summary)
+    return Outcome(table(found.phases), summary)
 
 
 def _say(text: str) -> None:

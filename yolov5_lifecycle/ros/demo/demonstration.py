@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from vision_msgs.msg import Detection2DArray
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.demo.driven_detector import DrivenDetector
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, recall, stamp_ns
+from yolov5_lifecycle.ros.demo.mask_record import MaskRecord
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.demo.outcome import DemonstrationError
 from yolov5_lifecycle.ros.messages import image_of_message
@@ -22,6 +24,8 @@ from yolov5_lifecycle.ros.messages import image_of_message
 WATCHED_MESSAGES = 120
 _LATER_MESSAGES = 30
 _LOWEST_RECALL = 0.9
+_MASKED_IMAGES = 20
+_LOWEST_MASK_IOU = 0.8
 _RAISED_THRESHOLD = 0.6
 _ONLY_CLASS = "circle"
 _IMAGE_SIZES = (320, 416)
@@ -45,6 +49,16 @@ class Phase:
         return statistics.median(ordered), ordered[int(0.95 * (len(ordered) - 1))]
 
 
+@dataclass(frozen=True, eq=False)
+class Demonstrated:
+    """What a demonstration has found."""
+
+    phases: tuple[Phase, ...]
+    mask_iou: float
+    """Mean over the objects whose masks were compared with the ground truth."""
+    annotated: ColourImage
+
+
 class Demonstration:
     """Drives `detector` with the camera's images and checks its output; calls `report` once per step."""
 
@@ -60,8 +74,8 @@ class Demonstration:
         observer.create_subscription(Detection2DArray, "/yolov5/detections", self._take, 10)
         observer.create_subscription(Detection2DArray, "/camera/truth", self._take_truth, 10)
 
-    def run(self) -> tuple[list[Phase], ColourImage]:
-        """Run all phases; return them and an annotated image. Raises DemonstrationError or NoAnswerError."""
+    def run(self) -> Demonstrated:
+        """Run all phases. Raises DemonstrationError or NoAnswerError."""
         self._report("waiting for the camera and the detector")
         self._observer.wait_for(lambda: bool(self._truths), "messages on /camera/truth")
         self._detector.wait_until_reachable()
@@ -69,6 +83,7 @@ class Demonstration:
         self._detector.transition("configure", "inactive")
         self._detector.transition("activate", "active")
         phases = [self._watch()]
+        mask_iou = self._compare_masks()
         annotated = self._annotated_image()
         phases += [self._narrow(), self._swap()]
         self._stop()
@@ -76,7 +91,7 @@ class Demonstration:
         phases.append(self._watch_again())
         self._stop()
         self._detector.transition("cleanup", "unconfigured")
-        return phases, annotated
+        return Demonstrated(tuple(phases), mask_iou, annotated)
 
     def _watch(self) -> Phase:
         self._report(f"watching {WATCHED_MESSAGES} messages")
@@ -89,6 +104,27 @@ class Demonstration:
             )
         self._report(f"found {found:.1%} of the true shapes where they are")
         return Phase("all classes", seen, found)
+
+    def _compare_masks(self) -> float:
+        """Compare the masks of the next images with the pixels that the camera's shapes have."""
+        self._report(f"comparing the masks of {_MASKED_IMAGES} images")
+        topics = {"found": "/yolov5/masks", "true": "/camera/ground_truth_masks"}
+        with closing(MaskRecord(self._observer, **topics)) as record:
+
+            def compared() -> list[Sighting]:
+                stamps_ns = record.stamps_ns & self._truths.keys()
+                return [seen for seen in self._sightings if seen.stamp_ns in stamps_ns]
+
+            self._observer.wait_for(
+                lambda: len(compared()) >= _MASKED_IMAGES,
+                f"{_MASKED_IMAGES} images on {' and '.join(topics.values())}",
+            )
+            ious = [iou for seen in compared() for iou in record.ious(seen, self._truths[seen.stamp_ns])]
+        mean = statistics.fmean(ious or [0.0])
+        if mean < _LOWEST_MASK_IOU:
+            raise DemonstrationError(f"mask IoU {mean:.2f}, expected at least {_LOWEST_MASK_IOU}")
+        self._report(f"mask IoU {mean:.2f}")
+        return mean
 
     def _annotated_image(self) -> ColourImage:
         """Receive an image from ~/image that shows several objects."""
