@@ -2,7 +2,7 @@
 
 import { element, setText, uniqueId } from "./element.js";
 import { shownValue, widgetFor, widgetKind } from "./parameter_widgets.js";
-import { isSame } from "./yaml_text.js";
+import { isChanged, isOverride, isSame } from "./yaml_text.js";
 
 const SETTLED_MS = 2000;
 const BETWEEN_MS = 120;
@@ -33,8 +33,9 @@ export class ParameterRow {
     const [label, meaning] = [uniqueId("label"), uniqueId("meaning")];
     this.#label = element("span", { class: "name", id: label }, parameter.name);
     this.#meaning = element("p", { class: "hint", id: meaning });
-    this.#reset.addEventListener("click", () => this.#send(this.#parameter.default));
-    this.#reset.setAttribute("aria-label", `Set ${parameter.name} to its default`);
+    const usual = isOverride(parameter.name) ? "the value of the node" : "its default";
+    this.#reset.setAttribute("aria-label", `Set ${parameter.name} to ${usual}`);
+    this.#reset.addEventListener("click", () => this.#send(this.#usual));
     this.element = element(
       "div",
       { class: "parameter", role: "group", "aria-labelledby": label, "data-parameter": parameter.name },
@@ -43,6 +44,11 @@ export class ParameterRow {
       this.#refusal,
       this.#meaning,
     );
+  }
+
+  /** The default; of an override for a camera, that it is not set. */
+  get #usual() {
+    return isOverride(this.#parameter.name) ? null : this.#parameter.default;
   }
 
   get isChanged() {
@@ -67,12 +73,11 @@ export class ParameterRow {
       });
       this.#place.replaceChildren(this.#widget.element);
     }
-    const differs = parameter.value !== null && !isSame(parameter.value, parameter.default);
-    this.element.classList.toggle("changed", differs);
-    const canReset = differs && !isFixed && parameter.default !== null;
+    this.element.classList.toggle("changed", isChanged(parameter));
+    const canReset = isChanged(parameter) && !isFixed && (this.#usual !== null || isOverride(parameter.name));
     // A button that has the keyboard stays until it is left: focus would be lost.
     this.#reset.hidden = !canReset && document.activeElement !== this.#reset;
-    this.#reset.title = canReset ? `Default: ${shownValue(parameter.default)}` : "";
+    this.#reset.title = canReset ? `Default: ${shownValue(this.#usual)}` : "";
     this.#show();
   }
 

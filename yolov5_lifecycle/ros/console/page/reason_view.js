@@ -3,6 +3,7 @@
 import { element, setText } from "./element.js";
 
 export const LEVELS = ["ok", "warning", "error", "stale"];
+const OF_NODE = "detection";
 const SYMBOLS = ["✓", "!", "✕", "?"];
 const STALE = "No diagnostics arrive any more: the detector's process hangs, has ended, or cannot be reached.";
 
@@ -23,7 +24,7 @@ export class ReasonView {
   }
 
   update(node) {
-    const status = node.diagnostics[0];
+    const status = node.diagnostics.find(({ name }) => name === OF_NODE) ?? node.diagnostics[0];
     const level = status?.level ?? 3;
     const message = status === undefined ? "no diagnostics received yet" : status.message;
     const text = level === 3 && status !== undefined ? `${STALE} The last: ${message}` : message;

@@ -2,9 +2,14 @@
 
 const HEAD = "/**:\n  ros__parameters:\n";
 
-/** What differs from the defaults; a parameter without a known default is included if it has a value. */
-export function changedParameters(parameters) {
-  return parameters.filter(({ value, default: usual }) => value !== null && !isSame(value, usual));
+/** Whether a parameter differs from its default. An override for a camera does wherever it is set. */
+export function isChanged({ name, value, default: usual }) {
+  return value !== null && (isOverride(name) || !isSame(value, usual));
+}
+
+/** Whether the parameter is that of one camera, such as `front.max_rate`: without a value, the node's applies. */
+export function isOverride(name) {
+  return name.includes(".");
 }
 
 /** Whether two values of parameters are equal. */
@@ -14,7 +19,7 @@ export function isSame(a, b) {
 
 /** The text of a file with every parameter that differs from its default. */
 export function yamlText(parameters) {
-  const changed = changedParameters(parameters);
+  const changed = parameters.filter(isChanged);
   if (changed.length === 0) {
     return "# Every parameter has its default.\n";
   }
