@@ -17,12 +17,16 @@ PIP_PACKAGES: Mapping[str, str] = MappingProxyType(
         "onnx": "onnx",
         "onnxruntime": "onnxruntime",
         "openvino": "openvino",
+        "prometheus_client": "prometheus-client",
         "pydantic": "pydantic",
         "pydantic_core": "pydantic-core",
         "rosbags": "rosbags",
         "safetensors": "safetensors",
         "scipy": "scipy",
+        "starlette": "starlette",
         "torch": "torch",
+        "uvicorn": "uvicorn",
+        "websockets": "websockets",
         "yaml": "pyyaml",
     }
 )
