@@ -85,6 +85,10 @@ class ConsolePage:
         """What of the parameter's part `css` selects."""
         return self.parameter(name).find_element(By.CSS_SELECTOR, css)
 
+    def is_busy(self, name: str) -> bool:
+        """Whether the parameter waits for the answer to a change."""
+        return self.parameter(name).get_attribute("aria-busy") == "true"
+
     def refusal(self, name: str) -> str:
         """The reason shown at the parameter once there is one."""
         css = f'[data-parameter="{name}"] .refusal'

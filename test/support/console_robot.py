@@ -8,7 +8,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from support.camera_process import camera_process
-from support.detector_process import NODE, PARAMETERS, DetectorProcess, as_arguments, detector_process, environment
+from support.detector_process import (
+    NODE,
+    PARAMETERS,
+    DetectorProcess,
+    as_arguments,
+    detector_process,
+    environment,
+)
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
 

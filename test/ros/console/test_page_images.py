@@ -138,6 +138,8 @@ def test_each_camera_has_its_image_and_the_reason_why_there_is_none(browser: Chr
         page = ConsolePage(browser, address(console))
         page.open()
         page.wait_for_image("front")
-        page.wait_for_text('[data-camera="rear"] .message', f"no publisher of images on {NODE}/rear/image_raw")
+        page.wait_for_text(
+            '[data-camera="rear"] .message', f"no publisher of images on {NODE}/rear/image_raw"
+        )
         assert page.stamp_s("rear") == 0
         page.wait_for_text(".reason", "rear: no publisher")

@@ -32,6 +32,7 @@ export class HistoryPlot {
       this.#svg,
       axis(),
     );
+    this.update([]);
   }
 
   /** `values`: one a second, the newest last; null where there is none. */

@@ -120,7 +120,7 @@ export class ParameterRow {
   }
 
   #setWaiting(isWaiting) {
-    this.element.toggleAttribute("aria-busy", isWaiting);
+    this.element.setAttribute("aria-busy", String(isWaiting));
     this.element.classList.toggle("busy", isWaiting);
     setText(this.#waiting, isWaiting ? (WAITING[this.#parameter.change] ?? "setting") : "");
   }

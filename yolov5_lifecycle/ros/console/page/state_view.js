@@ -39,7 +39,7 @@ export class StateView {
   #show(busy) {
     const shown = busy || (this.#pending && `${this.#pending} ...`);
     setText(this.#busy, shown);
-    this.element.toggleAttribute("aria-busy", shown !== "");
+    this.element.setAttribute("aria-busy", String(shown !== ""));
     this.element.classList.toggle("busy", shown !== "");
   }
 
