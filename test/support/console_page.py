@@ -72,13 +72,17 @@ class ConsolePage:
         """Press the button of a transition once it is there."""
         css = f'[data-transition="{transition}"]'
         self.wait_for(lambda: self.find(css).is_displayed(), f"the button {transition}")
+        self._scroll_to(self.find(css))
         self.find(css).click()
 
     def parameter(self, name: str) -> WebElement:
-        """The part of a parameter, its group opened."""
+        """The part of a parameter, its group opened and scrolled to."""
         part = self.find(f'[data-parameter="{name}"]')
         if not part.is_displayed():
-            part.find_element(By.XPATH, "./ancestor::details/summary").click()
+            summary = part.find_element(By.XPATH, "./ancestor::details/summary")
+            self._scroll_to(summary)
+            summary.click()
+        self._scroll_to(part)
         return part
 
     def widget(self, name: str, css: str) -> WebElement:
@@ -123,6 +127,10 @@ class ConsolePage:
         pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         assert pixels is not None
         return float(stamp_s), np.asarray(pixels, np.uint8)
+
+    def _scroll_to(self, part: WebElement) -> None:
+        """Bring it to the middle: at the top, the bar may lie above it."""
+        self.driver.execute_script("arguments[0].scrollIntoView({ block: 'center' })", part)
 
     def _canvas(self, camera: str) -> WebElement:
         return self.find(f'[data-camera="{camera}"] canvas')

@@ -59,7 +59,9 @@ def test_a_wrong_class_shows_the_nodes_refusal_and_the_old_value(page: ConsolePa
 
 def test_a_number_outside_of_its_range_is_refused_in_the_nodes_words(page: ConsolePage) -> None:
     page.enter("iou_threshold", "7")
-    assert page.refusal("iou_threshold") == "?"
+    assert page.refusal("iou_threshold") == (
+        "iou_threshold: 7.0 is not a number from 0 to 1. The default is 0.45."
+    )
     field = page.widget("iou_threshold", 'input[type="text"]')
     page.wait_for(lambda: field.get_attribute("value") == "0.45", "the old value")
 
