@@ -15,24 +15,23 @@ from pathlib import Path
 import cv2
 import numpy as np
 from selenium.webdriver import Chrome
-from support.browser import DESKTOP, PHONE, chromium, set_colour_scheme, set_screen
+from support.browser import PHONE, chromium, set_colour_scheme, set_screen
 from support.camera_process import camera_process
 from support.console_page import ConsolePage
 from support.console_robot import address, console_process
 from support.detector_process import NODE, detector_process
 
+from tools.palette_image import write_palette_image
 from yolov5_lifecycle.ros.demo.command import SEED
 
 REPOSITORY = Path(__file__).parents[1]
 _CAMERA = ("--ros-args", "-p", f"seed:={SEED}", "-p", "rate:=15.0", "-r", f"image_raw:={NODE}/image_raw")
-_COLOURS = 96
-"""Different colours of a picture: with more, a PNG of images of a camera is large."""
+_DESKTOP = (1280, 860)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write console.png and console-phone.png; returns 0."""
     given = parser().parse_args(argv)
-    # Before rclpy begins threads.
     with (
         detector_process("--params-file", str(REPOSITORY / "config" / "demo.yaml")) as detector,
         camera_process(detector.domain, *_CAMERA),
@@ -49,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         page.widget("classes", '[data-name="star"]').click()
         page.wait_for(lambda: not page.is_busy("classes") and not page.chosen("classes"), "all classes")
         page.wait_for_image()
-        photograph(browser, given.folder / "console.png", DESKTOP, is_phone=False)
+        photograph(browser, given.folder / "console.png", _DESKTOP, is_phone=False)
         set_colour_scheme(browser, "dark")
         page.wait_for_image()
         photograph(browser, given.folder / "console-phone.png", PHONE, is_phone=True)
@@ -58,9 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="console_screenshots", description=__doc__)
-    parser.add_argument(
-        "--seconds", type=int, default=120, help="length of the history (default %(default)s)"
-    )
+    parser.add_argument("--seconds", type=int, default=120, help="seconds of history (default %(default)s)")
     parser.add_argument("--folder", type=Path, default=REPOSITORY / "docs" / "images")
     return parser
 
@@ -80,12 +77,15 @@ def points(page: ConsolePage) -> int:
 def photograph(browser: Chrome, path: Path, size_wh: tuple[int, int], *, is_phone: bool) -> None:
     """Write what is visible of the page to `path`."""
     set_screen(browser, size_wh, is_phone=is_phone, scale=1)
-    browser.execute_script("window.scrollTo(0, 0)")
+    browser.execute_script(
+        "for (const part of [document.documentElement, ...document.querySelectorAll('.parameters')]) "
+        "part.scrollTop = 0; document.activeElement.blur()"
+    )
     content = base64.b64decode(browser.get_screenshot_as_base64())
     pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     assert pixels is not None
     path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    write_palette_image(path, np.asarray(pixels, np.uint8))
     print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
 
 

@@ -46,7 +46,9 @@ export class StateView {
   #button(label) {
     const press = () => (label in CONFIRMED ? this.#confirm(label) : this.#start(label));
     const attributes = { type: "button", "data-transition": label, onclick: press };
-    if (label === "activate" || label === "configure") {
+    if (label in CONFIRMED) {
+      attributes.class = "danger";
+    } else if (label === "activate" || label === "configure") {
       attributes.class = "primary";
     }
     return { element: element("button", attributes, label), update: () => {} };
