@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from sensor_msgs.msg import Image
 from support.console_fixtures import ConsoleBesideNode, JpegPublisher, console_beside_node
 from support.detector_process import NODE
 from support.preparations import Preparations
-from support.served_node import ServedNode
+from support.served_node import ServedNode, image
 from websockets.exceptions import ConnectionClosed
 
 LARGE = 200_000
@@ -134,25 +135,27 @@ def test_an_unknown_camera_is_refused(console: ConsoleBesideNode, node: str, cam
 
 
 def test_another_word_than_taken_closes_the_connection(console: ConsoleBesideNode) -> None:
-    with console.client.viewer() as viewer, pytest.raises(ConnectionClosed) as closed:
+    with console.client.viewer() as viewer:
         viewer.connection.send("more")
-        viewer.receive()
+        with pytest.raises(ConnectionClosed) as closed:
+            viewer.receive()
     assert closed.value.rcvd is not None
     assert closed.value.rcvd.code == 1008
 
 
 def test_the_detector_stays_lazy_until_somebody_looks(console: ConsoleBesideNode) -> None:
-    served = console.served
-    served.bring_to("active")
-    try:
-        assert served.image_subscriptions() == 0
-        with console.client.viewer() as viewer:
-            served.wait_for(lambda: served.image_subscriptions() == 1, "the detector to receive images")
-            served.wait_for(lambda: served.images.get_subscription_count() > 0, "its subscription")
-            served.publish()
+    name, topic = "/lazy", "/lazy/image_raw"
+    words = ["--ros-args", "-r", "__node:=lazy"]
+    with ServedNode(Preparations(), arguments=words) as served, console.client.page() as page:
+        page.wait_for(lambda: name in page.nodes, "the lazy detector")
+        for label in ("configure", "activate"):
+            assert page.ask(type="transition", node=name, label=label) == ""
+        camera = served.client.create_publisher(Image, topic, 1)
+        page.wait_for_state("active", name)
+        assert served.client.count_subscribers(topic) == 0
+        with console.client.viewer(name) as viewer:
+            served.wait_for(lambda: camera.get_subscription_count() == 1, "the detector to receive images")
+            camera.publish(image())
             _, jpeg = viewer.receive()
             assert jpeg.startswith(b"\xff\xd8")
-        served.wait_for(lambda: served.image_subscriptions() == 0, "the detector to receive none")
-    finally:
-        for label in ("deactivate", "cleanup"):
-            served.transition(label)
+        served.wait_for(lambda: served.client.count_subscribers(topic) == 0, "the detector to receive none")
