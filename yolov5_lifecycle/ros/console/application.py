@@ -20,6 +20,7 @@ from yolov5_lifecycle.ros.console.page_files import LOGIN, PAGE, PageFile
 from yolov5_lifecycle.ros.console.sessions import SESSION_S, Sessions, TooManyTriesError
 
 _MAX_FORM_BYTES = 4096
+_MAX_FIELDS = 10
 _FORM_S = 10.0
 
 Serve = Callable[[WebSocket], Awaitable[None]]
@@ -115,5 +116,8 @@ async def _token(request: Request) -> str:
         content += part
         if len(content) > _MAX_FORM_BYTES:
             raise HTTPException(413, f"a form has at most {_MAX_FORM_BYTES} bytes")
-    fields = parse_qs(content.decode("utf-8", "replace"), max_num_fields=10)
+    try:
+        fields = parse_qs(content.decode("utf-8", "replace"), max_num_fields=_MAX_FIELDS)
+    except ValueError:
+        raise HTTPException(400, f"a form has at most {_MAX_FIELDS} fields") from None
     return fields.get("token", [""])[0].strip()

@@ -142,14 +142,16 @@ class Detector:
 
     async def change_state(self, label: str) -> str:
         """Request a transition; returns the reason for a refusal, "" on success."""
-        if label not in self._transitions:
-            possible = ", ".join(self._transitions) or "none"
-            return f"{in_one_line(label, 100)} is not possible while {self._state}; possible now: {possible}"
         count = self._log.count
-        what = f"{label} ..."
+        what = f"{in_one_line(label, 100)} ..."
         self._begin(what)
         try:
+            await self._ask_state()
+            if label not in self._transitions:
+                possible = ", ".join(self._transitions) or "none"
+                return f"{what[:-4]} is not possible while {self._state}; possible now: {possible}"
             if await self._link.change_state(label):
+                await self._ask_state()
                 return ""
             return await self._reason(count) or f"the node refused to {label}; its log says why"
         except NotReachedError as error:
@@ -202,7 +204,7 @@ class Detector:
         if self._wants_state:
             self._wants_state = False
             try:
-                self._state, self._transitions = await self._link.state()
+                await self._ask_state()
             except NotReachedError:
                 self._wants_state = True
                 raise
@@ -217,6 +219,9 @@ class Detector:
             self._values = {str(one.name): plain_value(value) for one, value in found if one.name in views}
             self._views = views
         self._on_change(self)
+
+    async def _ask_state(self) -> None:
+        self._state, self._transitions = await self._link.state()
 
     async def _reason(self, count: int) -> str:
         """The problems that the node has logged since line number `count`; waits a little for them."""

@@ -18,6 +18,7 @@ COOKIE = "console"
 METRICS = "/metrics"
 _REQUESTS_PER_S = 100.0
 _REQUESTS = 400
+_MAX_HEADER_BYTES = 16 * 1024
 _OPEN_TO_ALL = ("/login", "/page/")
 """What is served without a session: the login page and files that everybody has."""
 _SAFE = ("GET", "HEAD")
@@ -26,8 +27,8 @@ _SAFE = ("GET", "HEAD")
 class Gate:
     """Passes requests on to `application` that come from the page of this console and may be answered.
 
-    Refused are: too many from one address; a foreign Host; a foreign Origin, or none where a page sends one;
-    with `sessions`, those without a session.
+    Refused are: too many from one address; large ones; a foreign Host; a foreign Origin, or none where a page
+    sends one; with `sessions`, those without a session.
     """
 
     def __init__(self, application: ASGIApp, addresses: Addresses, sessions: Sessions | None) -> None:
@@ -51,6 +52,8 @@ class Gate:
         headers = Headers(scope=scope)
         if not self._requests.of(address_of(scope)).spend():
             return _text(429, "too many requests: wait a second", {"Retry-After": "1"})
+        if _header_bytes(scope) > _MAX_HEADER_BYTES:
+            return _text(431, f"address and headers of a request have at most {_MAX_HEADER_BYTES} bytes")
         hosts = headers.getlist("host")
         server = scope.get("server") or ("", 0)
         scheme = self._addresses.scheme_of(hosts[0], tuple(server)) if len(hosts) == 1 else ""
@@ -100,6 +103,11 @@ def _bearer_refusal(sessions: Sessions, scope: Scope, headers: Headers) -> Respo
     except TooManyTriesError:
         return _text(429, "too many wrong tokens: wait a minute", {"Retry-After": "60"})
     return _text(401, "expected the header Authorization: Bearer TOKEN", {"WWW-Authenticate": "Bearer"})
+
+
+def _header_bytes(scope: Scope) -> int:
+    address = len(scope.get("raw_path", b"")) + len(scope["query_string"])
+    return address + sum(len(name) + len(value) for name, value in scope["headers"])
 
 
 def _cookie(scope: Scope) -> str:

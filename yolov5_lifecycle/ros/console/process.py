@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 import rclpy
-from rclpy.utilities import remove_ros_args
 
 from yolov5_lifecycle.commands.entry_points import EXIT_UNABLE
 from yolov5_lifecycle.process.standard_streams import complain, flush_output, write_output
@@ -42,9 +41,10 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
 
 
 def _run(arguments: list[str]) -> int:
-    options = parsed(remove_ros_args(arguments)[1:])
     try:
-        given = initialize(start_arguments(arguments))
+        given = start_arguments(arguments)
+        options = parsed(given.own_words)
+        given = initialize(given)
         if given.problems:
             return refuse(_NAME, " ".join(given.problems))
         node = PrintableNode(_NAME)

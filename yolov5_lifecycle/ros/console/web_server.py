@@ -13,6 +13,7 @@ import h11
 import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
 
@@ -28,10 +29,11 @@ HEADERS = {
 }
 """Of every response."""
 MAX_CONNECTIONS = 128
+MAX_CONNECTIONS_OF_ADDRESS = 64
 """Further ones are closed at once."""
 MAX_BUSY_CONNECTIONS = 96
 """With more connections, requests are answered with 503."""
-FIRST_REQUEST_S = 10.0
+FIRST_REQUEST_S = 5.0
 """A connection that has sent no complete request by then is closed."""
 MAX_MESSAGE_BYTES = 256 * 1024
 """Of a page to the console; the longest list of class names fits."""
@@ -51,7 +53,7 @@ class WebServer(uvicorn.Server):
         config = uvicorn.Config(
             application,
             http=_BoundedProtocol,
-            ws="websockets-sansio",
+            ws=WebSocketsSansIOProtocol,
             lifespan="off",
             log_config=None,
             # What clients do wrong is answered, not logged; the application logs its own errors.
@@ -92,10 +94,15 @@ class _BoundedProtocol(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        if len(self.connections) > MAX_CONNECTIONS:
+        own = sum(1 for other in self.connections if other.client and other.client[0] == self._address)
+        if len(self.connections) > MAX_CONNECTIONS or own > MAX_CONNECTIONS_OF_ADDRESS:
             transport.abort()
         else:
             self.loop.call_later(FIRST_REQUEST_S, self._close_if_idle)
+
+    @property
+    def _address(self) -> str:
+        return self.client[0] if self.client else ""
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -106,7 +113,7 @@ class _BoundedProtocol(H11Protocol):
     def _close_if_idle(self) -> None:
         is_idle = self.conn.our_state is h11.IDLE and self in self.connections
         if is_idle and not self.transport.is_closing():
-            self.transport.abort()
+            self.transport.close()
 
 
 def listening_socket(options: ConsoleOptions) -> socket.socket:
