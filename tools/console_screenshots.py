@@ -18,7 +18,7 @@ from selenium.webdriver import Chrome
 from support.browser import PHONE, chromium, set_colour_scheme, set_screen
 from support.camera_process import camera_process
 from support.console_page import ConsolePage
-from support.console_robot import address, console_process
+from support.console_process import address, console_process
 from support.detector_process import NODE, detector_process
 
 from tools.palette_image import write_palette_image
@@ -26,7 +26,7 @@ from yolov5_lifecycle.ros.demo.command import SEED
 
 REPOSITORY = Path(__file__).parents[1]
 _CAMERA = ("--ros-args", "-p", f"seed:={SEED}", "-p", "rate:=15.0", "-r", f"image_raw:={NODE}/image_raw")
-_DESKTOP = (1280, 860)
+_DESKTOP = (1280, 980)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

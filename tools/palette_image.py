@@ -16,7 +16,7 @@ _ROWS = 20
 _SEED = 1
 
 
-def write_palette_image(path: Path, pixels: NDArray[np.uint8], *, colours: int = 160) -> None:
+def write_palette_image(path: Path, pixels: NDArray[np.uint8], *, colours: int = 256) -> None:
     """Write BGR `pixels` (H, W, 3) with at most so many `colours`, up to 256."""
     palette = _palette(pixels, colours)
     rows = [_nearest(part, palette) for part in np.array_split(pixels, len(pixels) // _ROWS + 1)]

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 from support.camera_process import camera_process
+from support.console_process import address, console_process
 from support.detector_process import (
     NODE,
     PARAMETERS,
     DetectorProcess,
     as_arguments,
     detector_process,
-    environment,
 )
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
 
 CAMERA = (
     *("--ros-args", "-r", f"image_raw:={NODE}/image_raw", "-p", "seed:=8", "-p", "rate:=15.0"),
     *("-p", "width:=320", "-p", "height:=240"),
 )
-_ADDRESS = re.compile(r"console: (http\S+)")
 
 
 @dataclass(frozen=True)
@@ -40,27 +36,11 @@ class ConsoleRobot:
 
 
 @contextmanager
-def console_robot(*arguments: str) -> Iterator[ConsoleRobot]:
-    """Camera, detector and a console that is given `arguments`."""
+def console_robot() -> Iterator[ConsoleRobot]:
+    """Camera, detector and console."""
     with (
         detector_process(*as_arguments(PARAMETERS)) as detector,
         camera_process(detector.domain, *CAMERA),
-        console_process(detector.domain, *arguments) as console,
+        console_process(detector.domain) as console,
     ):
         yield ConsoleRobot(detector, address(console))
-
-
-@contextmanager
-def console_process(domain: int, *arguments: str, port: int = 0) -> Iterator[ChildProcess]:
-    """The installed `console` once it serves, with port 0 on a free port."""
-    command = [entry_point("console"), "--port", str(port), *arguments]
-    with ChildProcess("console", command, environment(domain)) as process:
-        process.wait_for_output("console: http", PATIENCE_S)
-        yield process
-
-
-def address(console: ChildProcess) -> str:
-    """The address that a console has announced."""
-    found = _ADDRESS.search(console.output)
-    assert found, console.output
-    return found[1]

@@ -11,7 +11,8 @@ from selenium.webdriver import Chrome
 from sensor_msgs.msg import Image
 from support.camera_process import camera_process
 from support.console_page import ConsolePage
-from support.console_robot import ConsoleRobot, address, console_process
+from support.console_process import address, console_process
+from support.console_robot import ConsoleRobot
 from support.detector_process import NODE, detector_process
 
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns

@@ -12,7 +12,8 @@ from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from support.camera_process import camera_process
 from support.console_page import ConsolePage
-from support.console_robot import CAMERA, address, console_process
+from support.console_process import address, console_process
+from support.console_robot import CAMERA
 from support.detector_process import PARAMETERS, as_arguments, environment
 from support.worker import worker_domain
 

@@ -9,7 +9,8 @@ import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.keys import Keys
 from support.console_page import ConsolePage
-from support.console_robot import ConsoleRobot, address, console_process
+from support.console_process import address, console_process
+from support.console_robot import ConsoleRobot
 from support.detector_process import PARAMETERS
 
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting

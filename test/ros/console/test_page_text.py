@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from selenium.webdriver import Chrome
 from support.colcon_workspace import REPOSITORY
-from support.console_robot import address, console_process
+from support.console_process import address, console_process
 from support.worker import worker_domain
 
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
