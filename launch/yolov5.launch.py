@@ -56,7 +56,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def checked_detector(context: LaunchContext) -> list[Node | TimerAction]:
-    """Detector and console if the launch arguments are valid; otherwise the launch ends with 1 and the reason."""
+    """Detector and console if the arguments are valid; otherwise the launch ends with 1 and the reason."""
     if not (problems := [*unknown_arguments(context), *wrong_values(context)]):
         return [detector(), console(context)]
     if is_started_directly(context):
