@@ -43,7 +43,13 @@ setup(
     ],
     extras_require={
         "bag": ["rosbags>=0.11"],
-        "console": ["prometheus-client>=0.20", "starlette>=0.45", "uvicorn>=0.35", "websockets>=13"],
+        "console": [
+            "h11>=0.14",
+            "prometheus-client>=0.20",
+            "starlette>=0.45",
+            "uvicorn>=0.35",
+            "websockets>=13",
+        ],
         "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
         "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],

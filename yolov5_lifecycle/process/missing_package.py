@@ -13,6 +13,7 @@ PIP_PACKAGES: Mapping[str, str] = MappingProxyType(
     {
         "annotated_types": "annotated-types",
         "cv2": "opencv-python-headless",
+        "h11": "h11",
         "numpy": "numpy",
         "onnx": "onnx",
         "onnxruntime": "onnxruntime",

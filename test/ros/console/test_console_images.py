@@ -110,8 +110,10 @@ def test_each_camera_and_node_has_its_own_images(console: ConsoleBesideNode) -> 
         topics = {camera: f"{name}/{camera}/image/compressed" for camera in ("front", "rear")}
         publishers = {camera: JpegPublisher(served.client, topic) for camera, topic in topics.items()}
         with console.client.viewer(name, "front") as front, console.client.viewer(name, "rear") as rear:
-            for publisher in publishers.values():
-                served.wait_for(lambda publisher=publisher: publisher.subscribers == 1, "the subscription")
+            served.wait_for(
+                lambda: all(publisher.subscribers == 1 for publisher in publishers.values()),
+                "the subscriptions",
+            )
             publishers["rear"].publish(7)
             publishers["front"].publish(5)
             assert front.receive() == (1.0, bytes(5))

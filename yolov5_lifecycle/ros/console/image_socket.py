@@ -7,11 +7,11 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from websockets.frames import CloseCode
 
 from yolov5_lifecycle.ros.console.budget import Budget
 from yolov5_lifecycle.ros.console.detector import Detector
 from yolov5_lifecycle.ros.console.image_feed import ImageFeed, ImageFeeds
-from yolov5_lifecycle.ros.console.page_socket import POLICY, TRY_LATER
 
 MAX_VIEWERS = 32
 _TAKEN = "taken"
@@ -36,7 +36,7 @@ class Viewers:
         if detector is None or camera not in (detector.camera_names or [""]):
             await websocket.close(_UNKNOWN, "there is no such camera")
         elif self._feeds.viewers >= MAX_VIEWERS:
-            await websocket.close(TRY_LATER, f"{MAX_VIEWERS} images are shown: close a page")
+            await websocket.close(CloseCode.TRY_AGAIN_LATER, f"{MAX_VIEWERS} images are shown: close a page")
         else:
             await _Viewer(websocket, self._feeds.of(node, camera)).serve()
 
@@ -70,7 +70,9 @@ class _Viewer:
             if message["type"] == "websocket.disconnect":
                 return
             if message.get("text") != _TAKEN or not self._budget.spend():
-                await self._websocket.close(POLICY, f"expected '{_TAKEN}' after each image")
+                await self._websocket.close(
+                    CloseCode.POLICY_VIOLATION, f"expected '{_TAKEN}' after each image"
+                )
                 return
             self._has_taken = True
             self._offer()

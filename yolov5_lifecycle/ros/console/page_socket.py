@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from websockets.frames import CloseCode
 
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.console.budget import Budget
@@ -16,7 +17,6 @@ from yolov5_lifecycle.ros.console.detector import Detector
 
 MAX_PAGES = 16
 VIEW_ONLY = "this console is for viewing only (--view-only)"
-POLICY, TRY_LATER = 1008, 1013
 _MESSAGES_PER_S = 30.0
 _MESSAGES = 60
 _MAX_PENDING = 8
@@ -65,7 +65,7 @@ class Pages:
         """Serve one page until it is closed."""
         await websocket.accept()
         if len(self._open) >= MAX_PAGES:
-            await websocket.close(TRY_LATER, f"{MAX_PAGES} pages are open: close one of them")
+            await websocket.close(CloseCode.TRY_AGAIN_LATER, f"{MAX_PAGES} pages are open: close one of them")
             return
         page = _Page(websocket, self._find, view_only=self._view_only)
         self._open.add(page)
@@ -132,7 +132,7 @@ class _Page:
             if message["type"] == "websocket.disconnect":
                 return
             if not self._budget.spend():
-                await self._websocket.close(POLICY, "too many messages")
+                await self._websocket.close(CloseCode.POLICY_VIOLATION, "too many messages")
                 return
             self._handle(message.get("text"))
 

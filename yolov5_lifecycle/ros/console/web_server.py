@@ -94,15 +94,11 @@ class _BoundedProtocol(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        own = sum(1 for other in self.connections if other.client and other.client[0] == self._address)
-        if len(self.connections) > MAX_CONNECTIONS or own > MAX_CONNECTIONS_OF_ADDRESS:
+        addresses = [_address(other) for other in self.connections]
+        if len(addresses) > MAX_CONNECTIONS or addresses.count(_address(self)) > MAX_CONNECTIONS_OF_ADDRESS:
             transport.abort()
         else:
             self.loop.call_later(FIRST_REQUEST_S, self._close_if_idle)
-
-    @property
-    def _address(self) -> str:
-        return self.client[0] if self.client else ""
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -114,6 +110,12 @@ class _BoundedProtocol(H11Protocol):
         is_idle = self.conn.our_state is h11.IDLE and self in self.connections
         if is_idle and not self.transport.is_closing():
             self.transport.close()
+
+
+def _address(connection: object) -> str:
+    """Address of the client of one of uvicorn's connections."""
+    client = getattr(connection, "client", None)
+    return str(client[0]) if client else ""
 
 
 def listening_socket(options: ConsoleOptions) -> socket.socket:
