@@ -14,12 +14,15 @@ _SAMPLES = 20_000
 _ROWS = 20
 """Rows of pixels that are matched with the palette at once."""
 _SEED = 1
+_DITHERING = 3
+"""How much lighter or darker, of 255."""
 
 
 def write_palette_image(path: Path, pixels: NDArray[np.uint8], *, colours: int = 256) -> None:
     """Write BGR `pixels` (H, W, 3) with at most so many `colours`, up to 256."""
-    palette = _palette(pixels, colours)
-    rows = [_nearest(part, palette) for part in np.array_split(pixels, len(pixels) // _ROWS + 1)]
+    dithered = _dithered(pixels)
+    palette = _palette(dithered, colours)
+    rows = [_nearest(part, palette) for part in np.array_split(dithered, len(pixels) // _ROWS + 1)]
     lines = b"".join(b"\0" + row.tobytes() for row in np.concatenate(rows))
     height, width = pixels.shape[:2]
     path.write_bytes(
@@ -29,6 +32,14 @@ def write_palette_image(path: Path, pixels: NDArray[np.uint8], *, colours: int =
         + _chunk(b"IDAT", zlib.compress(lines, 9))
         + _chunk(b"IEND", b"")
     )
+
+
+def _dithered(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Alternately lighter and darker, so that gradients have no steps; areas of one colour stay."""
+    signs = 1 - 2 * (np.indices(pixels.shape[:2]).sum(axis=0) % 2)
+    changed = np.clip(pixels.astype(np.int32) + _DITHERING * signs[..., None], 0, 255)
+    is_flat = np.all(cv2.blur(pixels, (5, 5)) == pixels, axis=2, keepdims=True)
+    return np.where(is_flat, pixels, changed).astype(np.uint8)
 
 
 def _palette(pixels: NDArray[np.uint8], colours: int) -> NDArray[np.uint8]:

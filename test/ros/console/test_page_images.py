@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from selenium.webdriver import Chrome
+from selenium.webdriver.common.by import By
 from sensor_msgs.msg import Image
 from support.camera_process import camera_process
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.console_robot import ConsoleRobot
-from support.detector_process import NODE, detector_process
+from support.detector_process import NODE, detector_process, environment
 
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
 from yolov5_lifecycle.ros.messages import image_of_message
 
@@ -144,3 +146,21 @@ def test_each_camera_has_its_image_and_the_reason_why_there_is_none(browser: Chr
         )
         assert page.stamp_s("rear") == 0
         page.wait_for_text(".reason", "rear: no publisher")
+
+
+def test_each_detector_has_a_tab_and_only_the_shown_one_sends_images(
+    robot: ConsoleRobot, page: ConsolePage
+) -> None:
+    observer = robot.detector.observer
+    command = [entry_point("detector"), "--ros-args", "-r", "__node:=second"]
+    with ChildProcess("second detector", command, environment(robot.detector.domain)):
+        page.wait_for_image()
+        tabs = "nav a"
+        page.wait_for(lambda: len(page.driver.find_elements(By.CSS_SELECTOR, tabs)) == 2, "both tabs")
+        page.driver.find_element(By.LINK_TEXT, "/second").click()
+        second = ConsolePage(page.driver, robot.url, node="/second")
+        second.wait_for_state("unconfigured")
+        assert not page.find(".head").is_displayed()
+        observer.wait_for(lambda: observer.count_subscribers(f"{NODE}/image/compressed") == 0, "no viewer")
+        page.driver.find_element(By.LINK_TEXT, NODE).click()
+        page.wait_for_image()

@@ -11,7 +11,7 @@ from selenium.webdriver.common.keys import Keys
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.console_robot import ConsoleRobot
-from support.detector_process import PARAMETERS
+from support.detector_process import NODE, PARAMETERS
 
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
@@ -56,6 +56,17 @@ def test_a_wrong_class_shows_the_nodes_refusal_and_the_old_value(page: ConsolePa
     field.send_keys("circel", Keys.ENTER)
     assert "Did you mean 'circle'?" in page.refusal("classes")
     page.wait_for(lambda: page.chosen("classes") == [], "the old value")
+
+
+def test_what_comes_from_elsewhere_is_text(page: ConsolePage) -> None:
+    hostile = "<img src=x onerror=document.title='caught'><b>"
+    page.widget("classes", 'input[type="text"]').send_keys(hostile, Keys.ENTER)
+    assert hostile in page.refusal("classes")
+    page.enter("weights", hostile)
+    assert hostile in page.refusal("weights")
+    page.wait_for_text(".log .lines", hostile)
+    assert page.find_all("img, b") == []
+    assert page.driver.title == f"{NODE} - Detector console"
 
 
 def test_a_number_outside_of_its_range_is_refused_in_the_nodes_words(page: ConsolePage) -> None:

@@ -6,6 +6,7 @@ export class Chips {
   #options;
   #chips;
   #value = [];
+  #shown = "";
   #field;
   #note = element("span", { class: "hint" });
 
@@ -27,8 +28,13 @@ export class Chips {
   }
 
   show(value) {
-    this.#value = value ?? [];
     const known = this.#options.hasClassNames ? this.#options.classNames() : [];
+    const shown = JSON.stringify([value, known]);
+    if (shown === this.#shown) {
+      return; // there may be thousands
+    }
+    this.#shown = shown;
+    this.#value = value ?? [];
     const names = [...new Set([...known, ...this.#value])];
     const chips = names.map((name) => ({ name, isOn: this.#value.includes(name) }));
     this.#chips.update(chips, (chip) => chip.name);

@@ -54,8 +54,7 @@ class Page {
 
   #show() {
     const names = [...this.#views.keys()].sort();
-    const wanted = decodeURIComponent(location.hash.slice(1));
-    const shown = [wanted, this.#shown].find((name) => names.includes(name)) ?? names[0];
+    const shown = [wantedName(), this.#shown].find((name) => names.includes(name)) ?? names[0];
     this.#shown = shown;
     for (const [name, view] of this.#views) {
       view.isCurrent = name === shown;
@@ -87,6 +86,15 @@ class Tab {
       this.element.setAttribute("aria-current", "page");
     }
     this.element.dataset.state = view.isGone ? "gone" : view.state;
+  }
+}
+
+/** The detector that the address names, "" if it names none. */
+function wantedName() {
+  try {
+    return decodeURIComponent(location.hash.slice(1));
+  } catch {
+    return "";
   }
 }
 
