@@ -25,7 +25,7 @@ RUN python3 -m venv --system-site-packages /opt/venv \
       --index-url https://download.pytorch.org/whl/cpu -c requirements/constraints-apt.txt torch; \
     elif [ -n "${TORCH}" ]; then echo "TORCH=${TORCH}: expected cpu, or nothing for pip's usual build" >&2; exit 1; fi \
  && /opt/venv/bin/pip install --no-cache-dir ${PIP_FLAGS} -c requirements/constraints-apt.txt \
-      onnx onnxruntime pydantic safetensors torch
+      h11 onnx onnxruntime prometheus-client pydantic safetensors starlette torch uvicorn websockets
 COPY . .
 WORKDIR /workspace
 # The interpreter that runs colcon goes into the first line of the executables: this environment's, which has torch.

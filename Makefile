@@ -14,6 +14,8 @@ CAMERAS_FLAGS ?=
 TRACKING_FLAGS ?=
 FAMILIES_FLAGS ?=
 MASKS_FLAGS ?=
+CONSOLE_FLAGS ?=
+CONSOLE_BENCH_FLAGS ?=
 SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
 
@@ -58,10 +60,12 @@ ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
-.PHONY: help install demo demo-cameras test test-all coverage soak fuzz bench bench-families lint docs clean
+.PHONY: help install demo demo-cameras console test test-all coverage soak fuzz bench bench-families lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make demo-cameras  two cameras on one detector, with tracks and places in space; result in build/demo'
+	@echo 'make console  camera, detector and console together until Ctrl-C; prints the address for the browser'
+	@echo '              (CONSOLE_FLAGS="--port 8090")'
 	@echo 'make test     the tests, without the long ones  (SET=apt: numpy, scipy, OpenCV of Ubuntu 24.04, in .venv-apt)'
 	@echo 'make test-all all tests'
 	@echo 'make coverage all tests, with the line coverage of the package, child processes included'
@@ -87,6 +91,10 @@ demo-cameras: $(PACKAGE)
 	@mkdir -p build/demo
 	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo --cameras
 
+console: $(PACKAGE)
+	@mkdir -p build/demo
+	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo --console $(CONSOLE_FLAGS)
+
 test: $(PACKAGE)
 	$(PYTEST) -m 'not long' $(PYTEST_FLAGS)
 
@@ -104,6 +112,7 @@ bench: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.cameras $(CAMERAS_FLAGS)
 	$(VENV)/bin/python -m benchmark.tracking $(TRACKING_FLAGS)
 	$(VENV)/bin/python -m benchmark.masks $(MASKS_FLAGS)
+	$(VENV)/bin/python -m benchmark.console $(CONSOLE_BENCH_FLAGS)
 
 bench-families: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.families $(FAMILIES_FLAGS)

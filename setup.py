@@ -23,7 +23,7 @@ setup(
     license=manifest.findtext("license"),
     maintainer=manifest.findtext("maintainer"),
     packages=find_packages(include=[name, f"{name}.*"]),
-    package_data={name: ["py.typed"]},
+    package_data={name: ["py.typed", "ros/console/page/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
         (f"share/{name}", ["package.xml"]),
@@ -43,6 +43,13 @@ setup(
     ],
     extras_require={
         "bag": ["rosbags>=0.11"],
+        "console": [
+            "h11>=0.14",
+            "prometheus-client>=0.20",
+            "starlette>=0.45",
+            "uvicorn>=0.35",
+            "websockets>=13",
+        ],
         "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
         "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
@@ -52,6 +59,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"camera = {name}.ros.entry_points:camera",
+            f"console = {name}.ros.entry_points:console",
             f"convert = {name}.commands.entry_points:convert",
             f"demo = {name}.commands.entry_points:demo",
             f"detect_bag = {name}.commands.entry_points:detect_bag",

@@ -7,13 +7,15 @@ Arguments are validated before a process is started.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction, TimerAction
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import LifecycleNode
+from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
@@ -46,15 +48,17 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("autostart", default_value="true", description="Configure and activate."),
             DeclareLaunchArgument("respawn", default_value="false", description="Start again after the end."),
             DeclareLaunchArgument("log_level", default_value="info", description="debug to fatal."),
+            DeclareLaunchArgument("console", default_value="false", description="Show it in a browser."),
+            DeclareLaunchArgument("console_arguments", default_value="", description="See `console --help`."),
             OpaqueFunction(function=checked_detector),
         ]
     )
 
 
-def checked_detector(context: LaunchContext) -> list[LifecycleNode | TimerAction]:
-    """The detector if the launch arguments are valid; otherwise the launch ends with 1 and the reason."""
+def checked_detector(context: LaunchContext) -> list[Node | TimerAction]:
+    """Detector and console if the arguments are valid; otherwise the launch ends with 1 and the reason."""
     if not (problems := [*unknown_arguments(context), *wrong_values(context)]):
-        return [detector()]
+        return [detector(), console(context)]
     if is_started_directly(context):
         fail(context, "\n".join(problems))
     # A launch file that includes this one may have started processes. An exception here would leave them
@@ -84,6 +88,16 @@ def detector() -> LifecycleNode:
     )
 
 
+def console(context: LaunchContext) -> Node:
+    return Node(
+        package="yolov5_lifecycle",
+        executable="console",
+        arguments=shlex.split(LaunchConfiguration("console_arguments").perform(context)),
+        condition=IfCondition(LaunchConfiguration("console")),
+        output="screen",
+    )
+
+
 def fail(_: LaunchContext, reason: str) -> None:
     raise RuntimeError(reason)
 
@@ -96,7 +110,7 @@ def wrong_values(context: LaunchContext) -> list[str]:
         hint = " Write $HOME instead of ~." if path.parts[:1] == ("~",) else ""
         found = "a folder" if path.is_dir() else "no file"
         problems.append(f"params_file: expected a parameter file at '{path}', found {found} there.{hint}")
-    for name in ("autostart", "respawn"):
+    for name in ("autostart", "respawn", "console"):
         value = context.launch_configurations[name]
         if value not in BOOLEANS:
             problems.append(f"{name}: expected true or false, found '{value}'.")

@@ -12,6 +12,7 @@ from soak.answer_times import answers_during_inference
 from soak.balance import BalanceWatch, exact_balance
 from soak.bursts import answered_bursts
 from soak.checkpoints import refused_checkpoints
+from soak.console_requests import refused_strangers
 from soak.cycles import complete_cycles
 from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts, clean_starts
 from soak.faults import ended_by_abandoned_threads, ended_by_lost_devices, survived_faults
@@ -39,6 +40,7 @@ _REQUESTS_PER_SEED = 4000
 _IMAGES = 10_000
 _CYCLES, _WARM_UP = 2000, 50
 _QUESTIONS = 5000
+_STRANGERS = 10_000
 _BURSTS = 20
 _QUESTIONS_BESIDE_FLOOD = 500
 _TIMES = 20
@@ -68,6 +70,7 @@ def _watched_trials(seed: int, minutes: float, scale: float) -> dict[str, Watche
         "cycles": lambda process: complete_cycles(process, _scaled(_CYCLES, scale), _WARM_UP),
         "faults": lambda process: survived_faults(process, _scaled(_FAULTS, scale)),
         "mixed": lambda process: mixed_life(process, seed, minutes),
+        "console": lambda process: refused_strangers(process, _scaled(_STRANGERS, scale), seed),
         "cameras": lambda process: several_cameras(process, seed, _CAMERA_MINUTES * scale),
     }
 

@@ -24,7 +24,7 @@ from support.worker import made_once, run_folder, suitable_count, worker_domain
 
 from yolov5_lifecycle.ros.demo.domain import isolated
 
-pytest_plugins = ["support.shared_fixtures"]
+pytest_plugins = ["support.page_fixtures", "support.shared_fixtures"]
 
 # A busy machine is no failure of an example, and the same commit gives the same result.
 settings.register_profile(

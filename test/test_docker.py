@@ -63,7 +63,7 @@ def test_every_package_from_pip_is_one_of_the_apt_constraints() -> None:
         constraints = Path(words[words.index("-c") + 1])
         assert constraints == Path("requirements/constraints-apt.txt")
         assert ("COPY", "requirements requirements") in instructions()
-        names = [word for word in words if re.fullmatch(r"[a-z][a-z0-9]*", word)]
+        names = [word for word in words if re.fullmatch(r"[a-z][a-z0-9-]*", word)]
         assert set(names) <= pins(constraints.name).keys()
         assert set(names) == {word for word in words if not re.match(r"-|\$|requirements/|https://", word)}
 
@@ -137,6 +137,7 @@ def check_command(words: list[str]) -> None:
     allowed = {
         "detector": {setting.name for setting in SETTINGS},
         "camera": set(CameraSettings.model_fields),
+        "console": set[str](),
     }[words[0]]
     assert set(re.findall(r"-p (\w+):=", " ".join(words))) <= allowed
     files = [word.removeprefix(SHARE) for word in words if word.startswith("/workspace")]
@@ -149,7 +150,7 @@ def test_the_image_starts_the_detector() -> None:
     assert arguments_of("ENTRYPOINT") == ['["/entrypoint"]']
 
 
-@pytest.mark.parametrize("name", ["camera", "detector"])
+@pytest.mark.parametrize("name", ["camera", "detector", "console"])
 def test_a_service_of_compose_starts_a_node_that_shares_memory(name: str) -> None:
     service = services()[name]
     check_command(service["command"].split())

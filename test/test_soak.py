@@ -10,6 +10,7 @@ import pytest
 from soak.answer_times import answers_during_inference
 from soak.balance import BalanceWatch, exact_balance
 from soak.bursts import answered_bursts
+from soak.console_requests import refused_strangers
 from soak.cycles import complete_cycles
 from soak.endings import clean_endings, clean_restarts
 from soak.faults import survived_faults
@@ -63,6 +64,7 @@ def shared_subject() -> Iterator[Subject]:
             id="floods",
         ),
         pytest.param(lambda process: answered_bursts(process, 1), id="bursts"),
+        pytest.param(lambda process: refused_strangers(process, 300, SEED), id="console"),
         pytest.param(lambda process: counted_publishers(process, 1, burst=30), id="publishers"),
         pytest.param(lambda process: complete_cycles(process, 4, 4, weigh=False), id="cycles"),
         pytest.param(lambda process: survived_faults(process, 1, is_timed=False), id="faults"),

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
+from pycocotools import mask as coco
 from support.coco_masks import mask_of_rle
 
 from yolov5_lifecycle.detection.masks import Window
@@ -106,7 +107,6 @@ def test_the_text_is_that_of_pycocotools(counts: list[int], expected: str) -> No
 
 
 def test_pycocotools_writes_the_same() -> None:
-    coco = pytest.importorskip("pycocotools.mask")
     for seed in range(100):
         rng = np.random.default_rng(seed)
         height, width = rng.integers(1, 300, 2).tolist()

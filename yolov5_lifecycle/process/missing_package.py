@@ -13,16 +13,21 @@ PIP_PACKAGES: Mapping[str, str] = MappingProxyType(
     {
         "annotated_types": "annotated-types",
         "cv2": "opencv-python-headless",
+        "h11": "h11",
         "numpy": "numpy",
         "onnx": "onnx",
         "onnxruntime": "onnxruntime",
         "openvino": "openvino",
+        "prometheus_client": "prometheus-client",
         "pydantic": "pydantic",
         "pydantic_core": "pydantic-core",
         "rosbags": "rosbags",
         "safetensors": "safetensors",
         "scipy": "scipy",
+        "starlette": "starlette",
         "torch": "torch",
+        "uvicorn": "uvicorn",
+        "websockets": "websockets",
         "yaml": "pyyaml",
     }
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -123,10 +124,13 @@ def unset_descriptor(setting: Setting) -> ParameterDescriptor:
 
 
 def descriptor(setting: Setting) -> ParameterDescriptor:
-    """Descriptor shown by `ros2 param describe`, with the range that rclpy enforces."""
+    """Descriptor shown by `ros2 param describe`, with the range that rclpy enforces.
+
+    The console reads default and kind of change from the constraints (`ros/console/parameter_view.py`).
+    """
     described = ParameterDescriptor(
         description=setting.description,
-        additional_constraints=f"{setting.allowed}; {setting.change.value}",
+        additional_constraints=f"{setting.allowed}; default {_default(setting)}; {setting.change.value}",
         read_only=setting.change is Change.READ_ONLY,
     )
     if setting.minimum is None or setting.maximum is None:
@@ -142,3 +146,7 @@ def descriptor(setting: Setting) -> ParameterDescriptor:
             FloatingPointRange(from_value=float(setting.minimum), to_value=float(setting.maximum))
         ]
     return described
+
+
+def _default(setting: Setting) -> str:
+    return json.dumps(ros_value(setting.default), ensure_ascii=False)

@@ -35,6 +35,16 @@ def camera() -> NoReturn:
     node.main()
 
 
+def console() -> NoReturn:
+    """Run the command `console`; exit with code 1 if an import fails."""
+    _prepare_node_process("console")
+    try:
+        from yolov5_lifecycle.ros.console import process
+    except ImportError as error:
+        _refuse_python("console", error)
+    process.main()
+
+
 def _prepare_node_process(command: str) -> None:
     """Prepare the process; until the node handles signals itself, each ends it with code 0.
 

@@ -14,6 +14,7 @@ from yolov5_lifecycle.ros.demo.demonstration import Demonstration, Phase
 from yolov5_lifecycle.ros.demo.driven_detector import DETECTOR
 from yolov5_lifecycle.ros.demo.ground_truth import objects_per_class
 from yolov5_lifecycle.ros.demo.image_file import saved
+from yolov5_lifecycle.ros.demo.live import DEFAULT_PORT, show_live
 from yolov5_lifecycle.ros.demo.observer import NoAnswerError
 from yolov5_lifecycle.ros.demo.outcome import DemonstrationError, Outcome, aligned
 from yolov5_lifecycle.ros.demo.processes import DETECTOR_PROCESS, OUTPUT, demonstrated, project_file
@@ -34,6 +35,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         _say(f"[{time.monotonic() - begun_s:5.1f} s] {text}")
 
     try:
+        if given.console:
+            show_live(_commands(autostart=True), port=given.port, report=report)
+            return 0
         outcome = demonstrate_cameras(given.frames or FRAMES, report) if given.cameras else _run(report)
     except (DemonstrationError, NoAnswerError, ProcessError, OSError, RuntimeError) as error:
         _say(f"demo failed: {error}")
@@ -46,6 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _say("demo failed: " + "; ".join(outcome.problems))
         return 1
     _say(f"demo ok: {outcome.summary}, {time.monotonic() - begun_s:.0f} s")
+    _say("To look at it live in a browser: make console, or demo --console")
     return 0
 
 
@@ -67,7 +72,20 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar="N",
         help=f"with --cameras: how many images of each camera are compared (default {FRAMES})",
     )
+    parser.add_argument(
+        "--console",
+        action="store_true",
+        help="instead, camera, detector and console until Ctrl-C; prints the address for the browser",
+    )
+    parser.add_argument(
+        "--port",
+        type=int,
+        default=DEFAULT_PORT,
+        help="with --console: its port (default %(default)s; 0: any free one)",
+    )
     given = parser.parse_args(argv)
+    if given.console and given.cameras:
+        parser.error("--console and --cameras: expected one of them, found both")
     if given.frames is not None and (not given.cameras or given.frames < 2):
         parser.error(f"--frames: expected a number of at least 2, and --cameras, found {given.frames}")
     return given
@@ -92,15 +110,21 @@ def _row(phase: Phase) -> list[str]:
     ]
 
 
-def _run(report: Callable[[str], None]) -> Outcome:
+def _commands(*, autostart: bool = False) -> dict[str, list[str]]:
+    """Command lines of camera and detector by the names of their processes."""
     camera_arguments = ["--ros-args", "-p", f"seed:={SEED}", "-r", f"image_raw:={DETECTOR}/image_raw"]
-    parameter_file = str(project_file("config/demo.yaml"))
-    commands = {
+    detector_arguments = ["--ros-args", "--params-file", str(project_file("config/demo.yaml"))]
+    if autostart:
+        detector_arguments += ["-p", "autostart:=true"]
+    return {
         "camera": [entry_point("camera"), *camera_arguments],
-        DETECTOR_PROCESS: [entry_point("detector"), "--ros-args", "--params-file", parameter_file],
+        DETECTOR_PROCESS: [entry_point("detector"), *detector_arguments],
     }
+
+
+def _run(report: Callable[[str], None]) -> Outcome:
     found = demonstrated(
-        commands,
+        _commands(),
         lambda observer, detector: Demonstration(observer, detector, report=report).run(),
         report=report,
     )

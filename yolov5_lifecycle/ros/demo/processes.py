@@ -36,7 +36,7 @@ def demonstrated(
     Then shut the detector down and end all processes. Raises DemonstrationError, NoAnswerError, ProcessError,
     OSError or RuntimeError, also if a process does not end with exit code 0.
     """
-    with own_domain() as domain, _started(commands, domain) as processes:
+    with own_domain() as domain, started(commands, domain) as processes:
         process_ids = [str(process.process_id) for process in processes]
         report(f"{_listed([*commands])} started as processes {_listed(process_ids)}")
         *cameras, detector = processes
@@ -81,7 +81,8 @@ def _driven(
 
 
 @contextmanager
-def _started(commands: Mapping[str, Sequence[str]], domain: int) -> Iterator[list[ChildProcess]]:
+def started(commands: Mapping[str, Sequence[str]], domain: int) -> Iterator[list[ChildProcess]]:
+    """The processes of `commands` in the ROS domain `domain`; those that still run at the end are killed."""
     OUTPUT.mkdir(parents=True, exist_ok=True)
     # Fast DDS needs shared memory that holds a whole image, here in all processes.
     environment = (

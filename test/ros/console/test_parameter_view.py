@@ -1,0 +1,127 @@
+"""Parameters as the page shows them, from what the node itself tells, and values as ROS takes them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    ParameterDescriptor,
+    ParameterType,
+    ParameterValue,
+)
+
+from yolov5_lifecycle.ros.console.parameter_view import (
+    ParameterView,
+    ValueRefusedError,
+    parameter_message,
+    plain_value,
+)
+from yolov5_lifecycle.ros.declaration import unset_descriptor
+from yolov5_lifecycle.settings.schema import Setting
+from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME
+
+TYPES = {bool: "bool", int: "integer", float: "double", str: "string", tuple: "string_array"}
+
+
+def view_of(setting: Setting) -> dict[str, Any]:
+    view = ParameterView.of(unset_descriptor(setting))
+    assert view is not None
+    return view.as_json(None)
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
+def test_a_descriptor_tells_default_choices_and_kind_of_change(setting: Setting) -> None:
+    shown = view_of(setting)
+    default = list(setting.default) if isinstance(setting.default, tuple) else setting.default
+    assert shown["name"] == setting.name
+    assert shown["type"] == TYPES[setting.type]
+    assert shown["default"] == default
+    assert shown["choices"] == (list(setting.choices) or None)
+    assert shown["constraints"] == setting.allowed
+    assert setting.change.value.replace("-", " ").startswith(shown["change"] + ":")
+    json.dumps(shown, allow_nan=False)
+
+
+def test_a_range_has_its_step() -> None:
+    assert view_of(SETTINGS_BY_NAME["image_size"])["range"] == {"from": 64, "to": 4096, "step": 32}
+    assert view_of(SETTINGS_BY_NAME["iou_threshold"])["range"] == {"from": 0.0, "to": 1.0, "step": 0.0}
+    assert view_of(SETTINGS_BY_NAME["lazy"])["range"] is None
+
+
+def test_a_parameter_that_is_no_setting_is_not_shown() -> None:
+    assert ParameterView.of(ParameterDescriptor(name="use_sim_time")) is None
+
+
+def test_an_unreadable_default_and_range_are_left_out() -> None:
+    descriptor = ParameterDescriptor(
+        name="gain",
+        type=ParameterType.PARAMETER_DOUBLE,
+        additional_constraints="a number; default {; live: now",
+        floating_point_range=[FloatingPointRange(from_value=float("nan"), to_value=1.0)],
+    )
+    view = ParameterView.of(descriptor)
+    assert view is not None
+    shown = view.as_json(0.5)
+    assert (shown["default"], shown["range"], shown["change"]) == (None, None, "live")
+
+
+VIEWS = {setting.name: ParameterView.of(unset_descriptor(setting)) for setting in SETTINGS}
+KNOWN = {name: view for name, view in VIEWS.items() if view is not None}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        pytest.param("lazy", False, id="bool"),
+        pytest.param("max_detections", 3, id="integer"),
+        pytest.param("max_rate", 2.5, id="double"),
+        pytest.param("device", "cpu", id="string"),
+        pytest.param("classes", [], id="empty list"),
+        pytest.param("classes", ["cat", "Ärger <b>"], id="list"),
+        pytest.param("front.max_rate", 5, id="unknown integer"),
+        pytest.param("front.lazy", True, id="unknown bool"),
+    ],
+)
+def test_a_value_arrives_as_it_was_sent(name: str, value: object) -> None:
+    message = parameter_message(name, value, KNOWN)
+    assert message.name == name
+    assert plain_value(message.value) == value
+
+
+def test_an_integer_is_a_number() -> None:
+    assert parameter_message("max_rate", 2, KNOWN).value.double_value == 2.0
+
+
+def test_null_deletes() -> None:
+    assert parameter_message("front.max_rate", None, KNOWN).value.type == ParameterType.PARAMETER_NOT_SET
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        pytest.param("lazy", 1, "true or false", id="number for bool"),
+        pytest.param("max_detections", 2.5, "an integer", id="fraction"),
+        pytest.param("max_detections", True, "an integer", id="bool for integer"),
+        pytest.param("max_detections", 2**63, "an integer", id="65 bits"),
+        pytest.param("max_rate", "fast", "a number", id="string for number"),
+        pytest.param("max_rate", 10**400, "a number", id="beyond a double"),
+        pytest.param("device", 0, "a string", id="number for string"),
+        pytest.param("device", "cpu\0", "a string", id="NUL"),
+        pytest.param("device", "\ud800", "a string", id="half a character"),
+        pytest.param("classes", "cat", "a list of strings", id="string for list"),
+        pytest.param("classes", ["cat", 1], "a list of strings", id="number in list"),
+        pytest.param("unknown", {}, "a list of strings", id="object"),
+    ],
+)
+def test_a_value_of_another_type_is_refused_in_words(name: str, value: object, expected: str) -> None:
+    with pytest.raises(ValueRefusedError, match=f"{name}: expected {expected}, found "):
+        parameter_message(name, value, KNOWN)
+
+
+def test_a_value_that_is_no_finite_number_is_shown_as_unknown() -> None:
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=float("inf"))
+    assert plain_value(value) is None
+    assert plain_value(ParameterValue()) is None

@@ -1,0 +1,244 @@
+"""A detector as the console knows it: kept up to date by its messages, driven through its services."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+
+from rcl_interfaces.msg import ParameterEvent
+
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros.console.camera_view import StatusView, camera_views
+from yolov5_lifecycle.ros.console.detector_link import DetectorLink
+from yolov5_lifecycle.ros.console.log_view import LogLine, LogView
+from yolov5_lifecycle.ros.console.parameter_view import (
+    ParameterView,
+    ValueRefusedError,
+    parameter_message,
+    plain_value,
+)
+from yolov5_lifecycle.ros.console.ros_thread import NotReachedError, RosThread
+from yolov5_lifecycle.settings.camera_names import NODE_STATUS
+
+SILENCE_S = 5.0
+"""A detector without diagnostics, which come once a second, for longer than this is gone."""
+_RETRY_S = 0.5
+_REASON_S = 1.5
+"""How long the log is watched for the reason of a refusal; it comes on another topic than the answer."""
+_MAX_CLASS_NAMES = 10_000
+_MAX_NAME = 200
+_SLOW_CHANGES = ("reload", "cameras")
+
+
+class Detector:
+    """The detector called `name`, used in the thread of the event loop; `on_change(self)` after each change.
+
+    `publishers` are those of its processes so far: one more means that it was restarted.
+    """
+
+    def __init__(
+        self,
+        ros: RosThread,
+        name: str,
+        publishers: frozenset[bytes],
+        *,
+        on_change: Callable[[Detector], object],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.name = name
+        self.publishers = publishers
+        self._on_change = on_change
+        self._clock = clock
+        self._link = DetectorLink(
+            ros, name, on_transition=self._want_state, on_class_names=self._take_class_names
+        )
+        self._state = ""
+        self._transitions: list[str] = []
+        self._views: dict[str, ParameterView] = {}
+        self._values: dict[str, object] = {}
+        self._statuses: list[StatusView] = []
+        self._class_names: list[str] = []
+        self._log = LogView()
+        self._busy: list[str] = []
+        self._wants_state = self._wants_parameters = True
+        self._wanted = asyncio.Event()
+        self._wanted.set()
+        self._heard_s: float | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    async def open(self) -> None:
+        """Begin to ask the node."""
+        await self._link.open()
+        self._task = asyncio.create_task(self._keep_up_to_date())
+
+    async def close(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+            await self._link.close()
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the node has answered and is a detector: it has settings and tells about its detection."""
+        return bool(self._state and self._views and self.status(NODE_STATUS))
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether its diagnostics have stopped."""
+        return self._heard_s is not None and self._clock() - self._heard_s > SILENCE_S
+
+    @property
+    def state(self) -> str:
+        return self._state
+
+    @property
+    def camera_names(self) -> list[str]:
+        """Names in the parameter `cameras`."""
+        names = self._values.get("cameras")
+        return [str(name) for name in names] if isinstance(names, list) else []
+
+    @property
+    def statuses(self) -> list[StatusView]:
+        """The last diagnostics."""
+        return list(self._statuses)
+
+    def status(self, name: str) -> StatusView | None:
+        """The diagnostics of a camera, or with NODE_STATUS those of the node."""
+        return next((status for status in self._statuses if status.name == name), None)
+
+    def as_json(self) -> dict[str, object]:
+        """Everything that the page shows of it."""
+        cameras = camera_views(self.camera_names, self._statuses)
+        return {
+            "name": self.name,
+            "state": self._state,
+            "transitions": [{"label": label} for label in self._transitions],
+            "busy": self._busy[0] if self._busy else "",
+            "parameters": [
+                view.as_json(self._values[name]) for name, view in self._views.items() if name in self._values
+            ],
+            "cameras": [camera.as_json() for camera in cameras],
+            "diagnostics": [status.as_json() for status in self._statuses],
+            "class_names": self._class_names,
+            "log": self._log.as_json(),
+        }
+
+    async def set(self, values: Mapping[str, object]) -> str:
+        """Set parameters, all or none; returns the reason for a refusal, "" on success."""
+        try:
+            messages = [parameter_message(name, value, self._views) for name, value in values.items()]
+        except ValueRefusedError as error:
+            return str(error)
+        is_slow = any(name in self._views and self._views[name].change in _SLOW_CHANGES for name in values)
+        what = f"set {', '.join(in_one_line(name, 100) for name in values)} ..."
+        self._begin(what if is_slow and self._state == "active" else "")
+        try:
+            return in_one_line(await self._link.set_parameters(messages), 5_000)
+        except NotReachedError as error:
+            return str(error)
+        finally:
+            self._end(what)
+
+    async def change_state(self, label: str) -> str:
+        """Request a transition; returns the reason for a refusal, "" on success."""
+        count = self._log.count
+        what = f"{in_one_line(label, 100)} ..."
+        self._begin(what)
+        try:
+            await self._ask_state()
+            if label not in self._transitions:
+                possible = ", ".join(self._transitions) or "none"
+                return f"{what[:-4]} is not possible while {self._state}; possible now: {possible}"
+            if await self._link.change_state(label):
+                await self._ask_state()
+                return ""
+            return await self._reason(count) or f"the node refused to {label}; its log says why"
+        except NotReachedError as error:
+            # Its process ends soon after this transition, maybe before its answer has been sent.
+            return "" if label == "shutdown" else str(error)
+        finally:
+            self._want_state()
+            self._end(what)
+
+    def take_diagnostics(self, statuses: list[StatusView]) -> None:
+        self._heard_s = self._clock()
+        self._statuses = statuses
+        status = self.status(NODE_STATUS)
+        if status is not None and status.values.get("state", self._state) != self._state:
+            self._want_state()
+        self._on_change(self)
+
+    def take_log(self, line: LogLine) -> None:
+        self._log.add(line)
+        self._on_change(self)
+
+    def take_parameter_event(self, event: ParameterEvent) -> None:
+        if event.new_parameters or event.deleted_parameters:
+            self._wants_parameters = True
+            self._wanted.set()
+        for parameter in event.changed_parameters:
+            if parameter.name in self._views:
+                self._values[parameter.name] = plain_value(parameter.value)
+        self._on_change(self)
+
+    def _take_class_names(self, names: list[str]) -> None:
+        self._class_names = [in_one_line(name, _MAX_NAME) for name in names[:_MAX_CLASS_NAMES]]
+        self._on_change(self)
+
+    def _want_state(self) -> None:
+        self._wants_state = True
+        self._wanted.set()
+
+    async def _keep_up_to_date(self) -> None:
+        while True:
+            await self._wanted.wait()
+            self._wanted.clear()
+            try:
+                await self._ask()
+            except NotReachedError:
+                self._wanted.set()
+                await asyncio.sleep(_RETRY_S)
+
+    async def _ask(self) -> None:
+        if self._wants_state:
+            self._wants_state = False
+            try:
+                await self._ask_state()
+            except NotReachedError:
+                self._wants_state = True
+                raise
+        if self._wants_parameters:
+            self._wants_parameters = False
+            try:
+                found = await self._link.parameters()
+            except NotReachedError:
+                self._wants_parameters = True
+                raise
+            views = {view.name: view for one, _ in found if (view := ParameterView.of(one)) is not None}
+            self._values = {str(one.name): plain_value(value) for one, value in found if one.name in views}
+            self._views = views
+        self._on_change(self)
+
+    async def _ask_state(self) -> None:
+        self._state, self._transitions = await self._link.state()
+
+    async def _reason(self, count: int) -> str:
+        """The problems that the node has logged since line number `count`; waits a little for them."""
+        end_s = self._clock() + _REASON_S
+        while self._clock() < end_s:
+            if texts := [line.text for line in self._log.problems_since(count)]:
+                return "\n".join(texts[-3:])
+            await asyncio.sleep(0.05)
+        status = self.status(NODE_STATUS)
+        return status.values.get("last problem", "") if status is not None else ""
+
+    def _begin(self, what: str) -> None:
+        if what:
+            self._busy.append(what)
+            self._on_change(self)
+
+    def _end(self, what: str) -> None:
+        if what in self._busy:
+            self._busy.remove(what)
+            self._on_change(self)

@@ -1,0 +1,122 @@
+"""What every request must pass before the application sees it."""
+
+from __future__ import annotations
+
+from http.cookies import CookieError, SimpleCookie
+
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.websockets import WebSocket
+
+from yolov5_lifecycle.ros.console.addresses import Addresses
+from yolov5_lifecycle.ros.console.budget import Budget, BudgetPerAddress
+from yolov5_lifecycle.ros.console.sessions import Sessions, TooManyTriesError
+
+COOKIE = "console"
+METRICS = "/metrics"
+_REQUESTS_PER_S = 100.0
+_REQUESTS = 400
+_MAX_HEADER_BYTES = 16 * 1024
+_OPEN_TO_ALL = ("/login", "/page/")
+"""What is served without a session: the login page and files that everybody has."""
+_SAFE = ("GET", "HEAD")
+
+
+class Gate:
+    """Passes requests on to `application` that come from the page of this console and may be answered.
+
+    Refused are: too many from one address; large ones; a foreign Host; a foreign Origin, or none where a page
+    sends one; with `sessions`, those without a session.
+    """
+
+    def __init__(self, application: ASGIApp, addresses: Addresses, sessions: Sessions | None) -> None:
+        self._application = application
+        self._addresses = addresses
+        self._sessions = sessions
+        self._requests = BudgetPerAddress(lambda: Budget(_REQUESTS_PER_S, _REQUESTS))
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            return
+        refusal = self._refusal(scope)
+        if refusal is None:
+            await self._application(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await WebSocket(scope, receive, send).send_denial_response(refusal)
+        else:
+            await refusal(scope, receive, send)
+
+    def _refusal(self, scope: Scope) -> Response | None:
+        headers = Headers(scope=scope)
+        if not self._requests.of(address_of(scope)).spend():
+            return _text(429, "too many requests: wait a second", {"Retry-After": "1"})
+        if _header_bytes(scope) > _MAX_HEADER_BYTES:
+            return _text(431, f"address and headers of a request have at most {_MAX_HEADER_BYTES} bytes")
+        hosts = headers.getlist("host")
+        server = scope.get("server") or ("", 0)
+        scheme = self._addresses.scheme_of(hosts[0], tuple(server)) if len(hosts) == 1 else ""
+        if not scheme:
+            return _text(
+                403,
+                "this console is not known under the name or address in the request: use the one that it "
+                "printed, or start it with --public-url",
+            )
+        scope["state"]["is_secure"] = scheme == "https"
+        if problem := self._origin_problem(scope, headers, hosts[0], scheme):
+            return _text(403, problem)
+        return self._session_refusal(scope, headers)
+
+    def _origin_problem(self, scope: Scope, headers: Headers, host: str, scheme: str) -> str:
+        origins = headers.getlist("origin")
+        needs_origin = scope["type"] == "websocket" or scope["method"] not in _SAFE
+        if not origins:
+            return "there is no Origin: only the page of this console may do that" if needs_origin else ""
+        if len(origins) > 1 or not self._addresses.is_own_origin(origins[0], host, scheme):
+            return "the Origin is another page: only that of this console may do that"
+        return ""
+
+    def _session_refusal(self, scope: Scope, headers: Headers) -> Response | None:
+        path = str(scope["path"])
+        if self._sessions is None or path.startswith(_OPEN_TO_ALL) or self._sessions.has(_cookie(scope)):
+            return None
+        if path == METRICS:
+            return _bearer_refusal(self._sessions, scope, headers)
+        if path == "/" and scope["type"] == "http":
+            return RedirectResponse("/login", status_code=303)
+        return _text(401, "log in first, on /login")
+
+
+def address_of(scope: Scope) -> str:
+    """Address of the client."""
+    client = scope.get("client")
+    return str(client[0]) if client else ""
+
+
+def _bearer_refusal(sessions: Sessions, scope: Scope, headers: Headers) -> Response | None:
+    kind, _, token = headers.get("authorization", "").partition(" ")
+    is_given = kind.lower() == "bearer" and bool(token)
+    try:
+        if is_given and sessions.knows_token(token.strip(), address_of(scope)):
+            return None
+    except TooManyTriesError:
+        return _text(429, "too many wrong tokens: wait a minute", {"Retry-After": "60"})
+    return _text(401, "expected the header Authorization: Bearer TOKEN", {"WWW-Authenticate": "Bearer"})
+
+
+def _header_bytes(scope: Scope) -> int:
+    address = len(scope.get("raw_path", b"")) + len(scope["query_string"])
+    return address + sum(len(name) + len(value) for name, value in scope["headers"])
+
+
+def _cookie(scope: Scope) -> str:
+    try:
+        cookies = SimpleCookie(HTTPConnection(scope).headers.get("cookie", ""))
+    except CookieError:
+        return ""
+    return cookies[COOKIE].value if COOKIE in cookies else ""
+
+
+def _text(status: int, text: str, headers: dict[str, str] | None = None) -> Response:
+    return PlainTextResponse(text + "\n", status_code=status, headers=headers)

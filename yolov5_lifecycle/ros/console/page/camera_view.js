@@ -1,0 +1,111 @@
+/** The cameras of a detector: live annotated image, rate, latency, and why nothing comes. */
+
+import { element, KeyedViews, setText } from "./element.js";
+import { tenth } from "./figures.js";
+import { ImageView } from "./image_view.js";
+import { LEVELS } from "./reason_view.js";
+
+const SILENT_AFTER_S = 3;
+
+export class CameraViews {
+  #cameras;
+  #mayReceive = false;
+
+  constructor(node) {
+    const grid = element("div", { class: "cameras" });
+    this.#cameras = new KeyedViews(grid, (camera) => new CameraView(node, camera.name));
+    this.element = element("section", { class: "images", "aria-label": "Cameras" }, grid);
+  }
+
+  update(node) {
+    this.#cameras.update(node.cameras, (camera) => camera.name);
+    this.receive(this.#mayReceive);
+  }
+
+  /** Images are subscribed to only while somebody can see them. */
+  receive(mayReceive) {
+    this.#mayReceive = mayReceive;
+    this.#cameras.views.forEach((camera) => camera.receive(mayReceive));
+  }
+
+  sample() {
+    this.#cameras.views.forEach((camera) => camera.sample());
+  }
+}
+
+class CameraView {
+  #canvas = element("canvas", { role: "img", width: "640", height: "480" });
+  #overlay = element("p", { class: "overlay" }, "no image yet");
+  #figures = element("p", { class: "figures" });
+  #message = element("p", { class: "message" });
+  #shownRate = element("span", { class: "shown" });
+  #pause = element("button", { type: "button", class: "small", "aria-pressed": "false" }, "Pause");
+  #image;
+  #isPaused = false;
+  #mayReceive = false;
+  #silentS = 0;
+
+  constructor(node, camera) {
+    const title = camera || "camera";
+    this.#canvas.setAttribute("aria-label", `Annotated image of ${title}`);
+    this.#pause.setAttribute("aria-label", `Pause the image of ${title}`);
+    this.#pause.addEventListener("click", () => this.#setPaused(!this.#isPaused));
+    this.#image = new ImageView(this.#canvas, node, camera, () => this.#heard());
+    this.element = element(
+      "figure",
+      { class: "camera silent", "data-camera": camera },
+      element("div", { class: "frame" }, this.#canvas, this.#overlay),
+      element(
+        "figcaption",
+        {},
+        element("div", { class: "caption" }, element("h3", {}, title), this.#figures, this.#shownRate, this.#pause),
+        this.#message,
+      ),
+    );
+  }
+
+  update(camera) {
+    const rate = `${tenth(camera.rate_hz)} Hz`;
+    const latency = `${tenth(camera.latency_ms)} ms, p95 ${tenth(camera.latency_p95_ms)} ms`;
+    setText(this.#figures, Number.isFinite(camera.rate_hz) ? `${rate} · ${latency}` : "not detecting");
+    setText(this.#message, camera.message);
+    this.#message.dataset.level = LEVELS[camera.level];
+    this.#message.hidden = camera.message === "" || camera.message === "detecting";
+  }
+
+  receive(mayReceive) {
+    this.#mayReceive = mayReceive;
+    if (mayReceive && !this.#isPaused) {
+      this.#image.start();
+    } else {
+      this.#image.stop();
+    }
+  }
+
+  release() {
+    this.#image.stop();
+  }
+
+  /** Called once a second. */
+  sample() {
+    const count = this.#image.takeCount();
+    this.#silentS = count > 0 ? 0 : this.#silentS + 1;
+    setText(this.#shownRate, count > 0 ? `${count} shown a second` : "");
+    if (this.#silentS >= SILENT_AFTER_S) {
+      this.element.classList.add("silent");
+      const ever = this.#canvas.dataset.stampS !== undefined;
+      setText(this.#overlay, this.#isPaused ? "paused" : ever ? `no image for ${this.#silentS} s` : "no image yet");
+    }
+  }
+
+  #heard() {
+    this.#silentS = 0;
+    this.element.classList.remove("silent");
+  }
+
+  #setPaused(isPaused) {
+    this.#isPaused = isPaused;
+    this.#pause.setAttribute("aria-pressed", String(isPaused));
+    this.receive(this.#mayReceive);
+  }
+}

@@ -1,0 +1,85 @@
+/** Elements of the page. What comes from elsewhere enters it as text alone. */
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/** An element with attributes and children; `onclick` and its like are listeners; strings become text. */
+export function element(tag, attributes = {}, ...children) {
+  return filled(document.createElement(tag), attributes, children);
+}
+
+/** The same for SVG. */
+export function svgElement(tag, attributes = {}, ...children) {
+  return filled(document.createElementNS(SVG, tag), attributes, children);
+}
+
+function filled(made, attributes, children) {
+  for (const [name, value] of Object.entries(attributes)) {
+    if (typeof value === "function") {
+      made.addEventListener(name.slice("on".length), value);
+    } else if (value === true) {
+      made.setAttribute(name, "");
+    } else if (value !== false && value !== undefined) {
+      made.setAttribute(name, value);
+    }
+  }
+  made.append(...children);
+  return made;
+}
+
+/** Change the text of `target` only if it differs: screen readers announce each change. */
+export function setText(target, text) {
+  if (target.textContent !== text) {
+    target.textContent = text;
+  }
+}
+
+/** An identifier for an element that another one refers to. */
+export function uniqueId(prefix) {
+  uniqueId.last = (uniqueId.last ?? 0) + 1;
+  return `${prefix}-${uniqueId.last}`;
+}
+
+/** Views below `parent`, one for each item, kept as long as the key of their item is there. */
+export class KeyedViews {
+  #parent;
+  #make;
+  #views = new Map();
+
+  /** `make(item)` returns a view: an `element`, `update(item)` and perhaps `release()`. */
+  constructor(parent, make) {
+    this.#parent = parent;
+    this.#make = make;
+  }
+
+  get views() {
+    return [...this.#views.values()];
+  }
+
+  update(items, keyOf) {
+    const keys = new Set(items.map(keyOf));
+    for (const [key, view] of this.#views) {
+      if (!keys.has(key)) {
+        view.release?.();
+        view.element.remove();
+        this.#views.delete(key);
+      }
+    }
+    let next = this.#parent.firstChild;
+    for (const item of items) {
+      const view = this.#viewOf(item, keyOf(item));
+      view.update(item);
+      if (view.element === next) {
+        next = next.nextSibling;
+      } else {
+        this.#parent.insertBefore(view.element, next);
+      }
+    }
+  }
+
+  #viewOf(item, key) {
+    if (!this.#views.has(key)) {
+      this.#views.set(key, this.#make(item));
+    }
+    return this.#views.get(key);
+  }
+}

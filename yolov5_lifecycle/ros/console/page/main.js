@@ -1,0 +1,105 @@
+/** The page: one view for each detector that the console knows, of which one is shown. */
+
+import { Connection } from "./connection.js";
+import { element, KeyedViews, setText } from "./element.js";
+import { NodeView } from "./node_view.js";
+
+const SAMPLE_MS = 1000;
+
+class Page {
+  #connection = new Connection();
+  #views = new Map();
+  #isViewOnly = false;
+  #shown;
+  #tabs = new KeyedViews(byId("nodes"), (view) => new Tab(view));
+
+  start() {
+    this.#connection.addEventListener("open", () => this.#showConnection(true));
+    this.#connection.addEventListener("lost", () => this.#showConnection(false));
+    this.#connection.addEventListener("message", (event) => this.#take(event.detail));
+    window.addEventListener("hashchange", () => this.#show());
+    document.addEventListener("visibilitychange", () => this.#show());
+    setInterval(() => this.#views.forEach((view) => view.sample()), SAMPLE_MS);
+    this.#connection.start();
+  }
+
+  #take(message) {
+    if (message.type === "welcome") {
+      this.#welcome(message.view_only);
+    } else if (message.type === "node") {
+      this.#viewOf(message.node).update(message.node);
+    } else if (message.type === "gone") {
+      this.#views.get(message.name)?.setGone();
+    }
+    this.#show();
+  }
+
+  /** Every detector is sent again after this; one that is not has left meanwhile. */
+  #welcome(isViewOnly) {
+    this.#isViewOnly = isViewOnly;
+    byId("view-only").hidden = !isViewOnly;
+    this.#views.forEach((view) => view.setGone());
+  }
+
+  #viewOf(node) {
+    let view = this.#views.get(node.name);
+    if (view === undefined || view.isViewOnly !== this.#isViewOnly) {
+      view?.release();
+      view = new NodeView(node.name, this.#connection, this.#isViewOnly);
+      this.#views.set(node.name, view);
+      byId("main").append(view.element);
+    }
+    return view;
+  }
+
+  #show() {
+    const names = [...this.#views.keys()].sort();
+    const shown = [wantedName(), this.#shown].find((name) => names.includes(name)) ?? names[0];
+    this.#shown = shown;
+    for (const [name, view] of this.#views) {
+      view.isCurrent = name === shown;
+      view.show(view.isCurrent, view.isCurrent && !document.hidden);
+    }
+    byId("empty").hidden = names.length > 0;
+    this.#tabs.update(names.map((name) => this.#views.get(name)), (view) => view.name);
+    document.title = shown === undefined ? "Detector console" : `${shown} - Detector console`;
+  }
+
+  #showConnection(isOpen) {
+    document.body.classList.toggle("lost", !isOpen);
+    byId("connection").dataset.state = isOpen ? "open" : "lost";
+    setText(byId("connection"), isOpen ? "connected" : "connection lost");
+    byId("lost").hidden = isOpen;
+    const lost = "The connection to the console is lost: what is shown is old. Trying again by itself.";
+    setText(byId("lost"), isOpen ? "" : lost);
+  }
+}
+
+class Tab {
+  constructor(view) {
+    this.element = element("a", { href: `#${encodeURIComponent(view.name)}` }, view.name);
+  }
+
+  update(view) {
+    this.element.toggleAttribute("aria-current", view.isCurrent);
+    if (view.isCurrent) {
+      this.element.setAttribute("aria-current", "page");
+    }
+    this.element.dataset.state = view.isGone ? "gone" : view.state;
+  }
+}
+
+/** The detector that the address names, "" if it names none. */
+function wantedName() {
+  try {
+    return decodeURIComponent(location.hash.slice(1));
+  } catch {
+    return "";
+  }
+}
+
+function byId(id) {
+  return document.getElementById(id);
+}
+
+new Page().start();

@@ -1,0 +1,104 @@
+/** The parameters of a detector, grouped by what a change does. */
+
+import { element, KeyedViews, setText } from "./element.js";
+import { ParameterRow } from "./parameter_row.js";
+import { YamlCopy } from "./yaml_copy.js";
+
+const GROUPS = [
+  ["live", "Live", "takes effect with the next frame"],
+  ["reload", "Reload", "the new model is loaded beside the running one, which goes on meanwhile"],
+  ["resubscribe", "Resubscribe", "the image subscription is made anew"],
+  ["cameras", "Cameras", "added cameras start, removed ones end, the others go on"],
+  ["read only", "Read only", "set when the node starts"],
+];
+const OPEN = ["live"];
+
+export class ParameterList {
+  #groups;
+  #yaml = new YamlCopy();
+  #filter = element("input", { type: "search", placeholder: "Find a parameter", "aria-label": "Find a parameter" });
+  #none = element("p", { class: "hint", role: "status" });
+
+  constructor(request, isViewOnly) {
+    this.#groups = GROUPS.map(
+      ([change, title, meaning]) => new ParameterGroup({ change, title, meaning, request, isViewOnly }),
+    );
+    this.#filter.addEventListener("input", () => this.#applyFilter());
+    this.element = element(
+      "section",
+      { class: "panel parameters", "aria-label": "Parameters" },
+      element("div", { class: "title" }, element("h2", {}, "Parameters"), this.#yaml.button),
+      this.#yaml.element,
+      this.#filter,
+      this.#none,
+      ...this.#groups.map((group) => group.element),
+    );
+  }
+
+  update(node) {
+    this.#groups.forEach((group) => group.update(node));
+    this.#yaml.update(node.parameters);
+    this.#applyFilter();
+  }
+
+  #applyFilter() {
+    const words = this.#filter.value.trim().toLowerCase();
+    const counts = this.#groups.map((group) => group.applyFilter(words));
+    setText(this.#none, words && !counts.some(Boolean) ? "No parameter has this in its name or meaning." : "");
+  }
+}
+
+class ParameterGroup {
+  #change;
+  #count = element("span", { class: "hint" });
+  #rows;
+  #node = null;
+  #openBefore = null;
+
+  constructor({ change, title, meaning, request, isViewOnly }) {
+    this.#change = change;
+    const list = element("div");
+    const context = {
+      isViewOnly,
+      set: (name, value) => request({ type: "set", values: { [name]: value } }),
+      classNames: () => this.#node.class_names,
+    };
+    this.#rows = new KeyedViews(list, (parameter) => new ParameterRow(parameter, context));
+    this.element = element(
+      "details",
+      { class: "group", open: OPEN.includes(change), "data-group": change },
+      element("summary", {}, element("h3", {}, title), " ", this.#count),
+      element("p", { class: "hint" }, `A change ${change === "read only" ? "needs a restart: " : ""}${meaning}.`),
+      list,
+    );
+  }
+
+  update(node) {
+    this.#node = node;
+    const own = node.parameters.filter((parameter) => groupOf(parameter) === this.#change);
+    this.#rows.update(own, (parameter) => parameter.name);
+    const changed = this.#rows.views.filter((row) => row.isChanged).length;
+    setText(this.#count, `${own.length}${changed ? `, ${changed} changed` : ""}`);
+  }
+
+  /** Show the rows with these words, all without any; returns how many are shown. */
+  applyFilter(words) {
+    const shown = this.#rows.views.filter((row) => row.applyFilter(words)).length;
+    this.element.hidden = shown === 0;
+    if (words !== "" && this.#openBefore === null) {
+      this.#openBefore = this.element.open;
+      this.element.open = true;
+    } else if (words === "" && this.#openBefore !== null) {
+      this.element.open = this.#openBefore;
+      this.#openBefore = null;
+    }
+    return shown;
+  }
+}
+
+function groupOf(parameter) {
+  if (parameter.read_only) {
+    return "read only";
+  }
+  return GROUPS.some(([change]) => change === parameter.change) ? parameter.change : "live";
+}

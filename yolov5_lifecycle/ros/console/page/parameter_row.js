@@ -1,0 +1,139 @@
+/** One parameter: its widget, what a change waits for, and why it was refused. */
+
+import { element, setText, uniqueId } from "./element.js";
+import { shownValue, widgetFor, widgetKind } from "./parameter_widgets.js";
+import { isChanged, isOverride, isSame } from "./yaml_text.js";
+
+const SETTLED_MS = 2000;
+const BETWEEN_MS = 120;
+const WAITING = {
+  reload: "loading the new model; the old one goes on",
+  resubscribe: "making the subscription anew",
+  cameras: "starting and ending cameras",
+};
+
+export class ParameterRow {
+  #parameter = null;
+  #context;
+  #widget = null;
+  #kind = "";
+  #isSending = false;
+  #next = null;
+  /** What the node has accepted but may not have told yet: `{value, untilMs}`. */
+  #accepted = null;
+  #label;
+  #place = element("div", { class: "widget" });
+  #waiting = element("span", { class: "spinner", role: "status" });
+  #refusal = element("p", { class: "refusal", role: "alert" });
+  #reset = element("button", { type: "button", class: "small reset", hidden: true }, "Default");
+  #meaning;
+
+  constructor(parameter, context) {
+    this.#context = context;
+    const [label, meaning] = [uniqueId("label"), uniqueId("meaning")];
+    this.#label = element("span", { class: "name", id: label }, parameter.name);
+    this.#meaning = element("p", { class: "hint", id: meaning });
+    const usual = isOverride(parameter.name) ? "the value of the node" : "its default";
+    this.#reset.setAttribute("aria-label", `Set ${parameter.name} to ${usual}`);
+    this.#reset.addEventListener("click", () => this.#send(this.#usual));
+    this.element = element(
+      "div",
+      { class: "parameter", role: "group", "aria-labelledby": label, "data-parameter": parameter.name },
+      element("div", { class: "title" }, this.#label, this.#waiting, this.#reset),
+      this.#place,
+      this.#refusal,
+      this.#meaning,
+    );
+  }
+
+  /** The default; of an override for a camera, that it is not set. */
+  get #usual() {
+    return isOverride(this.#parameter.name) ? null : this.#parameter.default;
+  }
+
+  get isChanged() {
+    return this.element.classList.contains("changed");
+  }
+
+  update(parameter) {
+    this.#parameter = parameter;
+    setText(this.#meaning, parameter.description);
+    this.#meaning.title = parameter.constraints;
+    const isFixed = this.#context.isViewOnly || parameter.read_only;
+    const kind = widgetKind(parameter, isFixed);
+    if (kind !== this.#kind) {
+      this.#kind = kind;
+      this.#widget = widgetFor(parameter, {
+        isFixed,
+        classNames: this.#context.classNames,
+        labelId: this.#label.id,
+        meaningId: this.#meaning.id,
+        changed: (value) => this.#send(value),
+        refused: (reason) => setText(this.#refusal, reason),
+      });
+      this.#place.replaceChildren(this.#widget.element);
+    }
+    this.element.classList.toggle("changed", isChanged(parameter));
+    const canReset = isChanged(parameter) && !isFixed && (this.#usual !== null || isOverride(parameter.name));
+    // A button that has the keyboard stays until it is left: focus would be lost.
+    this.#reset.hidden = !canReset && document.activeElement !== this.#reset;
+    this.#reset.title = canReset ? `Default: ${shownValue(this.#usual)}` : "";
+    this.#show();
+  }
+
+  applyFilter(words) {
+    const text = `${this.#parameter.name} ${this.#parameter.description}`.toLowerCase();
+    this.element.hidden = !text.includes(words);
+    return !this.element.hidden;
+  }
+
+  /** One request at a time: of what is set meanwhile, the last. */
+  async #send(value) {
+    this.#next = { value };
+    if (this.#isSending) {
+      return;
+    }
+    this.#isSending = true;
+    setText(this.#refusal, "");
+    while (this.#next !== null) {
+      const { value: wanted } = this.#next;
+      this.#next = null;
+      await this.#request(wanted);
+    }
+    this.#isSending = false;
+    this.#setWaiting(false);
+    this.#show();
+    // The node may have made something else of it, and have told so before.
+    setTimeout(() => this.#show(), SETTLED_MS + 1);
+  }
+
+  async #request(value) {
+    this.#setWaiting(true);
+    this.#accepted = { value, untilMs: Infinity };
+    this.#show();
+    const [{ ok, reason }] = await Promise.all([this.#context.set(this.#parameter.name, value), pause(BETWEEN_MS)]);
+    setText(this.#refusal, ok ? "" : reason || "refused without a reason");
+    this.#accepted = ok ? { value, untilMs: performance.now() + SETTLED_MS } : null;
+    if (!ok) {
+      this.#widget.forget();
+    }
+  }
+
+  #setWaiting(isWaiting) {
+    this.element.setAttribute("aria-busy", String(isWaiting));
+    this.element.classList.toggle("busy", isWaiting);
+    setText(this.#waiting, isWaiting ? (WAITING[this.#parameter.change] ?? "setting") : "");
+  }
+
+  #show() {
+    const { value } = this.#parameter;
+    if (this.#accepted && (performance.now() > this.#accepted.untilMs || isSame(this.#accepted.value, value))) {
+      this.#accepted = this.#isSending ? this.#accepted : null;
+    }
+    this.#widget.show(this.#accepted ? this.#accepted.value : value);
+  }
+}
+
+function pause(durationMs) {
+  return new Promise((resolve) => setTimeout(resolve, durationMs));
+}

@@ -1,0 +1,198 @@
+/** The widget that the descriptor of a parameter asks for: what shows and edits one value. */
+
+import { Chips } from "./chips.js";
+import { element, setText } from "./element.js";
+
+/** Changes when a parameter needs another widget. */
+export function widgetKind({ type, range, choices }, isFixed) {
+  return JSON.stringify([type, range, choices, isFixed]);
+}
+
+/**
+ * `{element, show(value), forget()}` for a parameter; `forget` drops what was typed.
+ *
+ * `options`: `changed(value)` is called with each value to set, `refused(reason)` with what is no value.
+ */
+export function widgetFor(parameter, options) {
+  if (options.isFixed) {
+    return new FixedValue();
+  }
+  const { type, range, choices } = parameter;
+  if (type === "bool") {
+    return new Switch(options);
+  }
+  if (type === "string_array") {
+    return new Chips({ ...options, hasClassNames: /(^|\.)classes$/.test(parameter.name) });
+  }
+  if (choices) {
+    return new Choice(choices, options);
+  }
+  if (range) {
+    return new Slider(parameter, options);
+  }
+  return new TextField(type, options);
+}
+
+/** A value as text. */
+export function shownValue(value) {
+  if (value === null) {
+    return "not set";
+  }
+  if (Array.isArray(value)) {
+    return value.length > 0 ? value.join(", ") : "empty";
+  }
+  return value === "" ? "empty" : String(value);
+}
+
+function labelled({ labelId, meaningId }) {
+  return { "aria-labelledby": labelId, "aria-describedby": meaningId };
+}
+
+class FixedValue {
+  element = element("output", { class: "fixed" });
+
+  show(value) {
+    setText(this.element, shownValue(value));
+  }
+
+  forget() {}
+}
+
+class Switch {
+  #box;
+
+  constructor(options) {
+    const changed = () => options.changed(this.#box.checked);
+    this.#box = element("input", { type: "checkbox", role: "switch", ...labelled(options), onchange: changed });
+    this.element = element("label", { class: "switch" }, this.#box, element("span", { "aria-hidden": "true" }));
+  }
+
+  show(value) {
+    this.#box.checked = value === true;
+  }
+
+  forget() {}
+}
+
+class Choice {
+  constructor(choices, options) {
+    this.element = element(
+      "select",
+      { ...labelled(options), onchange: () => options.changed(this.element.value) },
+      ...choices.map((choice) => element("option", { value: choice }, choice)),
+    );
+  }
+
+  show(value) {
+    if (this.element.value !== value) {
+      this.element.value = value;
+    }
+  }
+
+  forget() {}
+}
+
+/** A field with text that is set with Enter, or when it is left; Escape brings the old text back. */
+class TextField {
+  #type;
+  #shown = null;
+  #isEdited = false;
+
+  constructor(type, options, attributes = {}) {
+    this.#type = type;
+    this.element = element("input", {
+      type: "text",
+      inputmode: type === "string" ? "text" : "decimal",
+      autocomplete: "off",
+      autocapitalize: "off",
+      spellcheck: "false",
+      ...labelled(options),
+      ...attributes,
+      oninput: () => (this.#isEdited = true),
+      onchange: () => this.#change(options),
+      onblur: () => this.forget(),
+      onkeydown: (event) => event.key === "Escape" && this.forget(),
+    });
+  }
+
+  show(value) {
+    this.#shown = value;
+    if (!this.#isEdited) {
+      const text = value === null ? "" : String(value);
+      this.element.value = this.element.value === text ? this.element.value : text;
+      this.element.placeholder = value === null ? "not set" : value === "" ? "empty" : "";
+    }
+  }
+
+  forget() {
+    this.#isEdited = false;
+    this.show(this.#shown);
+  }
+
+  #change(options) {
+    this.#isEdited = false;
+    const text = this.element.value.trim();
+    const value = this.#type === "string" ? text : Number(text);
+    if (this.#type !== "string" && (text === "" || !Number.isFinite(value))) {
+      options.refused(`'${text}' is not a number`);
+      this.forget();
+    } else {
+      options.changed(value);
+    }
+  }
+}
+
+/** A slider for the eye and a field for the exact number. */
+class Slider {
+  #field;
+  #slider;
+  #isDragged = false;
+
+  constructor({ type, range, change }, options) {
+    const step = stepOf(type, range);
+    const isLive = change === "live";
+    const valueNow = () => Math.max(range.from, Number(this.#slider.value));
+    this.#field = new TextField(type, options, { class: "number" });
+    this.#slider = element("input", {
+      type: "range",
+      min: Math.floor(range.from / step) * step,
+      max: range.to,
+      step,
+      ...labelled(options),
+      oninput: () => {
+        this.#isDragged = true;
+        this.#field.show(valueNow());
+        if (isLive) {
+          options.changed(valueNow());
+        }
+      },
+      onchange: () => {
+        this.#isDragged = false;
+        if (!isLive) {
+          options.changed(valueNow());
+        }
+      },
+    });
+    this.element = element("div", { class: "slider" }, this.#slider, this.#field.element);
+  }
+
+  show(value) {
+    if (!this.#isDragged) {
+      this.#slider.value = value ?? this.#slider.min;
+      this.#field.show(value);
+    }
+  }
+
+  forget() {
+    this.#isDragged = false;
+    this.#field.forget();
+  }
+}
+
+/** The descriptor's own, or about a hundredth of the range, at most 1. */
+function stepOf(type, { from, to, step }) {
+  if (step > 0) {
+    return step;
+  }
+  return type === "integer" ? 1 : Math.min(1, 10 ** Math.round(Math.log10((to - from) / 100)));
+}

@@ -1,0 +1,81 @@
+/** The lifecycle state, and the transitions that are possible now as buttons. */
+
+import { element, KeyedViews, setText } from "./element.js";
+
+const CONFIRMED = { shutdown: "Ends the process of the detector. Only its supervisor or a person can start it again." };
+
+export class StateView {
+  #state = element("strong", { class: "state" });
+  #busy = element("span", { class: "spinner", role: "status" });
+  #refusal = element("p", { class: "refusal", role: "alert" });
+  #confirmation = element("div", { class: "confirmation", role: "group" });
+  #buttons;
+  #request;
+  #pending = "";
+
+  constructor(name, request, isViewOnly) {
+    this.#request = request;
+    const buttons = element("div", { class: "buttons", role: "group", "aria-label": "Transitions" });
+    this.#buttons = new KeyedViews(buttons, (transition) => this.#button(transition.label));
+    this.element = element(
+      "section",
+      { class: "panel head", "aria-label": "State" },
+      element("h2", {}, name),
+      this.#state,
+      ...(isViewOnly ? [] : [buttons]),
+      this.#busy,
+      this.#confirmation,
+      this.#refusal,
+    );
+  }
+
+  update(node) {
+    this.#state.dataset.state = node.state;
+    setText(this.#state, node.state);
+    this.#show(node.busy);
+    this.#buttons.update(node.transitions, (transition) => transition.label);
+  }
+
+  #show(busy) {
+    const shown = busy || (this.#pending && `${this.#pending} ...`);
+    setText(this.#busy, shown);
+    this.element.setAttribute("aria-busy", String(shown !== ""));
+    this.element.classList.toggle("busy", shown !== "");
+  }
+
+  #button(label) {
+    const press = () => (label in CONFIRMED ? this.#confirm(label) : this.#start(label));
+    const attributes = { type: "button", "data-transition": label, onclick: press };
+    if (label in CONFIRMED) {
+      attributes.class = "danger";
+    } else if (label === "activate" || label === "configure") {
+      attributes.class = "primary";
+    }
+    return { element: element("button", attributes, label), update: () => {} };
+  }
+
+  #confirm(label) {
+    const close = () => this.#confirmation.replaceChildren();
+    const yes = element(
+      "button",
+      { type: "button", class: "danger", onclick: () => (close(), this.#start(label)) },
+      `Yes, ${label}`,
+    );
+    const no = element("button", { type: "button", onclick: close }, "Cancel");
+    this.#confirmation.replaceChildren(element("p", {}, CONFIRMED[label]), yes, no);
+    no.focus();
+  }
+
+  async #start(label) {
+    if (this.#pending) {
+      return;
+    }
+    this.#pending = label;
+    setText(this.#refusal, "");
+    this.#show("");
+    const { ok, reason } = await this.#request({ type: "transition", label });
+    this.#pending = "";
+    this.#show("");
+    setText(this.#refusal, ok ? "" : reason || `${label} was refused without a reason`);
+  }
+}

@@ -1,0 +1,63 @@
+/** Parameters as a file for --params-file. */
+
+const HEAD = "/**:\n  ros__parameters:\n";
+
+/** Whether a parameter differs from its default. An override for a camera does wherever it is set. */
+export function isChanged({ name, value, default: usual }) {
+  return value !== null && (isOverride(name) || !isSame(value, usual));
+}
+
+/** Whether the parameter is that of one camera, such as `front.max_rate`: without a value, the node's applies. */
+export function isOverride(name) {
+  return name.includes(".");
+}
+
+/** Whether two values of parameters are equal. */
+export function isSame(a, b) {
+  return JSON.stringify(a) === JSON.stringify(b);
+}
+
+/** The text of a file with every parameter that differs from its default. */
+export function yamlText(parameters) {
+  const changed = parameters.filter(isChanged);
+  if (changed.length === 0) {
+    return "# Every parameter has its default.\n";
+  }
+  return HEAD + changed.map(({ name, type, value }) => `    ${key(name)}: ${written(type, value)}\n`).join("");
+}
+
+function key(name) {
+  return /^[A-Za-z_][\w.]*$/.test(name) && !isReserved(name) ? name : quoted(name);
+}
+
+/** YAML 1.1 reads these words as booleans or null. */
+function isReserved(name) {
+  return /^(y|n|yes|no|on|off|true|false|null)$/i.test(name);
+}
+
+function written(type, value) {
+  if (type === "string_array") {
+    return `[${value.map(quoted).join(", ")}]`;
+  }
+  if (type === "string") {
+    return quoted(value);
+  }
+  return type === "double" ? double(value) : String(value);
+}
+
+/** ROS tells a double from an integer by the point; YAML 1.1 needs one before an exponent, too. */
+function double(value) {
+  const text = String(value);
+  if (/^-?\d+$/.test(text)) {
+    return `${text}.0`;
+  }
+  return text.replace(/^(-?\d+)e/, "$1.0e");
+}
+
+/** A string in double quotes; what YAML does not allow in a file is escaped. */
+function quoted(text) {
+  return JSON.stringify(text).replace(
+    /[\u007f-\u009f\u2028\u2029\ufeff\ufffe\uffff]/g,
+    (character) => `\\u${character.charCodeAt(0).toString(16).padStart(4, "0")}`,
+  );
+}

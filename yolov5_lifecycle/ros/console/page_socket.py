@@ -1,0 +1,192 @@
+"""The WebSocket over which a page receives nodes, and changes them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+from websockets.frames import CloseCode
+
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros.console.budget import Budget
+from yolov5_lifecycle.ros.console.detector import Detector
+
+MAX_PAGES = 16
+VIEW_ONLY = "this console is for viewing only (--view-only)"
+_MESSAGES_PER_S = 30.0
+_MESSAGES = 60
+_MAX_PENDING = 8
+_MAX_VALUES = 400
+_UPDATE_S = 0.25
+
+Find = Callable[[object], Detector | None]
+
+
+class Pages:
+    """All open pages; each node is sent at most four times a second, and as a text that all of them share.
+
+    `find` gives the detector of a name, `known` all.
+    """
+
+    def __init__(self, find: Find, known: Callable[[], Iterable[Detector]], *, view_only: bool) -> None:
+        self._find = find
+        self._known = known
+        self._view_only = view_only
+        self._open: set[_Page] = set()
+        self._due: dict[str, asyncio.TimerHandle] = {}
+        self._sent_s: dict[str, float] = {}
+
+    @property
+    def count(self) -> int:
+        return len(self._open)
+
+    def changed(self, detector: Detector) -> None:
+        """Send the detector to all pages soon."""
+        name = detector.name
+        if not self._open or name in self._due:
+            return
+        wait_s = self._sent_s.get(name, 0.0) + _UPDATE_S - time.monotonic()
+        loop = asyncio.get_running_loop()
+        self._due[name] = loop.call_later(max(wait_s, 0.0), self._send, name)
+
+    def gone(self, name: str) -> None:
+        """Tell all pages that the detector is gone."""
+        if timer := self._due.pop(name, None):
+            timer.cancel()
+        text = json.dumps({"type": "gone", "name": name})
+        for page in self._open:
+            page.show(name, text)
+
+    async def serve(self, websocket: WebSocket) -> None:
+        """Serve one page until it is closed."""
+        await websocket.accept()
+        if len(self._open) >= MAX_PAGES:
+            await websocket.close(CloseCode.TRY_AGAIN_LATER, f"{MAX_PAGES} pages are open: close one of them")
+            return
+        page = _Page(websocket, self._find, view_only=self._view_only)
+        self._open.add(page)
+        try:
+            await page.serve({detector.name: _node_text(detector) for detector in self._known()})
+        finally:
+            self._open.discard(page)
+
+    def _send(self, name: str) -> None:
+        self._due.pop(name, None)
+        self._sent_s[name] = time.monotonic()
+        detector = self._find(name)
+        if detector is not None:
+            text = _node_text(detector)
+            for page in self._open:
+                page.show(name, text)
+
+
+class _Page:
+    """One open page. Of each node only the newest text waits to be sent."""
+
+    def __init__(self, websocket: WebSocket, find: Find, *, view_only: bool) -> None:
+        self._websocket = websocket
+        self._find = find
+        self._view_only = view_only
+        self._nodes: dict[str, str] = {}
+        self._answers: list[str] = []
+        self._news = asyncio.Event()
+        self._budget = Budget(_MESSAGES_PER_S, _MESSAGES)
+        self._requests: set[asyncio.Task[None]] = set()
+
+    def show(self, name: str, text: str) -> None:
+        self._nodes[name] = text
+        self._news.set()
+
+    async def serve(self, nodes: dict[str, str]) -> None:
+        welcome = {"type": "welcome", "view_only": self._view_only}
+        self._answers.append(json.dumps(welcome))
+        self._nodes.update(nodes)
+        self._news.set()
+        sender = asyncio.create_task(self._send())
+        try:
+            await self._receive()
+        except WebSocketDisconnect:
+            pass
+        finally:
+            sender.cancel()
+            # Requests in progress go on: the detector does what it was asked to, page or not.
+
+    async def _send(self) -> None:
+        try:
+            while True:
+                await self._news.wait()
+                self._news.clear()
+                while self._answers or self._nodes:
+                    text = self._answers.pop(0) if self._answers else self._nodes.pop(next(iter(self._nodes)))
+                    await self._websocket.send_text(text)
+        except (WebSocketDisconnect, RuntimeError):
+            pass  # the page is closed; `_receive` ends, too
+
+    async def _receive(self) -> None:
+        while True:
+            message = await self._websocket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            if not self._budget.spend():
+                await self._websocket.close(CloseCode.POLICY_VIOLATION, "too many messages")
+                return
+            self._handle(message.get("text"))
+
+    def _handle(self, text: str | None) -> None:
+        request, problem = _request(text)
+        if not problem and self._view_only:
+            problem = VIEW_ONLY
+        if not problem and len(self._requests) >= _MAX_PENDING:
+            problem = f"{_MAX_PENDING} requests of this page are not answered yet: wait for them"
+        detector = None if problem else self._find(request.get("node"))
+        if not problem and detector is None:
+            problem = f"there is no detector {in_one_line(str(request.get('node')), 100)}"
+        if problem or detector is None:
+            self._answer(request.get("id"), problem)
+            return
+        task = asyncio.create_task(self._do(detector, request))
+        self._requests.add(task)
+        task.add_done_callback(self._requests.discard)
+
+    async def _do(self, detector: Detector, request: dict[str, Any]) -> None:
+        if request["type"] == "set":
+            reason = await detector.set(request["values"])
+        else:
+            reason = await detector.change_state(request["label"])
+        self._answer(request.get("id"), reason)
+
+    def _answer(self, request_id: object, reason: str) -> None:
+        is_id = isinstance(request_id, (int, str)) and len(str(request_id)) <= 100
+        answer = {"type": "answer", "id": request_id if is_id else None, "ok": not reason, "reason": reason}
+        self._answers.append(json.dumps(answer))
+        self._news.set()
+
+
+def _node_text(detector: Detector) -> str:
+    return json.dumps({"type": "node", "node": detector.as_json()})
+
+
+def _request(text: str | None) -> tuple[dict[str, Any], str]:
+    """The request in a message, and why it cannot be done, "" if it can."""
+    try:
+        request = json.loads(text or "", parse_constant=_refuse_constant)
+    except (ValueError, RecursionError):
+        return {}, "expected a JSON object"
+    if not isinstance(request, dict):
+        return {}, "expected a JSON object"
+    if request.get("type") == "set":
+        values = request.get("values")
+        if isinstance(values, dict) and 0 < len(values) <= _MAX_VALUES:
+            return request, ""
+        return request, f"expected values: an object of 1 to {_MAX_VALUES} parameters"
+    if request.get("type") == "transition":
+        return request, "" if isinstance(request.get("label"), str) else "expected label: a string"
+    return request, "expected the type set or transition"
+
+
+def _refuse_constant(name: str) -> object:
+    raise ValueError(f"{name} is no JSON")

@@ -1,0 +1,155 @@
+"""A parameter as the page shows it, and a value of the page as ROS takes it."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType, ParameterValue
+from rclpy.parameter import parameter_value_to_python
+
+from yolov5_lifecycle.printable import in_one_line
+
+_TYPES = {
+    ParameterType.PARAMETER_BOOL: "bool",
+    ParameterType.PARAMETER_INTEGER: "integer",
+    ParameterType.PARAMETER_DOUBLE: "double",
+    ParameterType.PARAMETER_STRING: "string",
+    ParameterType.PARAMETER_STRING_ARRAY: "string_array",
+}
+_EXPECTED = {
+    "bool": "true or false",
+    "integer": "an integer",
+    "double": "a number",
+    "string": "a string",
+    "string_array": "a list of strings",
+}
+_INTEGERS = range(-(2**63), 2**63)
+_CONSTRAINTS = re.compile(
+    r"(?P<allowed>.*); default (?P<default>.*); (?P<change>live|reload|cameras|resubscribe|read-only): .*",
+    re.DOTALL,
+)
+"""What `ros/declaration.py` writes into the additional constraints of a descriptor."""
+_CHOICES = "one of "
+
+
+class ValueRefusedError(ValueError):
+    """A value of the page that no parameter of that type can have; the message is for the user."""
+
+
+class ParameterView:
+    """A declared parameter of a detector: what its descriptor says."""
+
+    def __init__(self, descriptor: ParameterDescriptor, allowed: str, default: object, change: str) -> None:
+        self.name = str(descriptor.name)
+        self.type = _TYPES.get(descriptor.type, "string")
+        self.change = change
+        self._descriptor = descriptor
+        self._allowed = allowed
+        self._default = default
+
+    @classmethod
+    def of(cls, descriptor: ParameterDescriptor) -> ParameterView | None:
+        """The view of `descriptor`; None for a parameter that is no setting, such as use_sim_time."""
+        found = _CONSTRAINTS.fullmatch(descriptor.additional_constraints)
+        if found is None:
+            return None
+        change = found["change"].replace("-", " ")
+        return cls(descriptor, found["allowed"], _parsed(found["default"]), change)
+
+    def as_json(self, value: object) -> dict[str, object]:
+        """The parameter with its present `value`, for JSON."""
+        return {
+            "name": self.name,
+            "type": self.type,
+            "value": value,
+            "default": self._default,
+            "description": in_one_line(self._descriptor.description),
+            "constraints": in_one_line(self._allowed),
+            "range": self._range,
+            "choices": self._choices,
+            "change": self.change,
+            "read_only": bool(self._descriptor.read_only),
+        }
+
+    @property
+    def _range(self) -> dict[str, float] | None:
+        ranges = [*self._descriptor.floating_point_range, *self._descriptor.integer_range]
+        if not ranges:
+            return None
+        first, last, step = ranges[0].from_value, ranges[0].to_value, ranges[0].step
+        is_usable = all(map(math.isfinite, (first, last, step))) and first <= last
+        return {"from": first, "to": last, "step": step} if is_usable else None
+
+    @property
+    def _choices(self) -> list[str] | None:
+        if self.type != "string" or not self._allowed.startswith(_CHOICES):
+            return None
+        return self._allowed.removeprefix(_CHOICES).split(", ")
+
+
+def plain_value(value: ParameterValue) -> object:
+    """`value` for JSON; None if it is not set or not a finite number."""
+    plain = parameter_value_to_python(value)
+    if isinstance(plain, float) and not math.isfinite(plain):
+        return None
+    return plain if isinstance(plain, (bool, int, float, str, type(None))) else list(plain)
+
+
+def parameter_message(name: str, value: object, views: Mapping[str, ParameterView]) -> ParameterMessage:
+    """The parameter `name` with `value` of JSON; null deletes it. Raises ValueRefusedError."""
+    view = views.get(name)
+    type_name = view.type if view is not None else _type_of(value)
+    if value is not None and not _is_of(value, type_name):
+        shown = in_one_line(json.dumps(value), 100)
+        raise ValueRefusedError(f"{in_one_line(name, 100)}: expected {_EXPECTED[type_name]}, found {shown}")
+    return ParameterMessage(name=name, value=_message(value, type_name))
+
+
+def _message(value: Any, type_name: str) -> ParameterValue:
+    if value is None:
+        return ParameterValue(type=ParameterType.PARAMETER_NOT_SET)
+    (number,) = [number for number, name in _TYPES.items() if name == type_name]
+    content = float(value) if type_name == "double" else value
+    return ParameterValue(type=number, **{f"{type_name}_value": content})
+
+
+def _type_of(value: object) -> str:
+    """The type of a value for a parameter that is not declared, such as `front.max_rate`."""
+    types = {bool: "bool", int: "integer", float: "double", str: "string"}
+    return types.get(type(value), "string_array")
+
+
+def _is_of(value: object, type_name: str) -> bool:
+    if type_name == "bool":
+        return isinstance(value, bool)
+    if type_name == "string_array":
+        return isinstance(value, list) and all(map(_is_text, value))
+    if type_name == "string":
+        return _is_text(value)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return isinstance(value, int) and value in _INTEGERS if type_name == "integer" else _is_double(value)
+
+
+def _is_text(value: object) -> bool:
+    """Whether `value` is a string that ROS can send: without NUL, which would end it, or half characters."""
+    return isinstance(value, str) and not any(c == "\0" or "\ud800" <= c <= "\udfff" for c in value)
+
+
+def _is_double(value: float) -> bool:
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:
+        return False
+
+
+def _parsed(default: str) -> object:
+    try:
+        return json.loads(default)
+    except ValueError:
+        return None

@@ -1,0 +1,113 @@
+"""The thread that serves the console's node, and hand-over between it and the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from yolov5_lifecycle.ros.process import spin
+
+Result = TypeVar("Result")
+_END_S = 1.0
+"""How long the callback in progress is waited for at the end."""
+
+
+class NotReachedError(Exception):
+    """A service did not answer in time, or does not exist."""
+
+
+class RosThread:
+    """Spins `node` in a thread of its own; everything of ROS is used in that thread only.
+
+    The methods are called in the thread of the event loop `loop`, except `post`. What they run and send
+    keeps its order.
+    """
+
+    def __init__(self, node: Node, loop: asyncio.AbstractEventLoop) -> None:
+        self.node = node
+        self._loop = loop
+        self._is_stopping = threading.Event()
+        self._jobs: deque[Callable[[], None]] = deque()
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> bool:
+        """End the thread; returns whether it has ended, so that the node may be destroyed."""
+        self._is_stopping.set()
+        self._executor.wake()
+        self._thread.join(_END_S)
+        return not self._thread.is_alive()
+
+    def post(self, function: Callable[..., object], *arguments: object) -> None:
+        """Call `function` soon in the thread of the event loop; may be called in any thread."""
+        with suppress(RuntimeError):  # the loop has been closed
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    def run(self, function: Callable[..., Result], *arguments: object) -> asyncio.Future[Result]:
+        """Call `function` soon in the thread of ROS; the future has its result or exception."""
+        answer: asyncio.Future[Result] = self._loop.create_future()
+
+        def job() -> None:
+            try:
+                result = function(*arguments)
+            except Exception as error:  # noqa: BLE001 - raised where the future is awaited
+                self.post(_fail, answer, error)
+            else:
+                self.post(_resolve, answer, result)
+
+        self._jobs.append(job)
+        self._executor.create_task(self._work)
+        return answer
+
+    async def call(self, client: Any, request: Any, *, timeout_s: float) -> Any:
+        """The response of the service of `client`; raises NotReachedError."""
+        answer: asyncio.Future[Any] = self._loop.create_future()
+
+        def send() -> Any:
+            if not client.service_is_ready():
+                raise NotReachedError(f"there is no service {client.srv_name}")
+            future = client.call_async(request)
+            future.add_done_callback(lambda done: self.post(_resolve, answer, done.result()))
+            return future
+
+        pending = await self.run(send)
+        try:
+            return await asyncio.wait_for(answer, timeout_s)
+        except asyncio.TimeoutError:
+            raise NotReachedError(f"{client.srv_name} did not answer within {timeout_s:g} s") from None
+        finally:
+            self.run(client.remove_pending_request, pending).add_done_callback(_observed)
+
+    def _work(self) -> None:
+        # rclpy runs tasks in any order; a later change of a parameter must not overtake an earlier one.
+        self._jobs.popleft()()
+
+    def _spin(self) -> None:
+        spin(self._executor, self.node, until=self._is_stopping.is_set)
+
+
+def _resolve(future: asyncio.Future[Any], result: object) -> None:
+    if not future.done():
+        future.set_result(result)
+
+
+def _fail(future: asyncio.Future[Any], error: Exception) -> None:
+    if not future.done():
+        future.set_exception(error)
+
+
+def _observed(future: asyncio.Future[Any]) -> None:
+    """Look at the outcome, which nobody else does, so that asyncio does not report it."""
+    if not future.cancelled():
+        future.exception()

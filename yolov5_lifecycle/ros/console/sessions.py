@@ -1,0 +1,63 @@
+"""Who has shown the token: sessions of browsers, and how often a token may be tried."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import secrets
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+
+from yolov5_lifecycle.ros.console.budget import Budget, BudgetPerAddress
+
+SESSION_S = 12 * 3600.0
+_MAX_SESSIONS = 200
+_ID_BYTES = 32
+_TRIES_PER_S = 5 / 60
+_TRIES = 5
+
+
+class TooManyTriesError(Exception):
+    """The token was wrong too often; wait a minute."""
+
+
+class Sessions:
+    """Sessions of those who know `token`; only hashes are kept. `clock` returns monotonic seconds."""
+
+    def __init__(self, token: str, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._token_hash = _hash(token)
+        self._clock = clock
+        self._ends_s: OrderedDict[bytes, float] = OrderedDict()
+        self._failures_of = BudgetPerAddress(lambda: Budget(_TRIES_PER_S, _TRIES, clock=clock))
+
+    def knows_token(self, given: str, address: str) -> bool:
+        """Whether `given` is the token; raises TooManyTriesError after too many wrong ones from `address`.
+
+        The right token counts as wrong then, too, so that guessing on learns nothing.
+        """
+        own = self._failures_of.of(address)
+        if not own.is_left:
+            raise TooManyTriesError
+        if hmac.compare_digest(_hash(given), self._token_hash):
+            return True
+        own.spend()
+        return False
+
+    def begin(self) -> str:
+        """Begin a session; returns its id, which is random and not derived from the token."""
+        session_id = secrets.token_urlsafe(_ID_BYTES)
+        self._ends_s[_hash(session_id)] = self._clock() + SESSION_S
+        if len(self._ends_s) > _MAX_SESSIONS:
+            self._ends_s.popitem(last=False)
+        return session_id
+
+    def has(self, session_id: str) -> bool:
+        """Whether there is such a session that has not expired."""
+        # The dictionary compares hashes; how long that takes tells nothing about ids.
+        end_s = self._ends_s.get(_hash(session_id))
+        return end_s is not None and self._clock() < end_s
+
+
+def _hash(text: str) -> bytes:
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).digest()

@@ -1,0 +1,69 @@
+"""The file that keeps the console's token."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+
+MIN_LENGTH = 32
+_BYTES = 32
+_MAX_BYTES = 4096
+_FOLDER = "yolov5_console"
+
+
+class TokenFileError(Exception):
+    """The token cannot be kept or must not be used; the message has the cause and a remedy."""
+
+
+def usual_path(environment: Mapping[str, str]) -> Path:
+    """`yolov5_console/token` in $XDG_STATE_HOME, or in ~/.ros without that variable."""
+    state = Path(environment.get("XDG_STATE_HOME", ""))
+    return (state if state.is_absolute() else Path.home() / ".ros") / _FOLDER / "token"
+
+
+def kept_token(path: Path) -> tuple[str, bool]:
+    """The token in the file at `path`, which is made with a new one if there is none; whether it is new.
+
+    Raises TokenFileError if others may read the file, or if it has no token of at least MIN_LENGTH.
+    """
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        try:
+            return _made(path), True
+        except FileExistsError:
+            return _read(path), False
+    except OSError as error:
+        raise TokenFileError(
+            f"the token cannot be kept in {path}: {error.strerror}. Name another file with --token-file."
+        ) from error
+
+
+def _made(path: Path) -> str:
+    token = secrets.token_urlsafe(_BYTES)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+    with os.fdopen(descriptor, "w") as file:
+        os.fchmod(descriptor, 0o600)  # whatever the umask is
+        file.write(token + "\n")
+    return token
+
+
+def _read(path: Path) -> str:
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise TokenFileError(f"{path} is no regular file: remove it, or name another with --token-file.")
+        if status.st_uid != os.geteuid() or status.st_mode & 0o077:
+            raise TokenFileError(
+                f"others may have read the token in {path}: remove the file, and a new one is made."
+            )
+        token = file.read(_MAX_BYTES).decode("ascii", "replace").strip()
+    if len(token) < MIN_LENGTH or not token.isprintable() or " " in token:
+        raise TokenFileError(
+            f"{path}: expected one token of at least {MIN_LENGTH} letters and digits, found {len(token)} "
+            "characters: remove the file, and a new one is made."
+        )
+    return token

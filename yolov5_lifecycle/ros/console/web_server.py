@@ -1,0 +1,153 @@
+"""The HTTP server: its socket, limits and headers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import socket
+import ssl
+from collections.abc import Iterator
+
+import h11
+import uvicorn
+from starlette.types import ASGIApp
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from yolov5_lifecycle.ros.console.options import ConsoleOptions
+
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self' blob:; connect-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'",
+    "X-Content-Type-Options": "nosniff",
+    # Not no-referrer: with it, browsers send the login form with `Origin: null`.
+    "Referrer-Policy": "same-origin",
+    "Cache-Control": "no-store",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+"""Of every response."""
+MAX_CONNECTIONS = 128
+MAX_CONNECTIONS_OF_ADDRESS = 64
+"""Further ones are closed at once."""
+MAX_BUSY_CONNECTIONS = 96
+"""With more connections, requests are answered with 503."""
+FIRST_REQUEST_S = 5.0
+"""A connection that has sent no complete request by then is closed."""
+MAX_MESSAGE_BYTES = 256 * 1024
+"""Of a page to the console; the longest list of class names fits."""
+_MAX_HEADER_BYTES = 16 * 1024
+_END_S = 1
+_BACKLOG = 64
+
+
+class ListenError(Exception):
+    """The server cannot start; the message has the cause and a remedy."""
+
+
+class WebServer(uvicorn.Server):
+    """Serves `application` on `listener` until `should_exit` is set; leaves signals alone."""
+
+    def __init__(self, application: ASGIApp, options: ConsoleOptions, listener: socket.socket) -> None:
+        config = uvicorn.Config(
+            application,
+            http=_BoundedProtocol,
+            ws=WebSocketsSansIOProtocol,
+            lifespan="off",
+            log_config=None,
+            # What clients do wrong is answered, not logged; the application logs its own errors.
+            log_level="critical",
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            headers=list(HEADERS.items()),
+            ws_max_size=MAX_MESSAGE_BYTES,
+            ws_per_message_deflate=False,
+            limit_concurrency=MAX_BUSY_CONNECTIONS,
+            h11_max_incomplete_event_size=_MAX_HEADER_BYTES,
+            timeout_graceful_shutdown=_END_S,
+            ssl_certfile=options.certificate,
+            ssl_keyfile=options.key,
+        )
+        try:
+            config.load()
+        except (OSError, ssl.SSLError) as error:
+            raise ListenError(
+                f"--cert {options.certificate} and --key {options.key} cannot be used: {error}. Expected a "
+                "certificate chain and its private key, both PEM, the key without a password."
+            ) from error
+        super().__init__(config)
+        self._listener = listener
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """The process handles them."""
+        yield
+
+    async def serve_until_exit(self) -> None:
+        await self.serve([self._listener])
+
+
+class _BoundedProtocol(H11Protocol):
+    """Closes connections that are too many, or that send no complete request for too long."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        addresses = [_address(other) for other in self.connections]
+        if len(addresses) > MAX_CONNECTIONS or addresses.count(_address(self)) > MAX_CONNECTIONS_OF_ADDRESS:
+            transport.abort()
+        else:
+            self.loop.call_later(FIRST_REQUEST_S, self._close_if_idle)
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        # uvicorn stops its timer with the first byte of the next request, which may never be complete.
+        if self.conn.our_state is h11.IDLE:
+            self.loop.call_later(FIRST_REQUEST_S, self._close_if_idle)
+
+    def _close_if_idle(self) -> None:
+        is_idle = self.conn.our_state is h11.IDLE and self in self.connections
+        if is_idle and not self.transport.is_closing():
+            self.transport.close()
+
+
+def _address(connection: object) -> str:
+    """Address of the client of one of uvicorn's connections."""
+    client = getattr(connection, "client", None)
+    return str(client[0]) if client else ""
+
+
+def listening_socket(options: ConsoleOptions) -> socket.socket:
+    """A socket that listens on the address of `options`. Raises ListenError."""
+    try:
+        family, _, _, _, address = socket.getaddrinfo(
+            options.host, options.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        return socket.create_server(address[:2], family=family, backlog=_BACKLOG)
+    except socket.gaierror:
+        raise ListenError(
+            f"--host {options.host}: expected an address or name of this machine, such as 0.0.0.0 for all"
+        ) from None
+    except OSError as error:
+        raise ListenError(_listen_problem(options, error)) from error
+
+
+def _listen_problem(options: ConsoleOptions, error: OSError) -> str:
+    place = f"port {options.port} of {options.host}"
+    if error.errno == errno.EADDRINUSE:
+        return f"{place} is in use, perhaps by another console: choose another with --port, or end that one"
+    if error.errno == errno.EACCES:
+        return f"{place} is not for ordinary users: choose one above 1023 with --port"
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"--host {options.host} is no address of this machine; 0.0.0.0 stands for all of them"
+    return f"{place} cannot be used: {error.strerror}"
+
+
+def url_of(listener: socket.socket, scheme: str) -> str:
+    """Address of the page; with 0.0.0.0, under the name of this machine."""
+    address, port = listener.getsockname()[:2]
+    if address in ("0.0.0.0", "::"):
+        address = socket.gethostname()
+    host = f"[{address}]" if ":" in address else address
+    return f"{scheme}://{host}:{port}/"
