@@ -38,6 +38,15 @@ FIRST_REQUEST_S = 5.0
 MAX_MESSAGE_BYTES = 256 * 1024
 """Of a page to the console; the longest list of class names fits."""
 _MAX_HEADER_BYTES = 16 * 1024
+_UNREADABLE = b"\r\n".join(
+    [
+        b"HTTP/1.1 400 Bad Request",
+        b"Connection: close",
+        b"Content-Length: 0",
+        *(f"{name}: {value}".encode() for name, value in HEADERS.items()),
+        b"\r\n",
+    ]
+)
 _END_S = 1
 _BACKLOG = 64
 
@@ -53,7 +62,7 @@ class WebServer(uvicorn.Server):
         config = uvicorn.Config(
             application,
             http=_BoundedProtocol,
-            ws=WebSocketsSansIOProtocol,
+            ws=_AnsweringWebSocket,
             lifespan="off",
             log_config=None,
             # What clients do wrong is answered, not logged; the application logs its own errors.
@@ -109,6 +118,19 @@ class _BoundedProtocol(H11Protocol):
     def _close_if_idle(self) -> None:
         is_idle = self.conn.our_state is h11.IDLE and self in self.connections
         if is_idle and not self.transport.is_closing():
+            self.transport.close()
+
+
+class _AnsweringWebSocket(WebSocketsSansIOProtocol):
+    """Answers an upgrade that websockets cannot read, such as one with a very long header.
+
+    uvicorn waits for the event of such a request, which does not come, and leaves the connection open.
+    """
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if self.conn.handshake_exc is not None and not self.handshake_initiated:
+            self.transport.write(_UNREADABLE)
             self.transport.close()
 
 
