@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from websockets.asyncio.client import ClientConnection, connect
+from websockets.typing import Origin
 
 from benchmark.process_time import cpu_s
 from benchmark.report import Goal, goal_table, row, table, write_report
@@ -104,7 +105,7 @@ async def viewing(console: ChildProcess, viewers: int, duration_s: float) -> Vie
 
 def _socket(console: ChildProcess, path: str) -> connect:
     where = authority(console)
-    return connect(f"ws://{where}{path}", origin=f"http://{where}", compression=None, max_size=None)
+    return connect(f"ws://{where}{path}", origin=Origin(f"http://{where}"), compression=None, max_size=None)
 
 
 async def _wait_for_node(page: ClientConnection) -> None:

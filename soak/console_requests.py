@@ -46,6 +46,9 @@ _FORMS = (
 )  # fmt: skip
 _CHANGE = {"id": 1, "node": NODE, "type": "set", "values": {"confidence_threshold": 0.99}}
 
+Sent = tuple[bytes, bool, Callable[[bytes], bool]]
+"""What is sent, whether it is a complete request, and whether an answer is right."""
+
 
 class Attack:
     """Sends random requests to the console at `port`, as somebody without its token may."""
@@ -57,45 +60,55 @@ class Attack:
     def send(self) -> str:
         """Send a request from some address; what was wrong, "" if it was answered or its connection ended."""
         source = f"127.0.{self._random.randrange(1, 3)}.{self._random.randrange(1, _ATTACKERS)}"
-        content, expected = self._random.choice(self._kinds)()
+        content, is_complete, is_right = self._random.choice(self._kinds)()
         try:
             with socket.create_connection(
                 ("127.0.0.1", self._port), timeout=_PATIENCE_S, source_address=(source, 0)
             ) as connection:
                 connection.sendall(content)
-                connection.shutdown(socket.SHUT_WR)
+                if not is_complete:
+                    connection.shutdown(socket.SHUT_WR)
                 answer = connection.recv(4096)
         except (BrokenPipeError, ConnectionResetError):
             return ""  # refused while it was still being sent
         except OSError as error:
             return f"{content[:200]!r}: {error}"
-        return "" if expected(answer) else f"{content[:200]!r}: answered with {answer[:100]!r}"
+        return "" if is_right(answer) else f"{content[:200]!r}: answered with {answer[:100]!r}"
 
     @property
-    def _kinds(self) -> tuple[Callable[[], tuple[bytes, Callable[[bytes], bool]]], ...]:
+    def _kinds(self) -> tuple[Callable[[], Sent], ...]:
         return (self._request, self._request, self._form, self._upgrade, self._upgrade, self._noise)
 
-    def _request(self) -> tuple[bytes, Callable[[bytes], bool]]:
+    def _request(self) -> Sent:
         choose = self._random.choice
         lines = [f"{choose(_METHODS)} {choose(_PATHS)} HTTP/1.{choose('0119')}", *self._headers()]
-        return self._bytes(lines), lambda _: True
+        return self._bytes(lines), True, lambda answer: answer.startswith(b"HTTP/1.1 ")
 
-    def _form(self) -> tuple[bytes, Callable[[bytes], bool]]:
+    def _form(self) -> Sent:
         form = self._random.choice(_FORMS)
         length = self._random.choice([len(form), len(form) + 5, 0, 10**12, -1])
         lines = ["POST /login HTTP/1.1", *self._headers(), f"Content-Length: {length}"]
-        return self._bytes(lines) + form.encode("latin-1"), lambda answer: b"console=" not in answer
+        is_complete = length <= len(form)
+        return (
+            self._bytes(lines) + form.encode("latin-1"),
+            is_complete,
+            lambda answer: b"console=" not in answer and (answer.startswith(b"HTTP/1.1 ") or not is_complete),
+        )
 
-    def _upgrade(self) -> tuple[bytes, Callable[[bytes], bool]]:
+    def _upgrade(self) -> Sent:
         lines = [f"GET {self._random.choice(('/ws', '/image?node=/yolov5'))} HTTP/1.1", *self._headers()]
         lines += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"]
         lines += ["Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA=="]
         message = json.dumps(_CHANGE).encode()
         frame = bytes([0x81, 0xFE, *len(message).to_bytes(2, "big"), 0, 0, 0, 0]) + message
-        return self._bytes(lines) + frame, lambda answer: b" 101 " not in answer.partition(b"\r\n")[0]
+        return (
+            self._bytes(lines) + frame,
+            True,
+            lambda answer: answer.startswith(b"HTTP/1.1 ") and not answer.startswith(b"HTTP/1.1 101"),
+        )
 
-    def _noise(self) -> tuple[bytes, Callable[[bytes], bool]]:
-        return self._random.randbytes(self._random.choice([1, 10, 1000, 100_000])), lambda _: True
+    def _noise(self) -> Sent:
+        return self._random.randbytes(self._random.choice([1, 10, 1000, 100_000])), False, lambda _: True
 
     def _headers(self) -> list[str]:
         own = f"127.0.0.1:{self._port}"
