@@ -30,6 +30,9 @@ export class StateView {
   }
 
   update(node) {
+    if (this.#state.dataset.state !== node.state) {
+      this.#confirmation.replaceChildren(); // it was about another state
+    }
     this.#state.dataset.state = node.state;
     setText(this.#state, node.state);
     this.#show(node.busy);
