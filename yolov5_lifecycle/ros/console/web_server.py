@@ -103,7 +103,8 @@ class _BoundedProtocol(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        addresses = [_address(other) for other in self.connections]
+        # Those that were aborted are among them until the next turn of the event loop.
+        addresses = [_address(other) for other in self.connections if not _is_closing(other)]
         if len(addresses) > MAX_CONNECTIONS or addresses.count(_address(self)) > MAX_CONNECTIONS_OF_ADDRESS:
             transport.abort()
         else:
@@ -132,6 +133,12 @@ class _AnsweringWebSocket(WebSocketsSansIOProtocol):
         if self.conn.handshake_exc is not None and not self.handshake_initiated:
             self.transport.write(_UNREADABLE)
             self.transport.close()
+
+
+def _is_closing(connection: object) -> bool:
+    """Whether one of uvicorn's connections is being closed."""
+    transport = getattr(connection, "transport", None)
+    return transport is not None and bool(transport.is_closing())
 
 
 def _address(connection: object) -> str:
