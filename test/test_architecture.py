@@ -171,6 +171,18 @@ def test_a_node_sets_no_attribute_of_rclpys_nodes(module: str) -> None:
     assert attributes_set(MODULES[module]) & upstream == set()
 
 
+def test_the_console_needs_no_torch_and_the_nodes_no_web_server() -> None:
+    web = ("h11", "prometheus_client", "starlette", "uvicorn", "websockets")
+    others = ("ros.camera.node", "ros.demo.command", "ros.detector.process")
+    for names, blocked in ((["ros.console.process"], ("torch", "cv2")), (others, web)):
+        program = (
+            f"import sys; sys.modules.update(dict.fromkeys({blocked!r})); import importlib; "
+            f"[importlib.import_module('yolov5_lifecycle.' + name) for name in {names!r}]"
+        )
+        run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+        assert run.returncode == 0, run.stderr
+
+
 def test_importing_the_package_loads_no_library_and_changes_no_environment_variable() -> None:
     program = (
         "import os, sys; before = dict(os.environ); import yolov5_lifecycle; dir(yolov5_lifecycle); "

@@ -22,7 +22,7 @@ from yolov5_lifecycle.settings.parameter_file import file_values
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings, validated
 
 CONFIG = REPOSITORY / "config"
-UNIT = CONFIG / "yolov5.service"
+UNITS = {name: CONFIG / f"{name}.service" for name in ("yolov5", "yolov5_console")}
 PARAMETER_FILES = [file for file in CONFIG.glob("*.yaml") if not file.name.startswith("nav2")]
 
 
@@ -131,36 +131,38 @@ def test_the_manager_of_nav2_drives_the_node_without_a_bond() -> None:
     assert Settings().bond_timeout == 0.0, "what the manager expects of the node"
 
 
-def unit() -> dict[str, list[str]]:
+def unit(name: str = "yolov5") -> dict[str, list[str]]:
     entries: dict[str, list[str]] = {}
-    for line in UNIT.read_text().splitlines():
+    for line in UNITS[name].read_text().splitlines():
         if line and line[0] not in "#[":
             key, _, value = line.partition("=")
             entries.setdefault(key, []).append(value)
     return entries
 
 
-def test_systemd_starts_the_detector_of_a_workspace() -> None:
-    (command,) = unit()["ExecStart"]
+@pytest.mark.parametrize("name", UNITS)
+def test_systemd_starts_a_node_of_a_workspace(name: str) -> None:
+    (command,) = unit(name)["ExecStart"]
     shell, option, script = shlex.split(command)
     assert (shell, option) == ("/bin/bash", "-c")
     assert subprocess.run(["bash", "-n", "-c", script]).returncode == 0
     (executable,) = re.findall(rf"install/{PACKAGE}/lib/{PACKAGE}/(\w+)", script)
     assert executable in COMMANDS
     assert set(re.findall(r"-p (\w+):=", script)) <= {setting.name for setting in SETTINGS}
-    variables = {entry.partition("=")[0] for entry in unit()["Environment"]}
+    variables = {entry.partition("=")[0] for entry in unit(name)["Environment"]}
     assert set(re.findall(r"\$(\w+)", script)) <= variables
 
 
 def test_systemd_restarts_what_has_failed_alone() -> None:
-    assert unit()["Restart"] == ["on-failure"]
+    assert {tuple(unit(name)["Restart"]) for name in UNITS} == {("on-failure",)}
     assert 0 not in (EXIT_DEVICE_LOST, EXIT_ABANDONED_THREADS)
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
-def test_systemd_understands_the_unit(tmp_path: Path) -> None:
-    copy = shutil.copy(UNIT, tmp_path)
+@pytest.mark.parametrize("name", UNITS)
+def test_systemd_understands_the_unit(name: str, tmp_path: Path) -> None:
+    copy = shutil.copy(UNITS[name], tmp_path)
     run = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", copy], capture_output=True, text=True, timeout=60
     )
-    assert "yolov5.service:" not in run.stderr, run.stderr
+    assert f"{name}.service:" not in run.stderr, run.stderr
