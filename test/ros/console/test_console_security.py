@@ -218,6 +218,8 @@ def test_a_form_that_has_no_token_is_answered(guarded: ConsoleClient, body: str,
 
 def test_metrics_need_the_token_on_a_network(guarded: ConsoleClient, token: str) -> None:
     assert guarded.request("GET", "/metrics").status == 401
+    with guarded.logged_in(token).page() as page:
+        page.wait_for_state("unconfigured")
     reply = guarded.request("GET", "/metrics", headers={"Authorization": f"Bearer {token}"})
     assert reply.status == 200
     assert "yolov5_state{" in reply.body
