@@ -103,7 +103,7 @@ class _BoundedProtocol(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        addresses = [_address(other) for other in self.connections]
+        addresses = [_address(other) for other in self.connections if _is_open(other)]
         if len(addresses) > MAX_CONNECTIONS or addresses.count(_address(self)) > MAX_CONNECTIONS_OF_ADDRESS:
             transport.abort()
         else:
@@ -132,6 +132,12 @@ class _AnsweringWebSocket(WebSocketsSansIOProtocol):
         if self.conn.handshake_exc is not None and not self.handshake_initiated:
             self.transport.write(_UNREADABLE)
             self.transport.close()
+
+
+def _is_open(connection: object) -> bool:
+    """Whether one of uvicorn's connections stays; those that are refused are in its list for a moment."""
+    transport = getattr(connection, "transport", None)
+    return transport is not None and not transport.is_closing()
 
 
 def _address(connection: object) -> str:
