@@ -103,8 +103,7 @@ class _BoundedProtocol(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        # Those that were aborted are among them until the next turn of the event loop.
-        addresses = [_address(other) for other in self.connections if not _is_closing(other)]
+        addresses = [_address(other) for other in self.connections if _is_open(other)]
         if len(addresses) > MAX_CONNECTIONS or addresses.count(_address(self)) > MAX_CONNECTIONS_OF_ADDRESS:
             transport.abort()
         else:
@@ -135,10 +134,10 @@ class _AnsweringWebSocket(WebSocketsSansIOProtocol):
             self.transport.close()
 
 
-def _is_closing(connection: object) -> bool:
-    """Whether one of uvicorn's connections is being closed."""
+def _is_open(connection: object) -> bool:
+    """Whether one of uvicorn's connections stays; those that are refused are in its list for a moment."""
     transport = getattr(connection, "transport", None)
-    return transport is not None and bool(transport.is_closing())
+    return transport is not None and not transport.is_closing()
 
 
 def _address(connection: object) -> str:
