@@ -112,10 +112,11 @@ class FaultyRuntime:
 
 def _with_fault(frame: NDArray[np.uint8], predictions: Predictions) -> Predictions:
     """The `predictions` with the fault that `frame` selects."""
-    height, width, _ = frame.shape
+    height, width = frame.shape[:2]  # a grey frame has no third dimension
     middle = frame[height // 3 : -height // 3, width // 3 : -width // 3]  # without letterbox padding
-    fault = _FAULT_OF_GREY.get(int(middle[0, 0, 0]))
-    if fault is None or not (middle == middle[0, 0, 0]).all():
+    grey = int(middle.flat[0])
+    fault = _FAULT_OF_GREY.get(grey)
+    if fault is None or not (middle == grey).all():
         return predictions
     return replace(predictions, rows=fault(predictions.rows))
 

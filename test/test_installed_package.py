@@ -14,7 +14,7 @@ from support.colcon_workspace import COMMANDS, PACKAGE
 from support.recorded_scene import COUNT, raw, record
 
 pytestmark = pytest.mark.long
-NEEDS_ROS = ("camera", "demo", "detector")
+NEEDS_ROS = ("camera", "console", "demo", "detector")
 WITHOUT_ROS = tuple(command for command in COMMANDS if command not in NEEDS_ROS)
 
 

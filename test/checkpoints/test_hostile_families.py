@@ -29,13 +29,8 @@ def of_family(architecture: Architecture, make: Callable[[], bytes]) -> bytes:
         return make()
 
 
-@pytest.mark.parametrize(
-    "family",
-    [
-        pytest.param(family, marks=() if family == "transformer" else pytest.mark.long, id=family)
-        for family in SMALL_FAMILIES
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("family", SMALL_FAMILIES)
 def test_what_is_wrong_is_refused_in_every_family(family: str, tmp_path: Path) -> None:
     table: Table = {
         name: (functools.partial(of_family, SMALL_FAMILIES[family], make), told)

@@ -112,7 +112,7 @@ def recursive_yaml() -> bytes:
 
 def segment_head_of_detection() -> bytes:
     model = right_model(kind="models.yolo.SegmentationModel")
-    layers_of(model)["8"] = foreign("models.yolo.Segment", **vars(head(model)), nm=32, npr=64)
+    layers_of(model)["8"] = foreign("models.yolo.Segment", **vars(head(model)) | {"nm": 32, "npr": 64})
     vars(head(model))["no"] = 5 + 3 + 32
     return saved(stripped(model))
 

@@ -15,6 +15,7 @@ from yolov5_lifecycle.checkpoints.module_tree import Stub
 from yolov5_lifecycle.checkpoints.yaml_architecture import layer_sources
 from yolov5_lifecycle.models.bottlenecks import Bottleneck, CrossConv
 from yolov5_lifecycle.models.convolutions import Conv, DWConv, MixConv2d
+from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import WeightsError, shown
 from yolov5_lifecycle.models.network import Concat, Network
 from yolov5_lifecycle.models.partial import CrossCSP
@@ -110,6 +111,8 @@ def _settings(module: nn.Module) -> dict[str, object]:
     """The attributes that affect a module's output besides its tensors, by their names in the file."""
     if isinstance(module, Concat):
         return {"d": 1}
+    if isinstance(module, Segment):
+        return {"nm": module.coefficients}
     return {
         name: getattr(module, name)
         for kind, names in _SETTINGS.items()

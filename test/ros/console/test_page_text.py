@@ -89,7 +89,7 @@ def test_strings_are_read_as_they_were(
 
 
 @pytest.mark.long
-@given(number=st.floats(allow_nan=False, allow_infinity=False))
+@given(number=st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False))  # rcl: strings
 def test_numbers_are_read_as_they_were(
     call: Call, tmp_path_factory: pytest.TempPathFactory, number: float
 ) -> None:

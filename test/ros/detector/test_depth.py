@@ -224,6 +224,7 @@ def test_a_lazy_node_needs_depth_only_for_those_who_show_it(client: DepthClient)
     client.wait_for_depth(0)
 
 
+@pytest.mark.long
 def test_a_missing_depth_camera_is_named(prepare: Preparations) -> None:
     arguments = ["--ros-args", "-r", "~/depth/image_raw:=/depth/aligned"]
     with ServedNode(prepare, parameters=DEPTH_ON, arguments=arguments) as served:

@@ -49,8 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if outcome.problems:
         _say("demo failed: " + "; ".join(outcome.problems))
         return 1
+    _say("to look at it live in a browser: make console, or demo --console\n")
     _say(f"demo ok: {outcome.summary}, {time.monotonic() - begun_s:.0f} s")
-    _say("To look at it live in a browser: make console, or demo --console")
     return 0
 
 
