@@ -185,8 +185,13 @@ def test_the_yaml_is_what_differs_and_a_file_of_parameters(
     page.enter("max_rate", "7")
     page.wait_for(lambda: robot.detector.node.parameter("max_rate") == 7.0, "the rate")
     page.wait_for(lambda: page.chosen("classes") == ["star"], "the chip")
-    page.find("button.copy").click()
-    text = page.find(".yaml textarea").get_attribute("value") or ""
+
+    def copied() -> str:
+        page.find("button.copy").click()
+        text = page.find(".yaml textarea").get_attribute("value") or ""
+        return text if "max_rate" in text else ""  # the page learns of it after the node has it
+
+    text = page.wait_for(copied, "the rate in the text")
     expected = {**PARAMETERS, "classes": ["star"], "max_rate": 7.0}
     (tmp_path / "copied.yaml").write_text(text)
     assert read_parameter_file(tmp_path / "copied.yaml") == {"/**": expected}
