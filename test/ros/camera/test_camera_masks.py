@@ -67,7 +67,8 @@ def test_every_pixel_says_which_shape_of_the_truth_it_belongs_to(observer: Obser
         for label, box in enumerate(Sighting.now(truth).boxes_xyxy, start=1):
             rows, columns = np.nonzero(labels == label)
             filled = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
-            np.testing.assert_allclose(filled, box, atol=1.5)
+            # The last 1.3 pixels of a star are narrower than one, and the next centre is up to 1 away.
+            np.testing.assert_allclose(filled, box, atol=2.5)
 
 
 def test_of_a_folder_no_masks_are_known(
