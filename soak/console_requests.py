@@ -51,7 +51,7 @@ Sent = tuple[bytes, bool, Callable[[bytes], bool]]
 
 
 class Attack:
-    """Sends random requests to the console at `port`, as somebody without its token may."""
+    """Sends random requests to the console at `port`, as a client without its token may."""
 
     def __init__(self, seed: int, port: int) -> None:
         self._random = random.Random(seed)
@@ -127,7 +127,7 @@ class Attack:
 
 
 def refused_strangers(subject: Subject, count: int, seed: int) -> Finding:
-    """Send `count` requests without the token; then somebody with the token must be served."""
+    """Send `count` requests without the token; then a client with the token must be served."""
     events: list[Any] = []
     subject.observer.create_subscription(ParameterEvent, "/parameter_events", events.append, 1000)
     subject.reset()

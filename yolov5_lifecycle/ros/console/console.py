@@ -28,7 +28,7 @@ class Console:
     Raises ListenError or FileNotFoundError on construction.
     """
 
-    def __init__(self, node: Node, options: ConsoleOptions, listener: socket.socket, *, token: str) -> None:
+    def __init__(self, node: Node, options: ConsoleOptions, sock: socket.socket, *, token: str) -> None:
         self._ros = RosThread(node, asyncio.get_running_loop())
         self._pages = Pages(
             lambda name: self._detectors.find(name),
@@ -56,7 +56,7 @@ class Console:
             public_urls=options.public_urls,
             is_loopback=options.is_loopback,
         )
-        self._server = WebServer(Gate(application, addresses, sessions), options, listener)
+        self._server = WebServer(Gate(application, addresses, sessions), options, sock)
 
     async def serve(self) -> None:
         """Serve until `stop`; afterwards the node may be destroyed."""

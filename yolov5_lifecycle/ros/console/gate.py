@@ -18,7 +18,7 @@ COOKIE = "console"
 METRICS = "/metrics"
 _REQUESTS_PER_S = 100.0
 _REQUESTS = 400
-_MAX_HEADER_BYTES = 16 * 1024
+MAX_HEADER_BYTES = 16 * 1024
 _OPEN_TO_ALL = ("/login", "/page/")
 """What is served without a session: the login page and files that everybody has."""
 _SAFE = ("GET", "HEAD")
@@ -52,8 +52,8 @@ class Gate:
         headers = Headers(scope=scope)
         if not self._requests.of(address_of(scope)).spend():
             return _text(429, "too many requests: wait a second", {"Retry-After": "1"})
-        if _header_bytes(scope) > _MAX_HEADER_BYTES:
-            return _text(431, f"address and headers of a request have at most {_MAX_HEADER_BYTES} bytes")
+        if _header_bytes(scope) > MAX_HEADER_BYTES:
+            return _text(431, f"address and headers of a request have at most {MAX_HEADER_BYTES} bytes")
         hosts = headers.getlist("host")
         server = scope.get("server") or ("", 0)
         scheme = self._addresses.scheme_of(hosts[0], tuple(server)) if len(hosts) == 1 else ""

@@ -1,4 +1,4 @@
-"""The newest annotated image of each camera that somebody looks at."""
+"""The newest annotated image of each camera that has viewers."""
 
 from __future__ import annotations
 

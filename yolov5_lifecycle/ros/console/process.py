@@ -53,8 +53,8 @@ def _run(arguments: list[str]) -> int:
     harden(node, {})
     try:
         token = _token(options)
-        listener = listening_socket(options)
-        asyncio.run(_serve(node, options, listener, token))
+        sock = listening_socket(options)
+        asyncio.run(_serve(node, options, sock, token))
     except (ListenError, TokenFileError, FileNotFoundError) as error:
         complain(_NAME, error)
         return EXIT_UNABLE
@@ -62,8 +62,8 @@ def _run(arguments: list[str]) -> int:
     return 0
 
 
-async def _serve(node: PrintableNode, options: ConsoleOptions, listener: socket.socket, token: str) -> None:
-    console = Console(node, options, listener, token=token)
+async def _serve(node: PrintableNode, options: ConsoleOptions, sock: socket.socket, token: str) -> None:
+    console = Console(node, options, sock, token=token)
     loop = asyncio.get_running_loop()
 
     def end() -> None:
@@ -75,7 +75,7 @@ async def _serve(node: PrintableNode, options: ConsoleOptions, listener: socket.
     for number in TERMINATION_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # SIGHUP is, under nohup
             loop.add_signal_handler(number, end)
-    _announce(options, listener)
+    _announce(options, sock)
     await console.serve()
 
 
@@ -89,9 +89,9 @@ def _token(options: ConsoleOptions) -> str:
     return token
 
 
-def _announce(options: ConsoleOptions, listener: socket.socket) -> None:
+def _announce(options: ConsoleOptions, sock: socket.socket) -> None:
     scheme = "https" if options.certificate else "http"
-    _say(f"{_NAME}: {url_of(listener, scheme)}")
+    _say(f"{_NAME}: {url_of(sock, scheme)}")
     if not options.is_loopback and not options.certificate:
         _say(
             "Everybody on the network can read what is sent, the token too: give --cert and --key, or put a "

@@ -15,6 +15,7 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from yolov5_lifecycle.ros.console.gate import MAX_HEADER_BYTES
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
 
 HEADERS = {
@@ -37,7 +38,6 @@ FIRST_REQUEST_S = 5.0
 """A connection that has sent no complete request by then is closed."""
 MAX_MESSAGE_BYTES = 256 * 1024
 """Of a page to the console; the longest list of class names fits."""
-_MAX_HEADER_BYTES = 16 * 1024
 _UNREADABLE = b"\r\n".join(
     [
         b"HTTP/1.1 400 Bad Request",
@@ -56,9 +56,9 @@ class ListenError(Exception):
 
 
 class WebServer(uvicorn.Server):
-    """Serves `application` on `listener` until `should_exit` is set; leaves signals alone."""
+    """Serves `application` on `sock` until `should_exit` is set; leaves signals alone."""
 
-    def __init__(self, application: ASGIApp, options: ConsoleOptions, listener: socket.socket) -> None:
+    def __init__(self, application: ASGIApp, options: ConsoleOptions, sock: socket.socket) -> None:
         config = uvicorn.Config(
             application,
             http=_BoundedProtocol,
@@ -74,7 +74,7 @@ class WebServer(uvicorn.Server):
             ws_max_size=MAX_MESSAGE_BYTES,
             ws_per_message_deflate=False,
             limit_concurrency=MAX_BUSY_CONNECTIONS,
-            h11_max_incomplete_event_size=_MAX_HEADER_BYTES,
+            h11_max_incomplete_event_size=MAX_HEADER_BYTES,
             timeout_graceful_shutdown=_END_S,
             ssl_certfile=options.certificate,
             ssl_keyfile=options.key,
@@ -87,7 +87,7 @@ class WebServer(uvicorn.Server):
                 "certificate chain and its private key, both PEM, the key without a password."
             ) from error
         super().__init__(config)
-        self._listener = listener
+        self._sock = sock
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -95,7 +95,7 @@ class WebServer(uvicorn.Server):
         yield
 
     async def serve_until_exit(self) -> None:
-        await self.serve([self._listener])
+        await self.serve([self._sock])
 
 
 class _BoundedProtocol(H11Protocol):
@@ -172,9 +172,9 @@ def _listen_problem(options: ConsoleOptions, error: OSError) -> str:
     return f"{place} cannot be used: {error.strerror}"
 
 
-def url_of(listener: socket.socket, scheme: str) -> str:
+def url_of(sock: socket.socket, scheme: str) -> str:
     """Address of the page; with 0.0.0.0, under the name of this machine."""
-    address, port = listener.getsockname()[:2]
+    address, port = sock.getsockname()[:2]
     if address in ("0.0.0.0", "::"):
         address = socket.gethostname()
     host = f"[{address}]" if ":" in address else address

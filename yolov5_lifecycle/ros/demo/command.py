@@ -9,12 +9,13 @@ import time
 from collections.abc import Callable, Sequence
 
 from yolov5_lifecycle.commands.command_line import CommandParser
+from yolov5_lifecycle.ros.console.options import DEFAULT_PORT
 from yolov5_lifecycle.ros.demo.child_process import ProcessError, entry_point
 from yolov5_lifecycle.ros.demo.demonstration import Demonstration, Phase
 from yolov5_lifecycle.ros.demo.driven_detector import DETECTOR
 from yolov5_lifecycle.ros.demo.ground_truth import objects_per_class
 from yolov5_lifecycle.ros.demo.image_file import saved
-from yolov5_lifecycle.ros.demo.live import DEFAULT_PORT, show_live
+from yolov5_lifecycle.ros.demo.live import show_live
 from yolov5_lifecycle.ros.demo.observer import NoAnswerError
 from yolov5_lifecycle.ros.demo.outcome import DemonstrationError, Outcome, aligned
 from yolov5_lifecycle.ros.demo.processes import DETECTOR_PROCESS, OUTPUT, demonstrated, project_file

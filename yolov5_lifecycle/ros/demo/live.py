@@ -1,4 +1,4 @@
-"""Camera and detector with the console, for somebody who looks at them in a browser."""
+"""Camera and detector with the console, to look at them in a browser."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from yolov5_lifecycle.ros.demo.child_process import ProcessError, entry_point
 from yolov5_lifecycle.ros.demo.domain import own_domain
 from yolov5_lifecycle.ros.demo.processes import started
 
-DEFAULT_PORT = 8080
 _CONSOLE = "console"
 _ADDRESS = re.compile(r"console: (http\S+)")
 _START_S = 60.0

@@ -74,7 +74,7 @@ class Pipeline:
     def wanted(self) -> Selection:
         """What the detector is to report of the next image.
 
-        With a tracker, also what may continue a track; masks while somebody subscribes to what shows them.
+        With a tracker, also what may continue a track; masks while a topic that shows them has a subscriber.
         """
         outputs = self.outputs
         with_masks = self.detector.segments and outputs.mask_subscribers + outputs.image_subscribers > 0
@@ -124,9 +124,9 @@ class Pipeline:
     def _publish_masks(
         self, detections: Detections, header: Header, *, has_viewers: bool
     ) -> NDArray[np.uint16] | None:
-        """Publish which pixels belong to which detection; the same for who else asks for it, if anybody.
+        """Publish which pixels belong to which detection; None if no subscriber needs them.
 
-        For somebody who subscribed after the image was detected in, there may be no masks.
+        A subscriber that joins after the detection may get no masks for this image.
         """
         has_subscribers = self.outputs.mask_subscribers > 0
         label_image = detections.label_image() if has_subscribers or has_viewers else None

@@ -22,7 +22,7 @@ export class CameraViews {
     this.receive(this.#mayReceive);
   }
 
-  /** Images are subscribed to only while somebody can see them. */
+  /** Images are subscribed to only while they can be seen. */
   receive(mayReceive) {
     this.#mayReceive = mayReceive;
     this.#cameras.views.forEach((camera) => camera.receive(mayReceive));
