@@ -81,6 +81,7 @@ def test_the_node_is_watched_while_a_camera_runs(tmp_path: Path) -> None:
     assert passage.cpu_ms_per_frame > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", RIVALS)
 def test_a_rival_predicts_what_the_network_does(name: str) -> None:
     if name == "OpenCV DNN" and cv2.__version__ < "5":

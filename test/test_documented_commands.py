@@ -263,6 +263,7 @@ NODES = [command for command in OURS if "--ros-args" in command]
 AT_ONCE = 4
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("home", "_mirror")
 @pytest.mark.parametrize("command", [command for command in OURS if command not in NODES])
 def test_a_command_that_ends_does_so_as_the_pages_say(command: str) -> None:

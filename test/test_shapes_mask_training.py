@@ -89,6 +89,7 @@ def test_without_targets_no_mask_is_to_be_learnt() -> None:
     assert loss.item() == 0
 
 
+@pytest.mark.long
 def test_learning_lowers_the_loss_of_masks(model: Model) -> None:
     torch.manual_seed(0)
     network = model.network().eval()

@@ -149,6 +149,7 @@ def test_a_link_to_the_input_is_replaced_and_the_input_kept(source: Path, tmp_pa
     assert (source.read_bytes(), target.is_symlink()) == (before, False)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "redirection",
     [

@@ -16,6 +16,7 @@ from yolov5_lifecycle.ros.demo.child_process import entry_point
 from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["convert", "camera"])
 @pytest.mark.parametrize("is_buffered", [False, True], ids=["unbuffered", "buffered"])
 def test_an_output_that_cannot_be_written_is_said_in_one_line(command: str, is_buffered: bool) -> None:
@@ -63,14 +64,8 @@ def test_a_node_goes_on_when_nobody_reads_its_log(ros_domain: int) -> None:
         still_served_then_ended(process, ros_domain)
 
 
-@pytest.mark.parametrize(
-    "closing_words",
-    [
-        pytest.param(">&-", marks=pytest.mark.long),
-        pytest.param("2>&-", marks=pytest.mark.long),
-        "<&- >&- 2>&-",
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("closing_words", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_node_does_its_work_with_closed_streams(ros_domain: int, closing_words: str) -> None:
     command = ["sh", "-c", f'exec "$0" {closing_words}', entry_point("detector")]
     with subprocess.Popen(

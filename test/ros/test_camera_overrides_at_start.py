@@ -103,6 +103,7 @@ def test_a_bad_override_fails_configure_until_it_is_corrected(
     assert served.escaped == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("prefix", ["", "front."], ids=["node", "camera"])
 def test_values_are_judged_with_the_others_that_are_given(prepare: Preparations, prefix: str) -> None:
     thresholds = {"track_low_threshold": 0.5, "track_high_threshold": 0.6}
@@ -113,6 +114,7 @@ def test_values_are_judged_with_the_others_that_are_given(prepare: Preparations,
         assert (front.track_low_threshold, front.track_high_threshold) == (0.5, 0.6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "given", ["front.max_rate:=-1.0", "frnt.max_rate:=5.0", "side.max_rate:=5.0", "front.weights:=x"]
 )

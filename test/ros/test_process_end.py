@@ -51,6 +51,7 @@ def send_until(observer: Observer, is_done: Callable[[], bool], what: str) -> No
     observer.wait_for(is_over, what)
 
 
+@pytest.mark.long
 def test_a_lost_device_is_reported_and_ends_the_process_with_its_own_code() -> None:
     told: list[str] = []
 
@@ -148,11 +149,15 @@ INFERENCE_LEFT = "inference has still not finished: its thread is abandoned"
     ("script", "come_to", "ending", "models", "left"),
     [
         pytest.param("work", be_active, signal.SIGHUP, 1, [], id="active"),
-        pytest.param("work", be_inactive, signal.SIGTERM, 1, [], id="inactive"),
-        pytest.param("work", be_finalized, signal.SIGTERM, 1, [], id="finalized"),
-        pytest.param("load_slowly", load, signal.SIGTERM, 0, [LOADER_LEFT], id="loading"),
-        pytest.param("reload_slowly", reload, signal.SIGTERM, 1, [LOADER_LEFT], id="reloading"),
-        pytest.param("hang", hang, signal.SIGTERM, 1, [INFERENCE_LEFT], id="hanging"),
+        pytest.param("work", be_inactive, signal.SIGTERM, 1, [], id="inactive", marks=pytest.mark.long),
+        pytest.param("work", be_finalized, signal.SIGTERM, 1, [], id="finalized", marks=pytest.mark.long),
+        pytest.param(
+            "load_slowly", load, signal.SIGTERM, 0, [LOADER_LEFT], id="loading", marks=pytest.mark.long
+        ),
+        pytest.param(
+            "reload_slowly", reload, signal.SIGTERM, 1, [LOADER_LEFT], id="reloading", marks=pytest.mark.long
+        ),
+        pytest.param("hang", hang, signal.SIGTERM, 1, [INFERENCE_LEFT], id="hanging", marks=pytest.mark.long),
     ],
 )
 def test_a_signal_releases_every_model_and_ends_the_process_whatever_hangs(

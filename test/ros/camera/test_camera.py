@@ -242,6 +242,7 @@ def readme_commands() -> dict[str, str]:
     return dict(re.findall(r"^(camera|detector) (.*)$", section, re.MULTILINE))
 
 
+@pytest.mark.long
 def test_the_objects_in_a_video_are_detected_with_the_commands_of_the_readme(scene_video: Path) -> None:
     words = readme_commands()
     of_camera = words["camera"].replace("video.mp4", str(scene_video)).split()

@@ -208,6 +208,7 @@ def test_the_id_of_a_request_comes_back(page: Page) -> None:
     page.wait_for(lambda: "a" * 50 in page.answers, "an answer")
 
 
+@pytest.mark.long
 def test_a_detector_that_ends_is_gone_and_comes_back(console: ConsoleBesideNode, page: Page) -> None:
     name = "/second"
     words = ["--ros-args", "-r", "__node:=second"]
@@ -222,6 +223,7 @@ def test_a_detector_that_ends_is_gone_and_comes_back(console: ConsoleBesideNode,
         assert again.node.state_label == "inactive"
 
 
+@pytest.mark.long
 def test_only_the_nodes_that_are_asked_for_are_shown(console: ConsoleBesideNode, page: Page) -> None:
     name = "/robot/eyes"
     words = ["--ros-args", "-r", "__node:=eyes", "-r", "__ns:=/robot"]

@@ -35,13 +35,37 @@ def run(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
     ("words", "expected"),
     [
         pytest.param(["extra"], "unrecognized arguments: extra", id="unknown"),
-        pytest.param(["--port", "http"], "--port: invalid int value", id="port is no number"),
-        pytest.param(["--port", "65536"], "--port: expected a number from 0 to 65535", id="port"),
-        pytest.param(["--node", "yolov5"], "--node: expected a full name such as /yolov5", id="node"),
-        pytest.param(["--key", "key.pem"], "--cert and --key: expected both", id="key alone"),
+        pytest.param(
+            ["--port", "http"], "--port: invalid int value", id="port is no number", marks=pytest.mark.long
+        ),
+        pytest.param(
+            ["--port", "65536"],
+            "--port: expected a number from 0 to 65535",
+            id="port",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            ["--node", "yolov5"],
+            "--node: expected a full name such as /yolov5",
+            id="node",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            ["--key", "key.pem"], "--cert and --key: expected both", id="key alone", marks=pytest.mark.long
+        ),
         pytest.param(["--public-url", "robot"], "--public-url: expected a URL", id="no URL"),
-        pytest.param(["--public-url", "http://a:b"], "--public-url: expected a URL", id="wrong port"),
-        pytest.param(["--public-url", "https://a/b"], "scheme, name and port only", id="URL with path"),
+        pytest.param(
+            ["--public-url", "http://a:b"],
+            "--public-url: expected a URL",
+            id="wrong port",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            ["--public-url", "https://a/b"],
+            "scheme, name and port only",
+            id="URL with path",
+            marks=pytest.mark.long,
+        ),
         pytest.param(["--ros-args", "-r", "__node:=a b"], "cannot start", id="ROS argument"),
     ],
 )
@@ -63,6 +87,7 @@ def test_a_port_in_use_is_explained() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -84,6 +109,7 @@ def test_an_address_or_file_that_cannot_be_used_is_explained(
     assert "Traceback" not in ended.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("module", ["starlette", "uvicorn", "websockets", "prometheus_client"])
 def test_a_missing_package_is_named_with_its_remedy(module: str) -> None:
     program = (
@@ -103,6 +129,7 @@ def test_a_missing_package_is_named_with_its_remedy(module: str) -> None:
     assert f"pip install {module.replace('_', '-')}" in ended.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda one: one.name)
 def test_a_signal_ends_it_with_code_0_while_pages_are_open(number: signal.Signals, ros_domain: int) -> None:
     with console_process(ros_domain) as process:

@@ -307,6 +307,7 @@ def test_connections_of_one_address_that_say_nothing_keep_no_other_out(console: 
         assert other.getresponse().status == 200
 
 
+@pytest.mark.long
 def test_a_connection_that_says_nothing_is_closed(console: ConsoleBesideNode) -> None:
     target = (urlsplit(console.client.url).hostname, urlsplit(console.client.url).port)
     with socket.create_connection(target, timeout=60) as silent:

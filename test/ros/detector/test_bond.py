@@ -97,6 +97,7 @@ def test_the_bond_is_off_unless_it_is_asked_for() -> None:
         assert served.client.count_publishers("/bond") == served.client.count_subscribers("/bond") == 0
 
 
+@pytest.mark.long
 def test_heartbeats_go_on_while_a_model_is_loaded_and_while_inference_hangs() -> None:
     with served_with("bond_timeout:=4.0") as (served, prepare):
         subscriber = BondSubscriber(served)
@@ -125,6 +126,7 @@ def test_heartbeats_go_on_while_a_model_is_loaded_and_while_inference_hangs() ->
         }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("transition", ["deactivate", "shutdown"])
 def test_a_node_that_is_no_longer_active_has_ended_its_bond(transition: str) -> None:
     with served_with("bond_timeout:=4.0") as (served, _):

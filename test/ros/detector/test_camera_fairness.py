@@ -107,6 +107,7 @@ def test_an_image_of_a_slow_camera_waits_for_one_inference_of_a_fast_one(shared:
     assert max(overtaken) <= 1, overtaken
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["stalls", "sends garbage", "changes size", "vanishes"])
 def test_a_camera_that_misbehaves_takes_no_turn_from_the_others(shared: SharedModel, what: str) -> None:
     others, last = ("front", "rear"), shared.clients["left"]

@@ -109,10 +109,10 @@ def test_an_image_without_objects_has_an_empty_array_in_space(
     ("delay_s", "info", "reason"),
     [
         pytest.param(None, {}, "no depth image", id="none"),
-        pytest.param(-1.0, {}, "no depth image", id="late"),
-        pytest.param(1.0, {}, "no depth image", id="passed"),
+        pytest.param(-1.0, {}, "no depth image", id="late", marks=pytest.mark.long),
+        pytest.param(1.0, {}, "no depth image", id="passed", marks=pytest.mark.long),
         pytest.param(0.01, None, "no camera_info", id="no camera_info"),
-        pytest.param(0.01, {"width": 160}, "other size", id="size of camera_info"),
+        pytest.param(0.01, {"width": 160}, "other size", id="size of camera_info", marks=pytest.mark.long),
     ],
 )
 def test_an_image_without_depth_is_detected_and_counted_with_the_reason(

@@ -24,6 +24,7 @@ def test_a_rejected_image_is_counted_and_the_next_one_detected(served: ServedNod
     assert counts.pop("received") == sum(counts.values())
 
 
+@pytest.mark.long
 def test_rejected_images_do_not_flood_the_log(served: ServedNode) -> None:
     served.bring_to("active")
     begun_s = time.monotonic()

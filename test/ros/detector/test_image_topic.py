@@ -29,10 +29,23 @@ def node(ros_domain: int) -> Iterator[Observer]:
         pytest.param("~/image_raw:=/yolov5/detections", "~/detections and ~/image_raw", id="input-is-output"),
         pytest.param("~/image:=/yolov5/image_raw", "~/image and ~/image_raw", id="image-is-image-raw"),
         pytest.param(
-            "~/image:=/yolov5/image_raw", "~/image/compressed and ~/image_raw/compressed", id="jpeg"
+            "~/image:=/yolov5/image_raw",
+            "~/image/compressed and ~/image_raw/compressed",
+            id="jpeg",
+            marks=pytest.mark.long,
         ),
-        pytest.param("~/label_info:=/yolov5/detections", "~/detections and ~/label_info", id="two-outputs"),
-        pytest.param("~/image_raw:=/diagnostics", "~/image_raw and /diagnostics", id="diagnostics"),
+        pytest.param(
+            "~/label_info:=/yolov5/detections",
+            "~/detections and ~/label_info",
+            id="two-outputs",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            "~/image_raw:=/diagnostics",
+            "~/image_raw and /diagnostics",
+            id="diagnostics",
+            marks=pytest.mark.long,
+        ),
         pytest.param(
             "~/detections:=/yolov5/image_raw/compressed",
             "~/detections and ~/image_raw/compressed",

@@ -18,12 +18,13 @@ from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("classes", "meant", "found"),
     [
-        pytest.param("[]", [], CLASS_NAMES, marks=pytest.mark.long),
+        ("[]", [], CLASS_NAMES),
         ("[0, 2]", ["0", "2"], ("circle", "triangle")),
-        pytest.param("[circle]", ["circle"], ("circle",), marks=pytest.mark.long),
+        ("[circle]", ["circle"], ("circle",)),
     ],
 )
 def test_a_parameter_file_is_taken_as_it_is_meant(

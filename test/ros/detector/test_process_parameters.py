@@ -143,7 +143,14 @@ def large_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("runtime", ["torch", "onnxruntime", "openvino"])
+@pytest.mark.parametrize(
+    "runtime",
+    [
+        pytest.param("torch", marks=pytest.mark.long),
+        "onnxruntime",
+        pytest.param("openvino", marks=pytest.mark.long),
+    ],
+)
 def test_deactivate_releases_the_memory_of_the_model(
     detector: DetectorProcess, large_weights: Path, runtime: str
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from support.detector_process import NODE, SEED, DetectorProcess, as_arguments, environment
 from vision_msgs.msg import Detection2DArray
 
@@ -30,6 +31,7 @@ def judged(truth: Detection2DArray, found: Detection2DArray) -> JudgedFrame:
     )
 
 
+@pytest.mark.long
 def test_the_ids_of_the_scene_follow_its_shapes(detector: DetectorProcess) -> None:
     observer, found = detector.observer, detector.detections
     truths: dict[int, Detection2DArray] = {}
