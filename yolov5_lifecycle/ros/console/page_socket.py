@@ -20,6 +20,7 @@ VIEW_ONLY = "this console is for viewing only (--view-only)"
 _MESSAGES_PER_S = 30.0
 _MESSAGES = 60
 _MAX_PENDING = 8
+_MAX_UNREAD = 100
 _MAX_VALUES = 400
 _UPDATE_S = 0.25
 
@@ -133,6 +134,9 @@ class _Page:
                 return
             if not self._budget.spend():
                 await self._websocket.close(CloseCode.POLICY_VIOLATION, "too many messages")
+                return
+            if len(self._answers) >= _MAX_UNREAD:
+                await self._websocket.close(CloseCode.POLICY_VIOLATION, "answers are not read")
                 return
             self._handle(message.get("text"))
 
