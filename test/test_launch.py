@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import sys
+import urllib.request
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -167,9 +168,12 @@ def installed(workspace: Path, file: Path) -> Path:
         pytest.param(DETECTOR, "params_file:=~/x.yaml", "Write $HOME instead of ~", id="tilde"),
         pytest.param(DEMO, "autostart:=maybe", "autostart: expected true or false, found 'maybe'", id="word"),
         pytest.param(
+            DETECTOR, "console:=maybe", "console: expected true or false, found 'maybe'", id="console"
+        ),
+        pytest.param(
             DETECTOR,
             "imge:=/camera/image_raw",
-            "no launch argument 'imge'. Did you mean 'image'? There are: autostart, detections, image, log_l",
+            "no launch argument 'imge'. Did you mean 'image'? There are: autostart, console, console_argu",
             id="unknown name",
         ),
         pytest.param(DEMO, "sorce:=0", "Did you mean 'source'?", id="unknown name of the demo"),
@@ -284,3 +288,15 @@ def test_a_process_that_dies_is_restarted(workspace: Path, ros_domain: int, tmp_
         (process_id,) = re.findall(r"process started with pid \[(\d+)\]", process.output)
         os.kill(int(process_id), signal.SIGKILL)
         observer.wait_for(lambda: process.output.count("active with weights") == 2, "the second process")
+
+
+@with_launch
+@pytest.mark.skipif(importlib.util.find_spec("uvicorn") is None, reason="uvicorn is not installed")
+def test_the_console_starts_beside_the_detector_and_ends_with_it(workspace: Path, ros_domain: int) -> None:
+    arguments = ["console:=true", "console_arguments:=--port 0 --view-only", "autostart:=false"]
+    with launched(DETECTOR, workspace, ros_domain, *arguments) as process:
+        process.wait_for_output("console: http://127.0.0.1:", 100)
+        address = re.findall(r"http://127\.0\.0\.1:\d+", process.output)[0]
+        with urllib.request.urlopen(address, timeout=30) as page:
+            assert b"<title>" in page.read()
+    assert "Traceback" not in process.output
