@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Iterator
@@ -36,6 +37,12 @@ settings.load_profile("suite")
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     return suitable_count()
+
+
+def pytest_collection_finish() -> None:
+    """Spare the garbage collector what stays: many tests collect the nodes of earlier ones."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
