@@ -104,6 +104,12 @@ class ConsolePage:
         field.send_keys(Keys.CONTROL, "a")
         field.send_keys(text, Keys.ENTER)
 
+    def reset(self, name: str) -> None:
+        """Press the button that sets a parameter to its default, once the page shows that it differs."""
+        button = self.widget(name, ".reset")
+        self.wait_for(button.is_displayed, f"the button that resets {name}")
+        button.click()
+
     def chosen(self, name: str) -> list[str]:
         """The chips of the parameter that are pressed."""
         chips = self.parameter(name).find_elements(By.CSS_SELECTOR, '.chip[aria-pressed="true"]')

@@ -37,7 +37,7 @@ def test_a_slider_changes_the_next_detections(robot: ConsoleRobot, page: Console
     page.widget("confidence_threshold", SLIDER).send_keys(Keys.END)
     wait_for_detections(robot, set())
     assert robot.detector.node.parameter("confidence_threshold") == 1.0
-    page.widget("confidence_threshold", ".reset").click()
+    page.reset("confidence_threshold")
     wait_for_detections(robot, {"circle", "square", "triangle", "star"})
     assert robot.detector.node.parameter("confidence_threshold") == 0.25
 
@@ -49,6 +49,16 @@ def test_chips_choose_classes(robot: ConsoleRobot, page: ConsolePage) -> None:
     page.widget("classes", '[data-name="circle"]').click()
     wait_for_detections(robot, {"circle", "star"})
     assert page.chosen("classes") == ["circle", "star"]
+
+
+def test_chips_that_are_pressed_while_a_change_is_sent_are_not_lost(
+    robot: ConsoleRobot, page: ConsolePage
+) -> None:
+    names = ["star", "circle", "square"]
+    chips = [page.widget("classes", f'[data-name="{name}"]') for name in names]
+    page.driver.execute_script("for (const chip of arguments[0]) chip.click()", chips)
+    page.wait_for(lambda: robot.detector.node.parameter("classes") == names, "all three classes")
+    assert set(page.chosen("classes")) == set(names)
 
 
 def test_a_wrong_class_shows_the_nodes_refusal_and_the_old_value(page: ConsolePage) -> None:

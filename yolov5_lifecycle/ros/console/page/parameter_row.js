@@ -8,7 +8,7 @@ const SETTLED_MS = 2000;
 const BETWEEN_MS = 120;
 const WAITING = {
   reload: "loading the new model; the old one goes on",
-  resubscribe: "making the subscription anew",
+  resubscribe: "recreating the subscription",
   cameras: "starting and ending cameras",
 };
 
@@ -91,6 +91,7 @@ export class ParameterRow {
   async #send(value) {
     this.#next = { value };
     if (this.#isSending) {
+      this.#show(); // what is set next builds on it
       return;
     }
     this.#isSending = true;
@@ -130,7 +131,7 @@ export class ParameterRow {
     if (this.#accepted && (performance.now() > this.#accepted.untilMs || isSame(this.#accepted.value, value))) {
       this.#accepted = this.#isSending ? this.#accepted : null;
     }
-    this.#widget.show(this.#accepted ? this.#accepted.value : value);
+    this.#widget.show((this.#next ?? this.#accepted ?? { value }).value);
   }
 }
 
