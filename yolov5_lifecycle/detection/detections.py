@@ -31,7 +31,7 @@ class Detections:
     masks: Masks | None = None
     """Of n detections; None unless the model segments and masks were asked for."""
     best_filtered: float = 0.0
-    """The highest score above the threshold whose box did not count, see `BoxFilter`; 0 without any."""
+    """Without detections: the highest score above the threshold, of a box that does not count, else 0."""
 
     def __post_init__(self) -> None:
         count = len(self.scores)

@@ -57,5 +57,5 @@ def _blend(canvas: NDArray[np.uint8], mask: NDArray[np.uint8], shade: int) -> No
     """Blend the pixels of `canvas` with a shade of grey where `mask` is 255, less where it is lower."""
     rows, columns = np.nonzero(mask)
     share = mask[rows, columns, None].astype(np.float32) * (LINE_OPACITY / 255)
-    pixels = canvas[rows, columns]
+    pixels = canvas[rows, columns].astype(np.float32)
     canvas[rows, columns] = np.rint(pixels + (shade - pixels) * share).astype(np.uint8)
