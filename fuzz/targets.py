@@ -151,7 +151,7 @@ def check_settings(data: bytes) -> None:
 
 
 def _check_selection(settings: Settings) -> None:
-    """Expect that what settings admit can be told, for a model that has the classes they name, or problems."""
+    """Expect a selection for a model that has the classes that `settings` name, or problems."""
     class_names = tuple(dict(map(class_threshold, settings.class_thresholds)))
     if model_problems(settings, class_names):
         return
