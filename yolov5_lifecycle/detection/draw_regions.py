@@ -25,7 +25,8 @@ _HATCHING_STEP = 16
 def draw_regions(canvas: NDArray[np.uint8], box_filter: BoxFilter, *, line_px: int) -> None:
     """Outline the regions on `canvas` (H, W, 3); darken and hatch those that are ignored.
 
-    The rows of `canvas` must follow each other in memory. A line is a blend of white, with a blend of black on both sides, so that it is visible on any image.
+    The rows of `canvas` must follow each other in memory. A line is a blend of white, with a blend of black
+    on both sides, so that it is visible on any image.
     """
     if not (box_filter.regions or box_filter.ignore_regions):
         return
