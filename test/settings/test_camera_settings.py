@@ -188,6 +188,11 @@ def test_a_wrong_override_is_refused_with_what_was_meant(values: dict[str, Any],
     [
         pytest.param("front.max_rate", "add the camera to cameras, which is empty.", id="override"),
         pytest.param("foo.bar", "there is no such parameter.", id="other"),
+        pytest.param(
+            "class_thresholds.person",
+            "class_thresholds is a list of at most 10000 strings, without names below it.",
+            id="part",
+        ),
     ],
 )
 def test_without_cameras_there_are_no_overrides(name: str, reason: str) -> None:

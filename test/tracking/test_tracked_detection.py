@@ -105,6 +105,24 @@ def test_a_detection_that_is_not_published_continues_its_track() -> None:
     ]
 
 
+def test_what_is_outside_of_regions_is_not_tracked() -> None:
+    rows = predicted([(16, 32, 20, 20, 0.9, 0), (48, 32, 20, 20, 0.9, 0)])
+    tracking = new_tracking()
+    found = found_in([rows] * 3, Selection(box_filter=BoxFilter(regions=(LEFT,))), tracking)
+    assert [each.track_ids for each in found] == [("",), ("1",), ("1",)]
+    assert len(tracking.tracker) == 1
+
+
+def test_each_class_is_tracked_from_its_own_threshold_on() -> None:
+    images = [
+        predicted([(16, 32, 20, 20, score, 0), (48, 32, 20, 20, 0, score)]) for score in (0.6, 0.3, 0.3)
+    ]
+    found = found_in(images, Selection(class_thresholds=((0, 0.5), (1, 0.2))))
+    assert [each.class_ids.tolist() for each in found] == [[0, 1], [1], [1]]
+    assert found[-1].track_ids == ("2",)
+    assert found[-1].best_missed == 0.0
+
+
 @pytest.mark.parametrize("threshold", [0.05, 0.25])
 def test_the_network_is_asked_for_the_lower_of_the_two_thresholds(threshold: float) -> None:
     found = found_in([predicted([(32, 32, 20, 20, 0.08, 0)])] * 2, Selection(confidence_threshold=threshold))

@@ -11,6 +11,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 from support.camera_client import CameraClient
+from support.depth_client import DEPTH_ON, DepthClient
 from support.preparations import Preparations
 from support.segmented_scene import PARAMETERS, SIZE_HW, MasksSubscriber, SceneCamera, SegmentingModel, pixels
 from support.served_node import ServedNode, class_ids_of
@@ -110,6 +111,16 @@ def test_a_camera_may_have_its_own_regions(prepare: Preparations) -> None:
         done, reason = served.set(**{"front.regions": ["0,0"]})
         assert not done
         assert reason.startswith("front.regions: ['0,0'] must be polygons, but entry 1 has 1 points")
+    assert served.escaped == []
+
+
+def test_only_what_counts_has_a_place_in_space(prepare: Preparations) -> None:
+    with ServedNode(prepare, parameters=DEPTH_ON) as served:
+        depth = DepthClient(served, prepare)
+        depth.begin()
+        assert len(depth.place().detections) == 1
+        assert served.set(ignore_regions=["0,0 1,0 1,1 0,1"]) == (True, "")
+        assert depth.place().detections == []
     assert served.escaped == []
 
 
