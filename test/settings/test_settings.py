@@ -125,6 +125,7 @@ def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
         ("model", "weights"),
         ("model_file", "weights"),
         ("weights_url", "weights"),
+        ("roi", "regions"),
     ],
 )
 def test_a_parameter_name_of_another_node_is_answered_with_ours(name: str, meant: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ _GRID = 10**9
 """Points are compared as multiples of 1 / _GRID: integers, whose products are exact in 64 bits."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _MAX_SHOWN = 40
+_AT_ONCE = 512
+"""Points that are compared with all lines at once; it bounds the memory."""
 
 
 class RegionError(ValueError):
@@ -58,11 +61,18 @@ class Region:
 
     def contains(self, points_xy: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which of the points (n, 2), in fractions of the image, lie in the region or on its border."""
-        corners = np.array(self.points_xy)
+        corners = self._corners
         is_near = (points_xy >= corners.min(axis=0) - BORDER) & (points_xy <= corners.max(axis=0) + BORDER)
         inside: NDArray[np.bool_] = is_near.all(axis=1)
-        inside[inside] = _inside(corners, points_xy[inside])
+        near = np.flatnonzero(inside)
+        for start in range(0, len(near), _AT_ONCE):
+            rows = near[start : start + _AT_ONCE]
+            inside[rows] = _inside(corners, points_xy[rows])
         return inside
+
+    @cached_property
+    def _corners(self) -> NDArray[np.float64]:
+        return np.array(self.points_xy)
 
 
 def _parsed(number: int, word: str) -> PointXY:
