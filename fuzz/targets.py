@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 
+import numpy as np
 import torch
 from support import hostile_archives, hostile_safetensors
 from support.checkpoint_builder import official_model, saved, stripped
@@ -19,6 +20,7 @@ from fuzz import depth_stream, tracked_images
 from fuzz.refusals import taken
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
+from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.compressed import decode_compressed
 from yolov5_lifecycle.images.encodings import ENCODINGS, decode_raw
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError
@@ -27,11 +29,19 @@ from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model, WeightsError
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
+from yolov5_lifecycle.settings.class_thresholds import class_threshold
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError, assigned_value
 from yolov5_lifecycle.settings.schema import SettingsError
-from yolov5_lifecycle.settings.settings import SETTINGS, validated
+from yolov5_lifecycle.settings.settings import SETTINGS, Settings, validated
 
 _MAX_SEED_BYTES = 4096
+_FILTERS = b"""class_thresholds=["person: 0.5", "0: .25"]
+regions=["0.1,0.5 0.9,0.5 1,1 0,1", "0,0 5e-1,0 0.5,.5"]
+ignore_regions=["0,0 1,0 1,1"]
+region_anchor=foot
+min_box_size=8.0
+max_box_size=0.5"""
+"""Settings whose strings are parsed."""
 _RAW_IMAGE = struct.Struct("<BBHHI")
 """Index of the encoding, byte order, height, width and step; the pixels follow."""
 
@@ -137,6 +147,19 @@ def check_settings(data: bytes) -> None:
         assert all(len(problem.message) < 500 for problem in settings.problems)
         return
     assert validated(settings.model_dump()) == settings
+    _check_selection(settings.model_copy(update={"classes": ()}))
+
+
+def _check_selection(settings: Settings) -> None:
+    """Expect a selection for a model that has the classes that `settings` name, or problems."""
+    class_names = tuple(dict(map(class_threshold, settings.class_thresholds)))
+    if model_problems(settings, class_names):
+        return
+    admitted = selection(settings, class_names)
+    assert len(admitted.box_filter.regions) == len(settings.regions)
+    assert 0 <= admitted.min_score <= 1
+    boxes_xyxy = np.array([[0, 0, 640, 480], [10, 20, 30, 40]], np.float32)
+    assert admitted.box_filter.admits(boxes_xyxy, (480, 640)).shape == (2,)
 
 
 def _compressed_images() -> Iterator[bytes]:
@@ -176,7 +199,7 @@ TARGETS = {
     "checkpoints": Target(check_checkpoint, lambda: [hostile_archives.valid_pickle()]),
     "families": Target(check_family, _family_pickles),
     "safetensors": Target(check_safetensors, lambda: [_header()]),
-    "settings": Target(check_settings, lambda: [_defaults()]),
+    "settings": Target(check_settings, lambda: [_defaults(), _FILTERS]),
     "depth": Target(depth_stream.check_depth_stream, depth_stream.seeds),
     "tracker": Target(tracked_images.check_tracked_images, tracked_images.seeds),
 }

@@ -225,7 +225,8 @@ def checkpoint() -> bytes:
 @pytest.fixture
 def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The reader's, and the folder in which the commands are typed."""
-    (tmp_path / "config").symlink_to(REPOSITORY / "config")
+    for folder in ("config", "docs", "weights"):
+        (tmp_path / folder).symlink_to(REPOSITORY / folder)
     for name in ("best.pt", "yolov5n.pt", "models/best.pt", ".ros/yolov5/yolov5n.pt"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(checkpoint)

@@ -19,8 +19,10 @@ from support.pages import README, blocks
 
 import yolov5_lifecycle
 from yolov5_lifecycle import Detections, Detector, load_model
+from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ImageError
+from yolov5_lifecycle.images.region import Region
 from yolov5_lifecycle.models.model import WeightsError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
@@ -118,6 +120,12 @@ def test_the_settings_are_those_that_were_given() -> None:
         iou_threshold=0.5,
         max_detections=7,
         classes=("circle", 3),
+        class_thresholds=("circle: 0.5", "3: 0.75"),
+        regions=["0,0 1,0 1,1"],
+        ignore_regions=("0,0 0.5,0 0.5,1",),
+        region_anchor="foot",
+        min_box_size=9,
+        max_box_size=0.5,
         agnostic_nms=True,
     )
     assert (detector.image_size, detector.runtime.name, detector.class_names) == (320, "torch", CLASS_NAMES)
@@ -126,8 +134,30 @@ def test_the_settings_are_those_that_were_given() -> None:
         iou_threshold=0.5,
         max_detections=7,
         classes=frozenset({0, 3}),
+        class_thresholds=((0, 0.5), (3, 0.75)),
         agnostic_nms=True,
+        box_filter=BoxFilter(
+            regions=(Region.parse("0,0 1,0 1,1"),),
+            ignore_regions=(Region.parse("0,0 0.5,0 0.5,1"),),
+            region_anchor="foot",
+            min_box_size=9.0,
+            max_box_size=0.5,
+        ),
     )
+
+
+def test_regions_and_thresholds_of_classes_decide_what_is_found(image: NDArray[np.uint8]) -> None:
+    detector = load_model(
+        WEIGHTS,
+        device="cpu",
+        runtime="torch",
+        class_thresholds=["square: 0.92"],
+        regions=["0,0 1,0 1,1 0,1"],
+        ignore_regions=["0,0.5 1,0.5 1,1 0,1"],
+        max_box_size=120.0,
+    )
+    assert names(detector(image)) == Counter(circle=1, star=1)
+    detector.close()
 
 
 def test_every_wrong_value_is_told_in_the_words_of_the_node() -> None:
@@ -148,6 +178,9 @@ def test_every_wrong_value_is_told_in_the_words_of_the_node() -> None:
         pytest.param({"weights_sha256": "0" * 64}, WeightsError, "0000", id="another-digest"),
         pytest.param({"classes": ["circel"]}, SettingsError, "Did you mean 'circle'?", id="unknown-class"),
         pytest.param({"classes": "circle"}, SettingsError, r"Did you mean \[circle\]", id="no-list"),
+        pytest.param({"class_thresholds": ["sqare: 0.5"]}, SettingsError, "mean 'square'", id="threshold"),
+        pytest.param({"regions": ["0,0 1,1"]}, SettingsError, "entry 1 has 2 points", id="region"),
+        pytest.param({"regions": "0,0 1,0 1,1"}, SettingsError, r'mean \["0,0 1,0 1,1"\]', id="one-region"),
         pytest.param({"image_size": 650}, SettingsError, "650", id="image-size"),
     ],
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from yolov5_lifecycle.detection.selection import ClassFilterError, class_ids
+from yolov5_lifecycle.detection.selection import ClassFilterError, class_ids, class_thresholds
 
 NAMES = ("person", "bicycle", "traffic light", "3", "person")
 
@@ -54,3 +54,40 @@ def test_of_many_unknown_entries_the_first_are_explained() -> None:
 def test_a_filter_with_every_class_of_a_large_model_selects_all() -> None:
     names = [f"class {number}" for number in range(10_000)]
     assert class_ids(names, names) == frozenset(range(10_000))
+
+
+@pytest.mark.parametrize(
+    ("entries", "thresholds"),
+    [
+        pytest.param([], (), id="empty"),
+        pytest.param(["bicycle: 0.5"], ((1, 0.5),), id="name"),
+        pytest.param(["2: 0.5", "1: 1"], ((1, 1.0), (2, 0.5)), id="indices"),
+        pytest.param(["person: 0"], ((0, 0.0), (4, 0.0)), id="a-name-that-occurs-twice"),
+        pytest.param([" traffic light :.5e-1 "], ((2, 0.05),), id="space"),
+    ],
+)
+def test_entries_give_classes_thresholds(
+    entries: list[str], thresholds: tuple[tuple[int, float], ...]
+) -> None:
+    assert class_thresholds(entries, NAMES) == thresholds
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        pytest.param(["persn: 0.5"], "'persn' is not a class.*Did you mean 'person'", id="typo"),
+        pytest.param(["5: 0.5"], "index 5 is out of range.*0 to 4", id="index-too-large"),
+        pytest.param(["bicycle: 0.5", "1: 0.5"], "'bicycle' and '1' are the same class", id="name-and-index"),
+        pytest.param(["4: 0.5", "person: 0.2"], "'4' and 'person' are the same class", id="one-of-two"),
+        pytest.param(["1: 0.5", "01: 0.2"], "'1' and '01' are the same class", id="two-indices"),
+    ],
+)
+def test_a_threshold_of_a_class_that_the_model_does_not_have_is_refused(
+    entries: list[str], message: str
+) -> None:
+    with pytest.raises(ClassFilterError, match=message):
+        class_thresholds(entries, NAMES)
+
+
+def test_the_name_of_a_class_may_have_colons() -> None:
+    assert class_thresholds(["a: b: 0.5", "a: 0.25"], ("a", "a: b")) == ((0, 0.25), (1, 0.5))

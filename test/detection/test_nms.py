@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.detection.nms import MAX_CANDIDATES, Selection, cxcywh_to_xyxy, select, suppress
+from yolov5_lifecycle.detection.nms import (
+    MAX_CANDIDATES,
+    WORTH_TELLING,
+    Selection,
+    cxcywh_to_xyxy,
+    select,
+    suppress,
+)
 
 Row = tuple[float, ...]
 Found = tuple[tuple[float, float, float, float], float, int]
@@ -37,14 +46,17 @@ def reference_iou(a: Row, b: Row) -> float:
     return both / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - both)
 
 
-def reference_select(raw: NDArray[np.float32], selection: Selection) -> list[Found]:
+def reference_select(
+    raw: NDArray[np.float32], selection: Selection, is_counted: Callable[[Row], bool] = lambda box: True
+) -> list[Found]:
     """One row, one box at a time."""
     candidates: list[Found] = []
     for cx, cy, w, h, objectness, *class_scores in raw:
         best = max(class_scores)
         class_id = class_scores.index(best)
         is_wanted = selection.classes is None or class_id in selection.classes
-        if min(objectness, objectness * best) > selection.confidence_threshold and is_wanted:
+        threshold = dict(selection.class_thresholds).get(class_id, selection.confidence_threshold)
+        if min(objectness, objectness * best) > threshold and is_wanted:
             box = (float(cx - w / 2), float(cy - h / 2), float(cx + w / 2), float(cy + h / 2))
             candidates.append((box, float(objectness * best), class_id))
     kept: list[Found] = []
@@ -52,7 +64,7 @@ def reference_select(raw: NDArray[np.float32], selection: Selection) -> list[Fou
         rivals = [other for other, _, other_id in kept if selection.agnostic_nms or other_id == class_id]
         if all(reference_iou(box, other) <= selection.iou_threshold for other in rivals):
             kept.append((box, score, class_id))
-    return kept[: selection.max_detections]
+    return [one for one in kept if is_counted(one[0])][: selection.max_detections]
 
 
 # Few values, so that equal scores and equal boxes happen; IoUs of these boxes are never just at a threshold.
@@ -69,15 +81,97 @@ selections = st.builds(
     max_detections=st.integers(1, 8),
     classes=st.none() | st.frozensets(st.integers(0, 3), max_size=2),
     agnostic_nms=st.booleans(),
+    class_thresholds=st.just(())
+    | st.dictionaries(st.integers(0, 2), st.sampled_from([0.0, 0.1, 0.5, 1.0])).map(
+        lambda own: tuple(sorted(own.items()))
+    ),
 )
+raws = st.lists(rows, max_size=15).map(lambda listed: raw_rows(*listed, classes=3))
 
 
 @settings(deadline=None)
-@given(raw=st.lists(rows, max_size=15).map(lambda listed: raw_rows(*listed, classes=3)), selection=selections)
+@given(raw=raws, selection=selections)
 def test_the_selection_is_that_of_the_slow_one(raw: NDArray[np.float32], selection: Selection) -> None:
     before = raw.copy()
     assert found(raw, **vars(selection)) == reference_select(raw, selection)
     np.testing.assert_array_equal(raw, before)
+
+
+@settings(deadline=None)
+@given(raw=raws, selection=selections, limit=st.integers(-20, 60))
+def test_boxes_that_do_not_count_suppress_others_but_take_no_place(
+    raw: NDArray[np.float32], selection: Selection, limit: int
+) -> None:
+    detections = select(raw, selection, lambda boxes: boxes[:, 0] >= limit)
+    expected = reference_select(raw, selection, lambda box: box[0] >= limit)
+    assert detections.boxes_xyxy.tolist() == [list(box) for box, _, _ in expected]
+    assert detections.scores.tolist() == [score for _, score, _ in expected]
+    if not expected:
+        everything = reference_select(raw, selection)
+        assert detections.best_filtered == max((score for _, score, _ in everything), default=0.0)
+
+
+LEFT = (10, 10, 4, 4)
+RIGHT = (90, 10, 4, 4)
+
+
+@pytest.mark.parametrize(
+    ("rows", "selection", "best_missed", "best_filtered"),
+    [
+        pytest.param([(*LEFT, 0.5, 1.0, 0.0)], {}, 0.0, 0.5, id="filtered"),
+        pytest.param([(*LEFT, 0.5, 1.0, 0.0), (*RIGHT, 0.2, 1.0, 0.0)], {}, 0.2, 0.5, id="both"),
+        pytest.param([(*LEFT, 0.2, 1.0, 0.0)], {}, 0.0, 0.0, id="too low and filtered"),
+        pytest.param([(*LEFT, 0.5, 0, 1.0)], {"class_thresholds": ((1, 0.6),)}, 0.0, 0.0, id="of its class"),
+        pytest.param([(*RIGHT, 0.5, 0, 1.0)], {"class_thresholds": ((1, 0.6),)}, 0.5, 0.0, id="missed"),
+        pytest.param([(*LEFT, 0.5, 1.0, 0.0), (*RIGHT, 0.4, 1.0, 0.0)], {}, 0.0, 0.5, id="found"),
+    ],
+)
+def test_why_nothing_is_found_is_reported(
+    rows: list[Row], selection: dict[str, Any], best_missed: float, best_filtered: float
+) -> None:
+    found = select(raw_rows(*rows), Selection(**selection), lambda boxes: boxes[:, 0] > 50)
+    assert found.best_missed == pytest.approx(best_missed)
+    assert found.best_filtered == pytest.approx(best_filtered)
+
+
+def test_many_boxes_that_do_not_count_leave_place_for_those_that_do() -> None:
+    outside = [(20 * i, 0, 10, 10, 0.9, 1.0, 0.0) for i in range(3000)]
+    inside = [(20 * i, 100, 10, 10, 0.5, 1.0, 0.0) for i in range(5)]
+    found = select(raw_rows(*outside, *inside), Selection(max_detections=4), lambda boxes: boxes[:, 1] > 50)
+    assert found.scores.tolist() == [0.5] * 4
+
+
+@pytest.mark.parametrize(
+    ("selection", "least"),
+    [
+        pytest.param({}, 0.25, id="usual"),
+        pytest.param({"class_thresholds": ((1, 0.01),)}, 0.01, id="lower"),
+        pytest.param({"class_thresholds": ((1, 0.6),)}, 0.25, id="higher"),
+        pytest.param({"class_thresholds": ((1, 0.6),), "classes": frozenset({1})}, 0.6, id="the only class"),
+        pytest.param(
+            {"class_thresholds": ((1, 0.6),), "classes": frozenset({0, 1})}, 0.25, id="of two classes"
+        ),
+        pytest.param({"class_thresholds": ((1, 0.01),), "classes": frozenset({0})}, 0.25, id="not wanted"),
+        pytest.param({"classes": frozenset()}, 0.25, id="no class"),
+        pytest.param({"tracked_threshold": 0.1}, 0.1, id="tracked"),
+    ],
+)
+def test_the_network_is_asked_for_the_lowest_threshold_of_a_wanted_class(
+    selection: dict[str, Any], least: float
+) -> None:
+    chosen = Selection(**selection)
+    assert chosen.min_score == least
+    assert chosen.min_objectness == min(least, WORTH_TELLING)
+
+
+def test_what_only_a_tracker_wants_replaces_nothing_that_is_admitted() -> None:
+    rows = [(10, 10, 10, 10, 0.4, 1.0, 0.0), (10, 10, 10, 10, 0.3, 0.0, 1.0)]
+    selection = Selection(class_thresholds=((0, 0.5),), agnostic_nms=True, tracked_threshold=0.1)
+    assert select(raw_rows(*rows), selection).class_ids.tolist() == [1]
+    one = replace(selection, agnostic_nms=False, max_detections=1)
+    assert select(raw_rows(*rows), one).class_ids.tolist() == [1]
+    both = select(raw_rows(*rows), replace(one, max_detections=2))
+    assert both.class_ids.tolist() == [0, 1]  # best first
 
 
 @pytest.mark.parametrize(

@@ -126,3 +126,28 @@ def test_an_error_with_files_says_why_and_leaves_nothing_behind(
     assert told in capsys.readouterr().err
     assert sorted(tmp_path.rglob("*")) == before
     assert Path("notes.txt").read_text() == "keep me"
+
+
+def test_what_counts_is_the_same_as_in_the_node_and_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, drawn = images(tmp_path / "shots"), tmp_path / "drawn"
+    left, thresholds = "0,0 0.5,0 0.5,1 0,1", "class_thresholds=['star: 1.0']"
+    words = [str(folder), "--annotated", str(drawn), *SET_MODEL, "--set", thresholds]
+    assert run([*words, "--set", f"regions=['{left}']", "-p", "region_anchor:=foot"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr()[0].splitlines()]
+    found = [one for line in lines for one in line["detections"]]
+    assert found
+    for one in found:
+        assert one["box_xyxy"][0] + one["box_xyxy"][2] <= SIZE_HW[1]
+        assert one["class_name"] != "star"
+    line_x = cv2.imread(str(drawn / "0.png"))[:, SIZE_HW[1] // 2].astype(int)
+    source_x = cv2.imread(str(folder / "0.png"))[:, SIZE_HW[1] // 2].astype(int)
+    assert (np.abs(line_x - source_x).max(axis=1) > 0).mean() > 0.9
+
+
+def test_a_wrong_region_is_refused_before_the_model_is_loaded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([str(images(tmp_path / "shots")), "--set", "regions=['0,0 1,1']"]) == 1
+    assert "regions: ['0,0 1,1'] must be polygons, but entry 1 has 2 points" in capsys.readouterr()[1]

@@ -158,6 +158,10 @@ def test_the_values_of_settings_give_the_same_settings() -> None:
         pytest.param({"front.max_rate": -1.0}, "front.max_rate: -1.0 is not a number from 0", id="range"),
         pytest.param({"rear.lazy": "yes"}, "rear.lazy: 'yes' is not true or false", id="type"),
         pytest.param({"rear.classes": "cat"}, "rear.classes: 'cat' is not a list of .*\\[cat\\]", id="list"),
+        pytest.param({"rear.regions": ["0,0 1,1"]}, "rear.regions: .* entry 1 has 2 points", id="region"),
+        pytest.param(
+            {"min_box_size": 0.2, "front.max_box_size": 0.1}, "front.min_box_size: 0.2 is above", id="sizes"
+        ),
         pytest.param({"front.max_rte": 1.0}, "front.max_rte: .*Did you mean 'front.max_rate'", id="setting"),
         pytest.param({"frnt.max_rate": 1.0}, "frnt.max_rate: .*Did you mean 'front.max_rate'", id="camera"),
         pytest.param({"raer.max_rte": 1.0}, "raer.max_rte: .*Did you mean 'rear.max_rate'", id="both"),
@@ -184,6 +188,11 @@ def test_a_wrong_override_is_refused_with_what_was_meant(values: dict[str, Any],
     [
         pytest.param("front.max_rate", "add the camera to cameras, which is empty.", id="override"),
         pytest.param("foo.bar", "there is no such parameter.", id="other"),
+        pytest.param(
+            "class_thresholds.person",
+            "class_thresholds is a list of at most 10000 strings, without names below it.",
+            id="part",
+        ),
     ],
 )
 def test_without_cameras_there_are_no_overrides(name: str, reason: str) -> None:
@@ -284,6 +293,12 @@ def test_an_override_is_a_setting_of_its_own_name() -> None:
             ["classes", "front.classes"],
             id="both",
         ),
+        pytest.param({"class_thresholds": ["cow: 0.5"]}, ["class_thresholds"], id="threshold"),
+        pytest.param(
+            {"class_thresholds": ["cat: 0.5"], "rear.class_thresholds": ["cat: 0.5", "0: 0.4"]},
+            ["rear.class_thresholds"],
+            id="overridden-threshold",
+        ),
     ],
 )
 def test_the_classes_of_every_camera_must_be_those_of_the_model(
@@ -294,7 +309,15 @@ def test_the_classes_of_every_camera_must_be_those_of_the_model(
 
 
 @pytest.mark.parametrize(
-    ("name", "depends"), [("classes", True), ("front.classes", True), ("front.lazy", False), ("lazy", False)]
+    ("name", "depends"),
+    [
+        ("classes", True),
+        ("front.classes", True),
+        ("class_thresholds", True),
+        ("front.class_thresholds", True),
+        ("front.lazy", False),
+        ("lazy", False),
+    ],
 )
 def test_the_model_decides_about_classes(name: str, depends: bool) -> None:
     assert depends_on_model(name) is depends

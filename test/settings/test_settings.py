@@ -46,6 +46,27 @@ from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAM
         pytest.param({"classes": "[2, square]"}, 'Did you mean ["2", square]?', id="index-and-name"),
         pytest.param({"classes": (1.5,) * 10_000}, "is not a list of at most", id="numbers-instead-of-texts"),
         pytest.param({"classes": ("a",) * 10_001}, "a list of at most 10000 strings", id="huge-list"),
+        pytest.param({"class_thresholds": ("person",)}, "'person' is no name or index of", id="no-threshold"),
+        pytest.param({"class_thresholds": (": 0.5",)}, "': 0.5' is no name or index", id="nameless-class"),
+        pytest.param({"class_thresholds": ("a: 1.5",)}, "a number from 0 to 1, as in", id="high-threshold"),
+        pytest.param({"class_thresholds": ("a: -0.1",)}, "a number from 0 to 1", id="negative-threshold"),
+        pytest.param({"class_thresholds": ("a: nan",)}, "a number from 0 to 1", id="threshold-nan"),
+        pytest.param({"class_thresholds": ("a: 0x1",)}, "a number from 0 to 1", id="hexadecimal-threshold"),
+        pytest.param({"class_thresholds": ("a: " + "0" * 99,)}, "a number from 0", id="endless-threshold"),
+        pytest.param(
+            {"class_thresholds": ("a: 0.5", " a :0.4")}, "'a' has more than one threshold", id="twice"
+        ),
+        pytest.param(
+            {"class_thresholds": "[a: 0.5, b: 0.3]"}, 'Did you mean ["a: 0.5", "b: 0.3"]?', id="unquoted"
+        ),
+        pytest.param({"regions": ("0,0 1,0 1,1", "0,0 1,1")}, "entry 2 has 2 points", id="second-region"),
+        pytest.param({"regions": ("0.1", "0.2 0.9", "1")}, "entry 1 has '0.1' as point 1", id="split"),
+        pytest.param({"ignore_regions": ("0,0 2,0 1,1",)}, "entry 1 has point 2 at 2,0", id="outside"),
+        pytest.param({"regions": ("0,0 1,0 1,1",) * 33}, "a list of at most 32 strings", id="many-regions"),
+        pytest.param({"regions": "0,0 1,0 1,1"}, 'Did you mean ["0,0 1,0 1,1"]?', id="region-without-list"),
+        pytest.param({"regions": "[0,0 1,0 1,1]"}, 'Did you mean ["0,0 1,0 1,1"]?', id="region-unquoted"),
+        pytest.param({"region_anchor": "centre"}, "Did you mean 'center'?", id="anchor"),
+        pytest.param({"min_box_size": -1.0}, "-1.0 is not a number from 0 to 16384", id="negative-size"),
         pytest.param({"weights_dir": ""}, "'' is not a string of 1 to 4096 characters", id="empty-folder"),
         pytest.param({"weights": "a" * 5000}, "a string of at most 4096 characters", id="endless-path"),
     ],
@@ -104,6 +125,7 @@ def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
         ("model", "weights"),
         ("model_file", "weights"),
         ("weights_url", "weights"),
+        ("roi", "regions"),
     ],
 )
 def test_a_parameter_name_of_another_node_is_answered_with_ours(name: str, meant: str) -> None:
@@ -135,6 +157,12 @@ def test_an_option_that_is_no_parameter_is_answered_with_its_replacement(name: s
         pytest.param({"model_size": "n6", "image_size": 672}, "multiple of 64.*640 or 704", id="p6-stride"),
         pytest.param(
             {"track_low_threshold": 0.3}, "track_low_threshold: 0.3 is above track_high.*0.25", id="low-track"
+        ),
+        pytest.param(
+            {"min_box_size": 0.5, "max_box_size": 0.4}, "0.5 is above max_box_size, 0.4", id="sizes-fractions"
+        ),
+        pytest.param(
+            {"min_box_size": 50.0, "max_box_size": 40.0}, "50 is above max_box_size, 40", id="sizes-pixels"
         ),
     ],
 )
@@ -175,6 +203,10 @@ def test_the_stride_of_a_named_weights_file_is_left_to_the_file() -> None:
             {"confidence_threshold": 1}, {"confidence_threshold": 1.0}, id="whole-number-for-number"
         ),
         pytest.param({"classes": ["a"]}, {"classes": ("a",)}, id="list"),
+        pytest.param(
+            {"min_box_size": 9, "max_box_size": 0.5}, {"min_box_size": 9.0, "max_box_size": 0.5}, id="units"
+        ),
+        pytest.param({"min_box_size": 9.0}, {"min_box_size": 9.0}, id="no-maximum"),
         pytest.param({"weights_sha256": "AB" * 32}, {"weights_sha256": "ab" * 32}, id="digest-in-capitals"),
     ],
 )

@@ -14,14 +14,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support.scripted_runtime import ScriptedRuntime
 
+from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection, select
 from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.images.region import Region
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, published, tracker_settings
 
+LEFT = Region(((0.0, 0.0), (0.5, 0.0), (0.5, 1.0), (0.0, 1.0)))
 IMAGE = ColourImage(np.zeros((64, 64, 3), np.uint8), "rgb")
 scores = st.sampled_from((0.06, 0.15, 0.2, 0.3, 0.6, 0.9))
 rows = st.tuples(*[st.integers(8, 56)] * 2, *[st.integers(2, 30)] * 2, scores, scores)
@@ -34,6 +37,7 @@ selections = st.builds(
     iou_threshold=st.sampled_from([0.0, 0.2501237, 0.4501237, 1.0]),
     max_detections=st.integers(1, 8),
     agnostic_nms=st.booleans(),
+    class_thresholds=st.sampled_from([(), ((0, 0.5),), ((1, 0.06),), ((0, 0.06), (1, 0.75))]),
 )
 
 
@@ -71,6 +75,8 @@ def found_in(
         max_detections=st.integers(1, 4),
         classes=st.sampled_from((None, frozenset({1}))),
         agnostic_nms=st.booleans(),
+        class_thresholds=st.sampled_from(((), ((1, 0.06),), ((0, 0.5), (1, 0.15)))),
+        box_filter=st.sampled_from((BoxFilter(), BoxFilter(regions=(LEFT,)), BoxFilter(min_box_size=12))),
     ),
 )
 def test_the_same_is_published_with_a_tracker_and_without(
@@ -97,6 +103,24 @@ def test_a_detection_that_is_not_published_continues_its_track() -> None:
         (),
         ("1",),
     ]
+
+
+def test_what_is_outside_of_regions_is_not_tracked() -> None:
+    rows = predicted([(16, 32, 20, 20, 0.9, 0), (48, 32, 20, 20, 0.9, 0)])
+    tracking = new_tracking()
+    found = found_in([rows] * 3, Selection(box_filter=BoxFilter(regions=(LEFT,))), tracking)
+    assert [each.track_ids for each in found] == [("",), ("1",), ("1",)]
+    assert len(tracking.tracker) == 1
+
+
+def test_each_class_is_tracked_from_its_own_threshold_on() -> None:
+    images = [
+        predicted([(16, 32, 20, 20, score, 0), (48, 32, 20, 20, 0, score)]) for score in (0.6, 0.3, 0.3)
+    ]
+    found = found_in(images, Selection(class_thresholds=((0, 0.5), (1, 0.2))))
+    assert [each.class_ids.tolist() for each in found] == [[0, 1], [1], [1]]
+    assert found[-1].track_ids == ("2",)
+    assert found[-1].best_missed == 0.0
 
 
 @pytest.mark.parametrize("threshold", [0.05, 0.25])
@@ -126,18 +150,18 @@ def test_the_published_detections_are_those_of_their_threshold(
     listed: list[tuple[float, ...]], selection: Selection
 ) -> None:
     raw = np.array(listed, np.float32).reshape(-1, 7)
-    tracked = select(raw, replace(selection, confidence_threshold=LOW))
+    tracked = select(raw, replace(selection, tracked_threshold=LOW))
     ids = [str(row) for row in range(len(tracked))]
-    found = published(tracked, ids, selection.confidence_threshold)
+    found = published(tracked, ids, selection)
     expected = select(raw, selection)
     np.testing.assert_array_equal(found.boxes_xyxy, expected.boxes_xyxy)
     np.testing.assert_array_equal(found.scores, expected.scores)
     np.testing.assert_array_equal(found.class_ids, expected.class_ids)
     assert found.best_missed == expected.best_missed
-    assert found.track_ids == tuple(ids[: len(found)])
+    assert [tracked.scores[int(row)] for row in found.track_ids] == expected.scores.tolist()
 
 
 def test_a_missed_score_that_is_noise_is_not_told() -> None:
     noise = Detections(np.zeros((1, 4), np.float32), np.array([0.03], np.float32), np.zeros(1, np.int64))
-    found = published(noise, [""], 0.25)
+    found = published(noise, [""], Selection())
     assert (len(found), found.best_missed, found.track_ids) == (0, 0.0, ())

@@ -30,6 +30,8 @@ class Detections:
     """(n,) identities, "" where there is none; empty without a tracker."""
     masks: Masks | None = None
     """Of n detections; None unless the model segments and masks were asked for."""
+    best_filtered: float = 0.0
+    """Without detections: the highest score above the threshold, of a box that does not count, else 0."""
 
     def __post_init__(self) -> None:
         count = len(self.scores)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.letterbox import PADDING_VALUE, Letterbox
 from yolov5_lifecycle.detection.masks import Masks
-from yolov5_lifecycle.detection.nms import Selection, select
+from yolov5_lifecycle.detection.nms import Counts, Selection, select
 from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.models.architecture import image_size_problem
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
@@ -140,7 +140,7 @@ class Detector:
     def _detections(self, predictions: Predictions, letterbox: Letterbox, selection: Selection) -> Detections:
         raw = predictions.rows
         self._check(raw)
-        found = select(raw[:, : 5 + len(self.class_names)], selection)
+        found = select(raw[:, : 5 + len(self.class_names)], selection, _counts(selection, letterbox))
         boxes_xyxy = letterbox.undo(found.boxes_xyxy)
         visible = (boxes_xyxy[:, :2] < boxes_xyxy[:, 2:]).all(axis=1)
         masks = None
@@ -153,6 +153,7 @@ class Detector:
             found.class_ids[visible],
             found.best_missed,
             masks=masks,
+            best_filtered=found.best_filtered,
         )
 
     def warm_up(self, sizes_hw: Iterable[tuple[int, int]]) -> None:
@@ -184,6 +185,13 @@ class Detector:
                 "The network's predictions are not finite numbers. Check the weights file; with precision "
                 "'fp16' try 'fp32'."
             )
+
+
+def _counts(selection: Selection, letterbox: Letterbox) -> Counts | None:
+    """Which boxes in network pixels count; None if all do."""
+    if not (box_filter := selection.box_filter):
+        return None
+    return lambda boxes_xyxy: box_filter.admits(letterbox.undo(boxes_xyxy), letterbox.source_hw)
 
 
 def _masks(

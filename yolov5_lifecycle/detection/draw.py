@@ -11,7 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.draw_regions import draw_regions
 from yolov5_lifecycle.images.image import ColourImage, Order
 
 Colour = tuple[int, int, int]
@@ -31,23 +33,27 @@ def annotate(
     *,
     distances_m: Sequence[float | None] = (),
     label_image: NDArray[np.uint16] | None = None,
+    box_filter: BoxFilter | None = None,
 ) -> NDArray[np.uint8]:
     """A copy (H, W, 3) of the image, same channel order, with boxes and labels such as "dog #3 0.87 2.4 m".
 
     The number is that of the track, if there is one. `distances_m` has one entry for each detection, None
     where it is unknown, or is empty. If the detections have masks, these are drawn translucent below the
-    boxes; `label_image` is their `Detections.label_image()` where that has been computed already.
+    boxes; `label_image` is their `Detections.label_image()` where that has been computed already. The regions
+    of `box_filter` are drawn faintly below them.
 
     Line width and font size scale with the image; a label that does not fit is truncated. Non-ASCII
     characters lose their accents or become question marks. Higher scores are drawn over lower ones.
     """
     canvas = np.array(image.pixels, order="C")
+    pen = _Pen.for_image(image.size_hw)
+    if box_filter is not None:
+        draw_regions(canvas, box_filter, line_px=pen.line_px)
     labels = detections.label_image() if label_image is None else label_image
     if labels is not None:
         draw_masks(
             canvas, labels, [class_colour(each, image.order) for each in detections.class_ids.tolist()]
         )
-    pen = _Pen.for_image(image.size_hw)
     corners = _corners_inside(detections.boxes_xyxy, image.size_hw)
     class_ids, details = detections.class_ids.tolist(), _details(detections, distances_m)
     rows = list(zip(corners, class_ids, details, strict=True))[::-1]

@@ -48,9 +48,9 @@ class Masks:
     def __len__(self) -> int:
         return len(self.coefficients)
 
-    def first(self, count: int) -> Masks:
-        """Those of the first `count` detections."""
-        return Masks(self.prototypes, self.coefficients[:count], self.size_hw)
+    def of(self, rows: NDArray[np.int64]) -> Masks:
+        """Those of the detections with the indices `rows` (n,)."""
+        return Masks(self.prototypes, self.coefficients[rows], self.size_hw)
 
     def inside_box(self, row: int, box_xyxy: NDArray[np.float32]) -> tuple[Window, NDArray[np.bool_]]:
         """Where in the image the box of a detection is, and which pixels there belong to the object.

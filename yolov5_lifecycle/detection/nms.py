@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
 
 MAX_CANDIDATES = 30_000
@@ -17,22 +20,53 @@ WORTH_TELLING = 0.05
 """Minimum score of a missed detection worth reporting; scores below are noise."""
 
 
+Counts = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
+"""Which of the boxes (n, 4), in network pixels, count; see `BoxFilter`."""
+
+EVERY_BOX = BoxFilter()
+"""Counts all boxes."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Selection:
     """NMS and filter parameters; thresholds in [0, 1], `classes` None means all."""
 
     confidence_threshold: float = 0.25
+    """Of the classes without a threshold of their own."""
+    class_thresholds: tuple[tuple[int, float], ...] = ()
+    """Class ids, each once, and their own thresholds."""
+    tracked_threshold: float | None = None
+    """Scores above it are reported, too, after those that the thresholds admit: a tracker wants them."""
     iou_threshold: float = 0.45
     max_detections: int = 1000
     classes: frozenset[int] | None = None
     agnostic_nms: bool = False
+    box_filter: BoxFilter = EVERY_BOX
     with_masks: bool = False
     """Whether to compute masks; without effect if the model does not segment."""
 
     @property
+    def min_score(self) -> float:
+        """The lowest threshold of a class that is wanted."""
+        wanted = self.classes
+        own = [value for class_id, value in self.class_thresholds if wanted is None or class_id in wanted]
+        others = [] if wanted and len(own) == len(wanted) else [self.confidence_threshold]
+        tracked = [] if self.tracked_threshold is None else [self.tracked_threshold]
+        return min([*own, *others, *tracked])
+
+    @property
     def min_objectness(self) -> float:
         """Minimum objectness of a prediction that can become a detection or `best_missed`."""
-        return min(self.confidence_threshold, WORTH_TELLING)
+        return min(self.min_score, WORTH_TELLING)
+
+    def admits(self, scores: NDArray[np.float32], class_ids: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of the detections (n,) score above the threshold of their class."""
+        if not self.class_thresholds:
+            return scores > self.confidence_threshold
+        ids, values = zip(*self.class_thresholds, strict=True)
+        thresholds = np.full(max(*ids, class_ids.max(initial=0)) + 1, self.confidence_threshold, np.float32)
+        thresholds[list(ids)] = values
+        return scores > thresholds[class_ids]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,34 +83,56 @@ def cxcywh_to_xyxy(boxes_cxcywh: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.concatenate((centre - half_size, centre + half_size), axis=1)
 
 
-def select(raw: NDArray[np.float32], selection: Selection) -> Selected:
+def select(raw: NDArray[np.float32], selection: Selection, counts: Counts | None = None) -> Selected:
     """Detections in network pixels, highest score first, from raw predictions (n, 5 + C).
 
     YOLOv5's rules with one class per box: objectness, and objectness * best class score, both above the
-    threshold, then NMS per class, or across classes when agnostic. The score is the product.
+    threshold, then NMS per class, or across classes when agnostic. The score is the product. Boxes that do
+    not count suppress others, but take no place among `max_detections`.
     Raises ValueError when a box or score above the threshold is infinite, or a box is NaN.
     """
-    rows, scores, class_ids = _scored(raw, selection.confidence_threshold, selection.classes)
-    order = np.argsort(-scores, kind="stable")[:MAX_CANDIDATES]
-    rows, scores, class_ids = rows[order], scores[order], class_ids[order]
-    boxes_xyxy = cxcywh_to_xyxy(raw[rows, :4])
+    found = _by_priority(_scored(raw, selection.min_score, selection.classes), selection)
+    boxes_xyxy = cxcywh_to_xyxy(raw[found.rows, :4])
     if not np.isfinite(boxes_xyxy).all():
         raise ValueError("The boxes of raw predictions must be finite numbers, found NaN or infinity.")
+    counted = None if counts is None else counts(boxes_xyxy)
     kept = suppress(
         boxes_xyxy,
-        scores,
-        groups=np.zeros_like(class_ids) if selection.agnostic_nms else class_ids,
+        found.priorities,
+        groups=np.zeros_like(found.class_ids) if selection.agnostic_nms else found.class_ids,
         iou_threshold=selection.iou_threshold,
         limit=selection.max_detections,
+        counted=counted,
     )
-    best_missed = 0.0 if len(kept) else _scored(raw, WORTH_TELLING, selection.classes)[1].max(initial=0.0)
-    return Selected(boxes_xyxy[kept], scores[kept], class_ids[kept], float(best_missed), rows=rows[kept])
+    if found.priorities is not found.scores:
+        kept = kept[np.argsort(-found.scores[kept], kind="stable")]
+    return Selected(
+        boxes_xyxy[kept],
+        found.scores[kept],
+        found.class_ids[kept],
+        best_missed=0.0 if len(kept) else _best_missed(raw, selection, counts),
+        best_filtered=0.0 if counted is None else _best_filtered(found.at(~counted), selection),
+        rows=found.rows[kept],
+    )
 
 
-def _scored(
-    raw: NDArray[np.float32], threshold: float, classes: frozenset[int] | None
-) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.int64]]:
-    """Indices (n,) of the rows in `classes` with a score above the threshold, these scores and class ids."""
+class _Candidates(NamedTuple):
+    """Rows (n,) of raw predictions, with their scores and class ids."""
+
+    rows: NDArray[np.int64]
+    scores: NDArray[np.float32]
+    class_ids: NDArray[np.int64]
+    priorities: NDArray[np.float32]
+    """In NMS the higher one goes first: the scores, unless `_by_priority` says otherwise."""
+
+    def at(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> _Candidates:
+        scores = self.scores[chosen]
+        priorities = scores if self.priorities is self.scores else self.priorities[chosen]
+        return _Candidates(self.rows[chosen], scores, self.class_ids[chosen], priorities)
+
+
+def _scored(raw: NDArray[np.float32], threshold: float, classes: frozenset[int] | None) -> _Candidates:
+    """The rows in `classes` with a score above the threshold."""
     rows = np.flatnonzero(raw[:, 4] > threshold)
     likely = raw[rows]
     class_ids = likely[:, 5:].argmax(axis=1).astype(np.int64)
@@ -84,7 +140,38 @@ def _scored(
     wanted = scores > threshold
     if classes is not None:
         wanted &= np.isin(class_ids, list(classes))
-    return rows[wanted], scores[wanted], class_ids[wanted]
+    return _Candidates(rows, scores, class_ids, scores).at(wanted)
+
+
+def _by_priority(found: _Candidates, selection: Selection) -> _Candidates:
+    """The MAX_CANDIDATES that go first in NMS, in this order, of those that `selection` wants.
+
+    With thresholds of classes and a tracker at the same time, those that are published go first: a higher
+    score below its threshold must not replace one above its own.
+    """
+    if not selection.class_thresholds:
+        return found.at(np.argsort(-found.scores, kind="stable")[:MAX_CANDIDATES])
+    is_wanted = is_admitted = selection.admits(found.scores, found.class_ids)
+    if selection.tracked_threshold is not None:
+        is_wanted = is_admitted | (found.scores > selection.tracked_threshold)
+        found = found._replace(priorities=found.scores + is_admitted.astype(np.float32))
+    found = found.at(is_wanted)
+    return found.at(np.lexsort((-found.scores, -found.priorities))[:MAX_CANDIDATES])
+
+
+def _best_missed(raw: NDArray[np.float32], selection: Selection, counts: Counts | None) -> float:
+    """The highest score worth telling that is not above its threshold, of a box that counts."""
+    found = _scored(raw, WORTH_TELLING, selection.classes)
+    if counts is not None:
+        is_below = ~selection.admits(found.scores, found.class_ids)
+        found = found.at(is_below & counts(cxcywh_to_xyxy(raw[found.rows, :4])))
+    return float(found.scores.max(initial=0.0))
+
+
+def _best_filtered(dropped: _Candidates, selection: Selection) -> float:
+    """The highest score of those `dropped` that is above its threshold; 0 if there is none."""
+    is_admitted = selection.admits(dropped.scores, dropped.class_ids)
+    return float(dropped.scores[is_admitted].max(initial=0.0))
 
 
 def suppress(
@@ -94,20 +181,21 @@ def suppress(
     groups: NDArray[np.int64],
     iou_threshold: float,
     limit: int,
+    counted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.int64]:
     """Greedy NMS: indices of at most `limit` kept boxes, highest score first.
 
     A box is dropped when its IoU with a kept, higher-scoring box of its group is above the threshold. Boxes
-    (n, 4) are sorted by descending score, with `scores` > 0.
+    (n, 4) are sorted by descending score, with `scores` > 0. Only those that are `counted` are returned.
     """
     boxes_xywh = _apart(boxes_xyxy, groups)
     # The boxes kept from the top scores are a prefix of those kept from all, so the tail can be skipped once
     # `limit` are kept: of 25,200 boxes with little overlap the first 1,000 took 0.05 s, all 2.6 to 5 s.
     count = max(2 * limit, 1000)
-    kept = _nms(boxes_xywh[:count], scores[:count], iou_threshold)
+    kept = _nms(boxes_xywh[:count], scores[:count], iou_threshold, counted)
     while len(kept) < limit and count < len(scores):
         count *= 2
-        kept = _nms(boxes_xywh[:count], scores[:count], iou_threshold)
+        kept = _nms(boxes_xywh[:count], scores[:count], iou_threshold, counted)
     return kept[:limit]
 
 
@@ -121,8 +209,12 @@ def _apart(boxes_xyxy: NDArray[np.float32], groups: NDArray[np.int64]) -> NDArra
 
 
 def _nms(
-    boxes_xywh: NDArray[np.float64], scores: NDArray[np.float32], iou_threshold: float
+    boxes_xywh: NDArray[np.float64],
+    scores: NDArray[np.float32],
+    iou_threshold: float,
+    counted: NDArray[np.bool_] | None,
 ) -> NDArray[np.int64]:
     # A list, because OpenCV reads an array three times slower. OpenCV 4.6 has no NMSBoxesBatched.
     kept = cv2.dnn.NMSBoxes(boxes_xywh.tolist(), scores, 0.0, iou_threshold)
-    return np.asarray(kept, np.int64).reshape(-1)  # an empty tuple when no box is kept
+    indices = np.asarray(kept, np.int64).reshape(-1)  # an empty tuple when no box is kept
+    return indices if counted is None else indices[counted[indices]]

@@ -153,6 +153,12 @@ def load_model(
     iou_threshold: float = 0.45,
     max_detections: int = 1000,
     classes: Sequence[str | int] = (),
+    class_thresholds: Sequence[str] = (),
+    regions: Sequence[str] = (),
+    ignore_regions: Sequence[str] = (),
+    region_anchor: str = "center",
+    min_box_size: float = 0.0,
+    max_box_size: float = 0.0,
     agnostic_nms: bool = False,
 ) -> Detector:
     """Load a weights file (.pt or .safetensors) and warm the network up: a detector to call with images.
@@ -174,7 +180,13 @@ def load_model(
         "confidence_threshold": confidence_threshold,
         "iou_threshold": iou_threshold,
         "max_detections": max_detections,
-        "classes": list(classes) if isinstance(classes, tuple) else classes,
+        "classes": _listed(classes),
+        "class_thresholds": _listed(class_thresholds),
+        "regions": _listed(regions),
+        "ignore_regions": _listed(ignore_regions),
+        "region_anchor": region_anchor,
+        "min_box_size": min_box_size,
+        "max_box_size": max_box_size,
         "agnostic_nms": agnostic_nms,
     }
     settings = validated({name: SETTINGS_BY_NAME[name].coerced(value) for name, value in values.items()})
@@ -184,6 +196,11 @@ def load_model(
         raise SettingsError(problems)
     model.detector.selection = selection(settings, model.detector.class_names)
     return model.detector
+
+
+def _listed(entries: Sequence[str | int]) -> Sequence[str | int]:
+    """A tuple as the list that `Setting.coerced` expects."""
+    return list(entries) if isinstance(entries, tuple) else entries
 
 
 def check_place(settings: Settings) -> None:

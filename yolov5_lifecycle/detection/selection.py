@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
+from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.images.region import Region
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.settings.class_thresholds import class_threshold
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 
-_MODEL_DEPENDENT = frozenset({"classes"})
 MAX_EXPLAINED = 3
 """Number of unknown entries that are explained; the rest are only counted."""
 _MAX_INDEX_DIGITS = 9
@@ -21,17 +23,21 @@ _MAX_SHOWN = 60
 
 def model_problems(settings: Settings, class_names: tuple[str, ...]) -> list[Problem]:
     """Problems of `settings` and of the overrides for cameras with a loaded model that has `class_names`."""
-    filters = {"classes": settings.classes}
+    filters = {name: getattr(settings, name) for name in _MODEL_DEPENDENT}
     for camera in settings.camera_names:
-        if (own := settings.for_camera(camera).classes) != settings.classes:
-            filters[f"{camera}{SEPARATOR}classes"] = own
-    reasons = {name: _class_problem(entries, class_names) for name, entries in filters.items()}
+        own = settings.for_camera(camera)
+        filters |= {
+            f"{camera}{SEPARATOR}{name}": getattr(own, name)
+            for name in _MODEL_DEPENDENT
+            if getattr(own, name) != getattr(settings, name)
+        }
+    reasons = {name: _class_problem(name, entries, class_names) for name, entries in filters.items()}
     return [Problem(name, reason) for name, reason in reasons.items() if reason]
 
 
-def _class_problem(entries: Sequence[str], class_names: Sequence[str]) -> str:
+def _class_problem(name: str, entries: Sequence[str], class_names: Sequence[str]) -> str:
     try:
-        class_ids(entries, class_names)
+        _MODEL_DEPENDENT[_setting_of(name)](entries, class_names)
     except ClassFilterError as error:
         return str(error)
     return ""
@@ -39,17 +45,30 @@ def _class_problem(entries: Sequence[str], class_names: Sequence[str]) -> str:
 
 def depends_on_model(name: str) -> bool:
     """Whether the loaded model decides if a value of `name`, a setting or an override of one, is valid."""
-    return name.rpartition(SEPARATOR)[2] in _MODEL_DEPENDENT
+    return _setting_of(name) in _MODEL_DEPENDENT
+
+
+def _setting_of(name: str) -> str:
+    """The setting that `name` is or overrides."""
+    return name.rpartition(SEPARATOR)[2]
 
 
 def selection(settings: Settings, class_names: tuple[str, ...]) -> Selection:
     """NMS and filter parameters from `settings`; ClassFilterError when `model_problems` reports any."""
     return Selection(
         confidence_threshold=settings.confidence_threshold,
+        class_thresholds=class_thresholds(settings.class_thresholds, class_names),
         iou_threshold=settings.iou_threshold,
         max_detections=settings.max_detections,
         classes=class_ids(settings.classes, class_names),
         agnostic_nms=settings.agnostic_nms,
+        box_filter=BoxFilter(
+            regions=tuple(map(Region.parse, settings.regions)),
+            ignore_regions=tuple(map(Region.parse, settings.ignore_regions)),
+            region_anchor=settings.region_anchor,
+            min_box_size=settings.min_box_size,
+            max_box_size=settings.max_box_size,
+        ),
     )
 
 
@@ -66,13 +85,42 @@ def class_ids(entries: Sequence[str], class_names: Sequence[str]) -> frozenset[i
     """
     if not entries:
         return None
+    found = _ids_by_entry(entries, class_names)
+    return frozenset(class_id for ids in found.values() for class_id in ids)
+
+
+def class_thresholds(entries: Sequence[str], class_names: Sequence[str]) -> tuple[tuple[int, float], ...]:
+    """Class ids and the thresholds that `entries`, such as "person: 0.5", give them.
+
+    Raises ClassFilterError naming the first that are not classes of the model, or a class with two.
+    """
+    if not entries:
+        return ()
+    thresholds = dict(map(class_threshold, entries))
+    names_by_id: dict[int, str] = {}
+    for name, ids in _ids_by_entry(list(thresholds), class_names).items():
+        for class_id in ids:
+            if (other := names_by_id.setdefault(class_id, name)) != name:
+                raise ClassFilterError(f"'{_shown(other)}' and '{_shown(name)}' are the same class.")
+    return tuple((class_id, thresholds[name]) for class_id, name in sorted(names_by_id.items()))
+
+
+def _ids_by_entry(entries: Sequence[str], class_names: Sequence[str]) -> dict[str, list[int]]:
+    """Class ids by the names and indices that are `entries`; ClassFilterError."""
     ids_by_name: defaultdict[str, list[int]] = defaultdict(list)
     for class_id, name in enumerate(class_names):
         ids_by_name[name].append(class_id)
     found = {entry: ids_by_name.get(entry) or _index(entry, len(class_names)) for entry in entries}
     if unknown := [entry for entry, ids in found.items() if not ids]:
         raise ClassFilterError(_explanation(unknown, class_names))
-    return frozenset(class_id for ids in found.values() for class_id in ids)
+    return found
+
+
+_MODEL_DEPENDENT: Mapping[str, Callable[[Sequence[str], Sequence[str]], object]] = {
+    "classes": class_ids,
+    "class_thresholds": class_thresholds,
+}
+"""What reads a setting with the names of the classes and raises ClassFilterError, by its name."""
 
 
 def _index(entry: str, count: int) -> list[int]:

@@ -81,7 +81,8 @@ def _detect_video(
 
 
 def _drawn(image: ColourImage, detections: Detections, detector: OfflineDetector) -> ColourImage:
-    return ColourImage(annotate(image, detections, detector.class_names), image.order)
+    drawn = annotate(image, detections, detector.class_names, box_filter=detector.box_filter)
+    return ColourImage(drawn, image.order)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import Writer
 
 from yolov5_lifecycle.atomic_file import whole_output
+from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections, FoundObject
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.images.image import ColourImage
@@ -55,6 +56,7 @@ def detect_recording(
                 node=node,
                 class_names=detector.class_names,
                 threshold=detector.settings.confidence_threshold,
+                box_filter=detector.box_filter,
                 images=images,
                 masks=masks and detector.segments,
             )
@@ -86,12 +88,14 @@ class DetectionBag:
         node: str,
         class_names: Sequence[str],
         threshold: float,
+        box_filter: BoxFilter,
         images: bool,
         masks: bool,
     ) -> None:
         self._writer = writer
         self._class_names = class_names
         self._threshold = threshold
+        self._box_filter = box_filter
         self._is_labelled = False
         self._labels = self._topic(f"{node}/label_info", _LABELS, depth=1, durability=_LATCHED)
         self._detections = self._topic(f"{node}/detections", _DETECTIONS, depth=10)
@@ -111,7 +115,9 @@ class DetectionBag:
         if self._masks is not None and labels is not None:
             self._add(self._masks, timestamp_ns, _image(labels.astype("<u2"), "16UC1", header))
         if self._images is not None:
-            drawn = annotate(image, detections, self._class_names, label_image=labels)
+            drawn = annotate(
+                image, detections, self._class_names, label_image=labels, box_filter=self._box_filter
+            )
             self._add(self._images, timestamp_ns, _image(drawn, f"{image.order}8", header))
 
     def _topic(

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Protocol, TypeVar
 
+from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
@@ -104,6 +105,11 @@ class OfflineDetector:
     def segments(self) -> bool:
         """Whether the model computes masks."""
         return self._detector.segments
+
+    @property
+    def box_filter(self) -> BoxFilter:
+        """Which boxes count."""
+        return self._selection.box_filter
 
     def run(
         self,

@@ -72,6 +72,8 @@ class OverridableSchema(Schema[Model]):
         camera, separator, setting = name.partition(SEPARATOR)
         if separator and camera in cameras and setting in self.by_name:
             return f"{setting} is a setting of the node, the same for all cameras."
+        if separator and camera in self.by_name:
+            return f"{camera} is {self.by_name[camera].allowed}, without names below it."
         if name in cameras:
             example = next(setting.name for setting in self.settings if setting.per_camera)
             return f"{name} is a camera; its settings have names such as {name}{SEPARATOR}{example}."

@@ -151,7 +151,8 @@ def _value(events: _Events, first: yaml.Event) -> Value:
         if isinstance(event, yaml.SequenceEndEvent):
             break
         if not isinstance(event, yaml.ScalarEvent):
-            raise events.error("a list may hold values alone, no lists or mappings", event)
+            quotes = ', write "NAME: VALUE" in quotes' if isinstance(event, yaml.MappingStartEvent) else ""
+            raise events.error(f"a list may hold values alone, no lists or mappings{quotes}", event)
         value = _scalar(events, event)
         if values and type(value) is not type(values[0]):
             raise events.error(

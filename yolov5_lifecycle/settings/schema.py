@@ -42,6 +42,12 @@ class Scope(Enum):
     CAMERA = "camera: may be overridden for one camera"
 
 
+class Entries(Enum):
+    """What the entries of a list look like, if not like names."""
+
+    WITH_COMMAS = "a comma does not end an entry"
+
+
 @dataclass(frozen=True)
 class Setting:
     """One row of the settings table, derived from a field of the model."""
@@ -61,6 +67,8 @@ class Setting:
     choices: tuple[str, ...]
     per_camera: bool
     """Whether it may be overridden for one camera."""
+    has_commas: bool
+    """Whether the entries of a list have commas."""
 
     @property
     def allowed(self) -> str:
@@ -247,6 +255,7 @@ def _described(name: str, field: FieldInfo) -> Setting:
         max_length=limits[MaxLen].max_length if MaxLen in limits else None,
         choices=choices,
         per_camera=Scope.CAMERA in field.metadata,
+        has_commas=Entries.WITH_COMMAS in field.metadata,
     )
 
 
@@ -264,9 +273,8 @@ def _hint(setting: Setting, value: str) -> str:
     if len(value) > _MAX_SHOWN or not value.strip():
         return ""
     # A list of strings and integers is no ROS type: `ros2 param set` sends it as a string.
-    entries = [
-        entry.strip().strip("'\"") for entry in value.strip().removeprefix("[").removesuffix("]").split(",")
-    ]
+    inner = value.strip().removeprefix("[").removesuffix("]")
+    entries = [entry.strip().strip("'\"") for entry in ([inner] if setting.has_commas else inner.split(","))]
     return f" Did you mean [{', '.join(_as_yaml_string(entry) for entry in entries)}]?"
 
 

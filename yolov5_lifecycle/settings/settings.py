@@ -8,14 +8,19 @@ from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic_core.core_schema import ValidationInfo
 
+from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.models.architecture import SIZES, Size, image_size_problem
 from yolov5_lifecycle.process.missing_package import absence_of
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, camera_names_rule
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.camera_overrides import OverridableSchema, overrides_of
-from yolov5_lifecycle.settings.schema import Change, Problem, Scope, contradiction, violation
-from yolov5_lifecycle.settings.suggestion import did_you_mean
+from yolov5_lifecycle.settings.contradictions import not_above, without_scipy
+from yolov5_lifecycle.settings.schema import Change, Entries, Problem, Scope, contradiction
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
+from yolov5_lifecycle.settings.value_rules import RULES, Rule, cameras
+
+_RULES: Mapping[str, Rule] = {**RULES, "cameras": lambda value: cameras(value, Settings.model_fields)}
 
 
 class Settings(BaseModel):
@@ -81,6 +86,31 @@ class Settings(BaseModel):
     )
     classes: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA] = Field(
         (), max_length=10_000, description="Names or indices of the classes to detect. Empty: all."
+    )
+    class_thresholds: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA] = Field(
+        (), max_length=10_000, description='Thresholds of classes of their own: ["person: 0.5", "3: 0.2"].'
+    )
+    regions: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA, Entries.WITH_COMMAS] = Field(
+        (),
+        max_length=32,
+        description="Polygons in which detections count, with points x,y in fractions of the image: "
+        '["0,0.5 1,0.5 1,1 0,1"] is its lower half. Empty: the whole image.',
+    )
+    ignore_regions: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA, Entries.WITH_COMMAS] = Field(
+        (), max_length=32, description="Polygons in which detections do not count, written like regions."
+    )
+    region_anchor: Annotated[Literal["center", "foot"], Change.LIVE, Scope.CAMERA] = Field(
+        "center", description="Point of a box that must be in a region. foot: the middle of its lower side."
+    )
+    min_box_size: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        0.0,
+        ge=0,
+        le=MAX_SIDE_PX,
+        description="Minimum length of the longer side of a box: up to 1 a fraction of the longer side of "
+        "the image, above 1 pixels. 0: no minimum.",
+    )
+    max_box_size: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        0.0, ge=0, le=MAX_SIDE_PX, description="Maximum length, like min_box_size. 0: no maximum."
     )
     agnostic_nms: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
         False, description="Class-agnostic NMS: boxes of different classes suppress each other."
@@ -170,7 +200,7 @@ class Settings(BaseModel):
         "bond. 0: no bond.",
     )
 
-    @field_validator("weights_dirs", "classes", "cameras", mode="before")
+    @field_validator("*", mode="before")
     @classmethod
     def _are_strings(cls, value: object) -> object:
         """Report one problem per list, however many of its entries are wrong."""
@@ -178,42 +208,11 @@ class Settings(BaseModel):
             raise ValueError("must be strings")
         return value
 
-    @field_validator("weights_sha256")
+    @field_validator(*_RULES)
     @classmethod
-    def _is_sha256(cls, value: str) -> str:
-        if value and (len(value) != 64 or set(value.lower()) - set("0123456789abcdef")):
-            raise violation("must be 64 hexadecimal digits or empty.")
-        return value.lower()
-
-    @field_validator("weights_dirs")
-    @classmethod
-    def _are_absolute(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if not all(folder.startswith(("/", "~", "package://")) for folder in value):
-            raise violation("must be absolute paths, or begin with ~ or package://.")
-        return value
-
-    @field_validator("device")
-    @classmethod
-    def _is_device(cls, value: str) -> str:
-        kind, _, index = value.partition(":")
-        is_index = index.isascii() and index.isdigit() and len(index) <= 3
-        if value in ("auto", "cpu", "cuda", "mps") or (kind == "cuda" and is_index):
-            return value
-        if value.isascii() and value.isdigit() and len(value) <= 3:
-            return f"cuda:{value}"
-        hint = (
-            " Did you mean 'cuda'?"
-            if value.lower() == "gpu"
-            else did_you_mean(value, ("auto", "cpu", "cuda", "mps"))
-        )
-        raise violation(f"must be auto, cpu, cuda, cuda:N, N or mps.{hint}")
-
-    @field_validator("cameras")
-    @classmethod
-    def _are_camera_names(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if value and (rule := camera_names_rule(value, cls.model_fields)):
-            raise violation(rule)
-        return value
+    def _follows_its_rule(cls, value: object, info: ValidationInfo) -> object:
+        name = str(info.field_name)
+        return value if value == cls.model_fields[name].default else _RULES[name](value)
 
     @model_validator(mode="after")
     def _agrees(self) -> Settings:
@@ -284,16 +283,12 @@ def _contradictions(settings: Settings) -> list[Problem]:
     if settings.image_size % stride and not settings.weights:
         whose = f"model_size '{settings.model_size}'"
         problems.append(Problem("image_size", image_size_problem(settings.image_size, stride, whose=whose)))
-    return problems + _tracker_contradictions(settings)
-
-
-def _tracker_contradictions(settings: Settings) -> list[Problem]:
-    problems = []
     low, high = settings.track_low_threshold, settings.track_high_threshold
     if low > high:
-        reason = f"{low:g} is above track_high_threshold, {high:g}. Lower it, or raise the other."
-        problems.append(Problem("track_low_threshold", reason))
+        problems.append(not_above("track_low_threshold", low, "track_high_threshold", high))
+    low, high = settings.min_box_size, settings.max_box_size
+    if 0 < high < low and (low > 1) == (high > 1):  # a fraction and pixels cannot be compared
+        problems.append(not_above("min_box_size", low, "max_box_size", high))
     if settings.tracker != "none" and (absence := absence_of("scipy.optimize")):
-        reason = f"'{settings.tracker}' needs scipy. {absence.rstrip('.')}, or use the tracker 'none'."
-        problems.append(Problem("tracker", reason))
+        problems.append(without_scipy(settings.tracker, absence))
     return problems

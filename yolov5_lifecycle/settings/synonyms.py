@@ -19,6 +19,9 @@ SYNONYMS = {
     "model_path": "weights",
     "weights_url": "weights",
     "use_3d": "depth",
+    "roi": "regions",
+    "rois": "regions",
+    "zones": "regions",
 }
 """Names that YOLOv5's own scripts and other nodes use for a setting."""
 

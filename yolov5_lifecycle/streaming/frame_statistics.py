@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 _MIN_SPAN_S = 1e-3  # minimum time span for a meaningful rate
@@ -68,14 +68,19 @@ class FrameCounter:
 
 @dataclass(frozen=True)
 class EmptyRun:
-    """The current run of consecutive frames in which nothing scored above `threshold`."""
+    """The current run of consecutive frames without detections."""
 
     threshold: float
+    """Of the scores, for classes without their own."""
     frames: int = 0
     begun_s: float = 0.0
     ended_s: float = 0.0
     best_missed: float = 0.0
     """The highest score below the threshold, 0 if none was worth reporting."""
+    best_filtered: float = 0.0
+    """The highest score above the threshold that regions or the size of its box excluded, 0 if none."""
+    has_class_thresholds: bool = False
+    """Whether some classes have their own threshold."""
 
     @property
     def duration_s(self) -> float:
@@ -90,16 +95,24 @@ class EmptyFrames:
     """Counts consecutive frames without detections; one thread adds, any thread may read `run`."""
 
     threshold: float
+    has_class_thresholds: bool = False
     run: EmptyRun = _NO_RUN
 
-    def add(self, now_s: float, found: int, best_missed: float) -> None:
+    def add(self, now_s: float, found: int, *, best_missed: float, best_filtered: float = 0.0) -> None:
         """Add a frame with `found` detections at `now_s` (monotonic seconds)."""
+        before = self.run
+        none = EmptyRun(self.threshold, has_class_thresholds=self.has_class_thresholds)
         if found:
-            self.run = EmptyRun(self.threshold)
+            self.run = none
         else:
-            begun_s = self.run.begun_s if self.run.frames else now_s
-            best_missed = max(best_missed, self.run.best_missed)
-            self.run = EmptyRun(self.threshold, self.run.frames + 1, begun_s, now_s, best_missed)
+            self.run = replace(
+                none,
+                frames=before.frames + 1,
+                begun_s=before.begun_s if before.frames else now_s,
+                ended_s=now_s,
+                best_missed=max(best_missed, before.best_missed),
+                best_filtered=max(best_filtered, before.best_filtered),
+            )
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
@@ -31,32 +33,33 @@ class TrackedDetection:
 
     def wider(self, selection: Selection) -> Selection:
         """`selection` and, besides, what may continue a track."""
-        lowest = min(selection.confidence_threshold, self.settings.track_low_threshold)
-        return replace(selection, confidence_threshold=lowest)
+        return replace(selection, tracked_threshold=self.settings.track_low_threshold)
 
     def follow(self, found: Detections, selection: Selection, stamp_s: float) -> Detections:
         """What `selection` admits of what was `found` with the wider one, and `track_ids`."""
         ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings)
-        return published(found, ids, selection.confidence_threshold)
+        return published(found, ids, selection)
 
 
-def published(detections: Detections, ids: Sequence[str], confidence_threshold: float) -> Detections:
-    """The `detections` with a score above `confidence_threshold`, with their `ids`.
+def published(detections: Detections, ids: Sequence[str], selection: Selection) -> Detections:
+    """Those of `detections` that the thresholds of `selection` admit, with their `ids`.
 
-    NMS lets no lower score remove a higher one, so these are what NMS with this threshold would give.
-    Without any, `best_missed` is the highest score that is worth telling, as it is there.
+    NMS lets no lower score remove a higher one, nor one that is not admitted an admitted one, so these are
+    what NMS would give with the thresholds alone. Without any, `best_missed` is the highest score that is
+    worth telling, as it is there.
     """
-    count = int((detections.scores > confidence_threshold).sum())
+    rows = np.flatnonzero(selection.admits(detections.scores, detections.class_ids))
     best_missed = detections.best_missed
-    if count == 0 and len(detections) and detections.scores[0] > WORTH_TELLING:
+    if not len(rows) and len(detections) and detections.scores[0] > WORTH_TELLING:
         best_missed = float(detections.scores[0])
     return Detections(
-        boxes_xyxy=detections.boxes_xyxy[:count],
-        scores=detections.scores[:count],
-        class_ids=detections.class_ids[:count],
+        boxes_xyxy=detections.boxes_xyxy[rows],
+        scores=detections.scores[rows],
+        class_ids=detections.class_ids[rows],
         best_missed=best_missed,
-        track_ids=tuple(ids[:count]),
-        masks=None if detections.masks is None else detections.masks.first(count),
+        best_filtered=detections.best_filtered,
+        track_ids=tuple(ids[row] for row in rows.tolist()),
+        masks=None if detections.masks is None else detections.masks.of(rows),
     )
 
 

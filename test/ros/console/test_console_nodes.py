@@ -108,6 +108,15 @@ def test_a_change_of_somebody_else_is_shown(console: ConsoleBesideNode, page: Pa
     assert page.set(iou_threshold=0.45) == ""
 
 
+def test_regions_and_thresholds_of_classes_are_lists_that_a_page_may_set(page: Page) -> None:
+    values = {"regions": ["0,0.5 1,0.5 1,1 0,1", "0,0 0.5,0 0.5,0.5"], "class_thresholds": ["cat: 0.5"]}
+    for name, value in values.items():
+        assert page.parameter(name)["type"] == "string_array"
+        assert page.set(**{name: value}) == ""
+        wait_for_value(page, name, value)
+        assert page.set(**{name: []}) == ""
+
+
 @pytest.mark.parametrize(
     ("values", "words"),
     [
@@ -116,6 +125,7 @@ def test_a_change_of_somebody_else_is_shown(console: ConsoleBesideNode, page: Pa
         pytest.param({"autostart": True}, "read-only", id="read-only"),
         pytest.param({"iou_threshold": 0.9, "max_rate": -1.0}, "max_rate", id="one of two"),
         pytest.param({"lazy": "yes"}, "lazy: expected true or false", id="type"),
+        pytest.param({"regions": ["0,0 1,1"]}, "entry 1 has 2 points", id="region"),
     ],
 )  # fmt: skip
 def test_a_refused_change_has_the_words_of_the_node(

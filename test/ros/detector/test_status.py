@@ -121,6 +121,18 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
             id="below-threshold",
         ),
         pytest.param(
+            _with_camera(empty=dataclasses.replace(BLIND_RUN, has_class_thresholds=True)),
+            "nothing scored above confidence_threshold 0.9 or its class_thresholds in the last 152 frames, "
+            "the best 0.61: if objects were visible, lower them or clear classes",
+            id="below-thresholds-of-classes",
+        ),
+        pytest.param(
+            _with_camera(empty=dataclasses.replace(BLIND_RUN, best_filtered=0.956)),
+            "what was found in the last 152 frames, the best 0.96, is outside regions, in ignore_regions, "
+            "smaller than min_box_size or larger than max_box_size: if it was to count, change these",
+            id="all-filtered",
+        ),
+        pytest.param(
             _with_camera(segments=False),
             "~/masks has a subscriber, but the loaded model does not segment: load a segmentation model, "
             "such as yolov5n-seg.pt, with weights",

@@ -138,11 +138,18 @@ def _emptiness(empty: EmptyRun) -> str:
     """Report a long run of frames without detections."""
     if empty.duration_s <= EMPTY_S:
         return ""
+    if empty.best_filtered:
+        return (
+            f"what was found in the last {empty.frames} frames, the best {empty.best_filtered:.2g}, is "
+            "outside regions, in ignore_regions, smaller than min_box_size or larger than max_box_size: if "
+            "it was to count, change these"
+        )
     missed = empty.best_missed
     best = f"the best {missed:.2g}" if missed else f"nothing even above {WORTH_TELLING:g}"
+    also, it = (" or its class_thresholds", "them") if empty.has_class_thresholds else ("", "it")
     return (
-        f"nothing scored above confidence_threshold {empty.threshold:g} in the last {empty.frames} frames, "
-        f"{best}: if objects were visible, lower it or clear classes"
+        f"nothing scored above confidence_threshold {empty.threshold:g}{also} in the last {empty.frames} "
+        f"frames, {best}: if objects were visible, lower {it} or clear classes"
     )
 
 

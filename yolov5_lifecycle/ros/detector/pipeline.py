@@ -94,13 +94,20 @@ class Pipeline:
         self.outputs.detections.publish(array)
         now_s = time.monotonic()
         self.latencies.add(now_s, (now_s - result.frame.received_s) * 1e3)
-        self.empty_frames.add(now_s, len(detections), detections.best_missed)
+        self.empty_frames.add(
+            now_s, len(detections), best_missed=detections.best_missed, best_filtered=detections.best_filtered
+        )
         has_viewers = self.outputs.image_subscribers > 0
         distances_m = self._publish_3d(array, detections, result.image, has_viewers=has_viewers)
         label_image = self._publish_masks(detections, header, has_viewers=has_viewers)
         if has_viewers:
             drawn = annotate(
-                result.image, detections, class_names, distances_m=distances_m, label_image=label_image
+                result.image,
+                detections,
+                class_names,
+                distances_m=distances_m,
+                label_image=label_image,
+                box_filter=self.selection.box_filter,
             )
             self.outputs.publish_image(ColourImage(drawn, result.image.order), header)
 

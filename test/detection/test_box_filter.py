@@ -1,0 +1,103 @@
+"""Which boxes count: their place and their size."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from yolov5_lifecycle.detection.box_filter import BoxFilter
+from yolov5_lifecycle.images.region import Region
+
+SIZE_HW = (200, 400)
+WHOLE = Region.parse("0,0 1,0 1,1 0,1")
+LEFT = Region.parse("0,0 0.5,0 0.5,1 0,1")
+LOWER = Region.parse("0,0.5 1,0.5 1,1 0,1")
+CORNER = Region.parse("0.75,0.75 1,0.75 1,1 0.75,1")
+
+
+def admitted(box_xyxy: tuple[float, ...], **settings: Any) -> bool:
+    """Whether the box counts in an image 400 pixels wide and 200 high."""
+    (counts,) = BoxFilter(**settings).admits(np.array([box_xyxy], np.float32), SIZE_HW)
+    return bool(counts)
+
+
+@pytest.mark.parametrize(
+    ("box_xyxy", "settings", "counts"),
+    [
+        pytest.param((10, 10, 20, 20), {}, True, id="no-filter"),
+        pytest.param((10, 10, 20, 20), {"regions": (LEFT,)}, True, id="inside"),
+        pytest.param((310, 10, 320, 20), {"regions": (LEFT,)}, False, id="outside"),
+        pytest.param((150, 10, 250, 20), {"regions": (LEFT,)}, True, id="centre-on-the-border"),
+        pytest.param((152, 10, 250, 20), {"regions": (LEFT,)}, False, id="centre-just-outside"),
+        pytest.param((310, 110, 320, 190), {"regions": (LEFT, LOWER)}, True, id="in-one-of-two"),
+        pytest.param((310, 10, 320, 20), {"regions": (LEFT, LOWER)}, False, id="in-none-of-two"),
+        pytest.param((10, 10, 20, 20), {"ignore_regions": (LEFT,)}, False, id="ignored"),
+        pytest.param((150, 10, 250, 20), {"ignore_regions": (LEFT,)}, False, id="on-an-ignored-border"),
+        pytest.param((310, 10, 320, 20), {"ignore_regions": (LEFT,)}, True, id="not-ignored"),
+        pytest.param(
+            (350, 170, 360, 180), {"regions": (LOWER,), "ignore_regions": (CORNER,)}, False, id="both"
+        ),
+        pytest.param((10, 20, 20, 130), {"regions": (LOWER,)}, False, id="centre-above"),
+        pytest.param((10, 20, 20, 130), {"regions": (LOWER,), "region_anchor": "foot"}, True, id="foot-in"),
+        pytest.param(
+            (10, 20, 20, 130), {"ignore_regions": (LOWER,), "region_anchor": "foot"}, False, id="foot-ignored"
+        ),
+        pytest.param((150, 0, 250, 200), {"regions": (CORNER,), "region_anchor": "foot"}, False, id="foot-x"),
+        pytest.param(
+            (0, 0, 400, 200), {"regions": (WHOLE,), "region_anchor": "foot"}, True, id="whole-image"
+        ),
+        pytest.param((10, 10, 17, 12), {"min_box_size": 8.0}, False, id="smaller-than-pixels"),
+        pytest.param((10, 10, 12, 18), {"min_box_size": 8.0}, True, id="as-large-as-pixels"),
+        pytest.param((10, 10, 17, 12), {"min_box_size": 0.02}, False, id="smaller-than-fraction"),
+        pytest.param((10, 10, 18, 12), {"min_box_size": 0.02}, True, id="as-large-as-fraction"),
+        pytest.param((0, 0, 400, 50), {"max_box_size": 0.9}, False, id="as-wide-as-the-image"),
+        pytest.param((0, 0, 50, 200), {"max_box_size": 0.9}, True, id="as-high-as-the-image"),
+        pytest.param((0, 0, 400, 200), {"max_box_size": 1.0}, True, id="fraction-of-one"),
+        pytest.param((0, 0, 40, 20), {"min_box_size": 1.0}, False, id="minimum-of-the-whole-image"),
+        pytest.param((0, 0, 101, 10), {"max_box_size": 100.0}, False, id="above-pixels"),
+        pytest.param((0, 0, 100, 10), {"max_box_size": 100.0, "min_box_size": 0.25}, True, id="both-sizes"),
+    ],
+)
+def test_a_box_counts_by_its_place_and_size(
+    box_xyxy: tuple[float, ...], settings: dict[str, Any], counts: bool
+) -> None:
+    assert admitted(box_xyxy, **settings) is counts
+
+
+@pytest.mark.parametrize(
+    ("settings", "filters"),
+    [
+        pytest.param({}, False, id="nothing"),
+        pytest.param({"region_anchor": "foot"}, False, id="anchor-alone"),
+        pytest.param({"regions": (LEFT,)}, True, id="regions"),
+        pytest.param({"ignore_regions": (LEFT,)}, True, id="ignored"),
+        pytest.param({"min_box_size": 1.5}, True, id="minimum"),
+        pytest.param({"max_box_size": 0.5}, True, id="maximum"),
+    ],
+)
+def test_a_filter_that_lets_all_pass_is_false(settings: dict[str, Any], filters: bool) -> None:
+    assert bool(BoxFilter(**settings)) is filters
+
+
+corners = st.lists(st.tuples(*[st.integers(0, 150)] * 2, *[st.integers(1, 50)] * 2), max_size=6)
+
+
+@given(corners=corners)
+def test_each_box_counts_by_itself(corners: list[tuple[int, ...]]) -> None:
+    settings = {"regions": (LEFT, CORNER), "ignore_regions": (LOWER,), "min_box_size": 5.0}
+    boxes_xyxy = np.array(corners, np.float32).reshape(-1, 4)
+    boxes_xyxy[:, 2:] += boxes_xyxy[:, :2]
+    counts = BoxFilter(**settings).admits(boxes_xyxy, SIZE_HW)  # type: ignore[arg-type]
+    assert counts.tolist() == [admitted(tuple(box), **settings) for box in boxes_xyxy.tolist()]
+
+
+@pytest.mark.parametrize("size_hw", [(200, 400), (480, 640), (1081, 1921), (7, 5)], ids=str)
+def test_the_same_fractions_are_the_same_place_in_images_of_any_size(size_hw: tuple[int, int]) -> None:
+    scale = np.tile((size_hw[1], size_hw[0]), 2)
+    boxes = np.array([(0.1, 0.1, 0.3, 0.3), (0.6, 0.6, 0.8, 0.8), (0.4, 0.2, 0.6, 0.3)])
+    counts = BoxFilter(regions=(LEFT,)).admits((boxes * scale).astype(np.float32), size_hw)
+    assert counts.tolist() == [True, False, True]

@@ -1,0 +1,154 @@
+"""A region of an image: a polygon, independent of the size of the image."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.printable import in_one_line
+
+PointXY = tuple[float, float]
+
+MIN_POINTS = 3
+MAX_POINTS = 64
+MAX_CHARACTERS = 4096
+"""Of the text of a region."""
+BORDER = 1e-6
+"""A point at most this far from a line lies on it; far less than a pixel, more than float32 rounds."""
+
+_GRID = 10**9
+"""Points are compared as multiples of 1 / _GRID: integers, whose products are exact in 64 bits."""
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+_MAX_SHOWN = 40
+_AT_ONCE = 512
+"""Points that are compared with all lines at once; it bounds the memory."""
+
+
+class RegionError(ValueError):
+    """The points are not those of a polygon within the image; the message says why, and which."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A polygon with MIN_POINTS to MAX_POINTS points, whose lines neither cross nor touch each other.
+
+    Raises RegionError on construction for other points.
+    """
+
+    points_xy: tuple[PointXY, ...]
+    """In fractions of the image's width and height, in order along the border, which is closed."""
+
+    def __post_init__(self) -> None:
+        if not MIN_POINTS <= len(self.points_xy) <= MAX_POINTS:
+            raise RegionError(
+                f"has {len(self.points_xy)} points, a region has {MIN_POINTS} to {MAX_POINTS}: "
+                "'x,y x,y x,y' in fractions of the image"
+            )
+        _check_each(self.points_xy)
+        _check_outline(np.rint(np.array(self.points_xy) * _GRID).astype(np.int64))
+
+    @classmethod
+    def parse(cls, text: str) -> Region:
+        """The region that `text` describes, such as "0.1,0.5 0.9,0.5 0.5,1"; raises RegionError."""
+        if len(text) > MAX_CHARACTERS:
+            raise RegionError(f"has {len(text)} characters, more than {MAX_CHARACTERS}")
+        return cls(tuple(_parsed(number, word) for number, word in enumerate(text.split(), 1)))
+
+    def contains(self, points_xy: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which of the points (n, 2), in fractions of the image, lie in the region or on its border."""
+        corners = self._corners
+        is_near = (points_xy >= corners.min(axis=0) - BORDER) & (points_xy <= corners.max(axis=0) + BORDER)
+        inside: NDArray[np.bool_] = is_near.all(axis=1)
+        near = np.flatnonzero(inside)
+        for start in range(0, len(near), _AT_ONCE):
+            rows = near[start : start + _AT_ONCE]
+            inside[rows] = _inside(corners, points_xy[rows])
+        return inside
+
+    @cached_property
+    def _corners(self) -> NDArray[np.float64]:
+        return np.array(self.points_xy)
+
+
+def _parsed(number: int, word: str) -> PointXY:
+    """The point that is written as `word`."""
+    parts = word.split(",")
+    if len(parts) != 2 or not all(map(_NUMBER.fullmatch, parts)):
+        shown = in_one_line(word, _MAX_SHOWN)
+        raise RegionError(f"has '{shown}' as point {number}: write x,y without a space, as in 0.25,0.5")
+    return float(parts[0]), float(parts[1])
+
+
+def _check_each(points_xy: Sequence[PointXY]) -> None:
+    """Raise RegionError unless all points are in the image."""
+    for number, (x, y) in enumerate(points_xy, 1):
+        if not (0 <= x <= 1 and 0 <= y <= 1):
+            raise RegionError(
+                f"has point {number} at {x:g},{y:g}, outside the image: coordinates are fractions of its "
+                "width and height, from 0 to 1"
+            )
+
+
+def _check_outline(points: NDArray[np.int64]) -> None:
+    """Raise RegionError unless the lines between `points` (n, 2), multiples of 1 / _GRID, form a polygon."""
+    numbers: dict[tuple[int, ...], int] = {}
+    for number, point in enumerate(map(tuple, points.tolist()), 1):
+        first = numbers.setdefault(point, number)
+        if (first, number) == (1, len(points)):
+            raise RegionError("repeats its first point at the end: leave that out, a region closes itself")
+        if first != number:
+            raise RegionError(f"has point {number} where point {first} is: leave one out")
+    sides = _sides(points)
+    if not sides.any():
+        raise RegionError("has no area: its points lie on one line")
+    if (crossing := _first_crossing(points, sides)) is not None:
+        one, other = (f"{line + 1}-{(line + 1) % len(points) + 1}" for line in crossing)
+        raise RegionError(
+            f"has lines that cross or touch, from point to point: {one} and {other}. "
+            "Give the points in order along the border"
+        )
+
+
+def _sides(points: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(n, n): on which side of line i point j is, -1 or 1, or 0 on the line. Line i begins at point i."""
+    lines = np.roll(points, -1, axis=0) - points
+    apart = points[None] - points[:, None]
+    sides: NDArray[np.int64] = np.sign(lines[:, None, 0] * apart[..., 1] - lines[:, None, 1] * apart[..., 0])
+    return sides
+
+
+def _first_crossing(points: NDArray[np.int64], sides: NDArray[np.int64]) -> tuple[int, int] | None:
+    """Indices of the first two lines with a common point, besides that of lines which follow each other."""
+    ends = np.roll(points, -1, axis=0)
+    low, high = np.minimum(points, ends), np.maximum(points, ends)
+    is_divided = sides * np.roll(sides, -1, axis=1) <= 0  # whether line i has not all of line j on one side
+    is_near = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
+    meets = np.triu(is_divided & is_divided.T & is_near, k=1)
+    lines = ends - points
+    for line in range(len(points)):
+        following = (line + 1) % len(points)
+        is_turning_back = sides[line, (line + 2) % len(points)] == 0 and lines[line] @ lines[following] < 0
+        meets[min(line, following), max(line, following)] = is_turning_back
+    pairs = np.argwhere(meets)
+    return (int(pairs[0, 0]), int(pairs[0, 1])) if len(pairs) else None
+
+
+def _inside(corners: NDArray[np.float64], points_xy: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which of the points (n, 2) are in the polygon or on its border."""
+    lines = np.roll(corners, -1, axis=0) - corners
+    apart = points_xy[:, None] - corners  # (n, corners, 2)
+    cross = lines[:, 0] * apart[..., 1] - lines[:, 1] * apart[..., 0]
+    along = (apart * lines).sum(axis=2)
+    lengths = np.hypot(*lines.T)
+    margin = BORDER * lengths
+    is_on_line = (np.abs(cross) <= margin) & (along >= -margin) & (along <= lengths**2 + margin)
+    # Lines that a ray from the point to the right crosses: those that pass its height with the point left.
+    passes = (apart[..., 1] >= 0) != (apart[..., 1] >= lines[:, 1])
+    is_left = (cross > 0) == (lines[:, 1] > 0)
+    inside: NDArray[np.bool_] = ((passes & is_left).sum(axis=1) % 2 == 1) | is_on_line.any(axis=1)
+    return inside

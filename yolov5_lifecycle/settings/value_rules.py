@@ -1,0 +1,87 @@
+"""Rules for the values of single settings that are more than a type and limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+
+from yolov5_lifecycle.images.region import Region, RegionError
+from yolov5_lifecycle.settings.camera_names import camera_names_rule
+from yolov5_lifecycle.settings.class_thresholds import ClassThresholdError, class_thresholds
+from yolov5_lifecycle.settings.schema import violation
+from yolov5_lifecycle.settings.suggestion import did_you_mean
+
+Rule = Callable[..., object]
+"""The value as it is kept; raises the error that `violation` makes for a wrong one."""
+
+
+def digest(value: str) -> str:
+    """A SHA-256 or nothing, in lower case."""
+    if value and (len(value) != 64 or set(value.lower()) - set("0123456789abcdef")):
+        raise violation("must be 64 hexadecimal digits or empty.")
+    return value.lower()
+
+
+def folders(value: tuple[str, ...]) -> tuple[str, ...]:
+    """Folders that do not depend on where the process was started."""
+    if not all(folder.startswith(("/", "~", "package://")) for folder in value):
+        raise violation("must be absolute paths, or begin with ~ or package://.")
+    return value
+
+
+def device(value: str) -> str:
+    """A device by its full name."""
+    kind, _, index = value.partition(":")
+    is_index = index.isascii() and index.isdigit() and len(index) <= 3
+    if value in ("auto", "cpu", "cuda", "mps") or (kind == "cuda" and is_index):
+        return value
+    if value.isascii() and value.isdigit() and len(value) <= 3:
+        return f"cuda:{value}"
+    hint = (
+        " Did you mean 'cuda'?"
+        if value.lower() == "gpu"
+        else did_you_mean(value, ("auto", "cpu", "cuda", "mps"))
+    )
+    raise violation(f"must be auto, cpu, cuda, cuda:N, N or mps.{hint}")
+
+
+def thresholds_of_classes(value: tuple[str, ...]) -> tuple[str, ...]:
+    """Entries such as "person: 0.5", each about another name."""
+    try:
+        class_thresholds(value)
+    except ClassThresholdError as error:
+        raise violation(f"are no thresholds of classes: {error}.") from None
+    return value
+
+
+def regions(value: tuple[str, ...]) -> tuple[str, ...]:
+    """Polygons such as "0.1,0.5 0.9,0.5 0.5,1"."""
+    for number, text in enumerate(value, 1):
+        if problem := _region_problem(text):
+            raise violation(f"must be polygons, but entry {number} {problem}.")
+    return value
+
+
+def _region_problem(text: str) -> str:
+    try:
+        Region.parse(text)
+    except RegionError as error:
+        return str(error)
+    return ""
+
+
+def cameras(value: tuple[str, ...], settings: Collection[str]) -> tuple[str, ...]:
+    """Names of cameras; `settings` are the names of the settings."""
+    if rule := camera_names_rule(value, settings):
+        raise violation(rule)
+    return value
+
+
+RULES: Mapping[str, Rule] = {
+    "weights_sha256": digest,
+    "weights_dirs": folders,
+    "device": device,
+    "class_thresholds": thresholds_of_classes,
+    "regions": regions,
+    "ignore_regions": regions,
+}
+"""By the name of the setting."""
