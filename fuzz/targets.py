@@ -156,10 +156,11 @@ def _check_selection(settings: Settings) -> None:
     if model_problems(settings, class_names):
         return
     admitted = selection(settings, class_names)
-    assert len(admitted.box_filter.regions) == len(settings.regions)
     assert 0 <= admitted.min_score <= 1
-    boxes_xyxy = np.array([[0, 0, 640, 480], [10, 20, 30, 40]], np.float32)
-    assert admitted.box_filter.admits(boxes_xyxy, (480, 640)).shape == (2,)
+    if (box_filter := admitted.box_filter) is not None:
+        assert len(box_filter.regions) == len(settings.regions)
+        boxes_xyxy = np.array([[0, 0, 640, 480], [10, 20, 30, 40]], np.float32)
+        assert box_filter.admits(boxes_xyxy, (480, 640)).shape == (2,)
 
 
 def _compressed_images() -> Iterator[bytes]:

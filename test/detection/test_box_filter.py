@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from yolov5_lifecycle.detection.box_filter import BoxFilter
+from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.settings.settings import validated
 
 SIZE_HW = (200, 400)
 WHOLE = Region.parse("0,0 1,0 1,1 0,1")
@@ -73,14 +75,16 @@ def test_a_box_counts_by_its_place_and_size(
     [
         pytest.param({}, False, id="nothing"),
         pytest.param({"region_anchor": "foot"}, False, id="anchor-alone"),
-        pytest.param({"regions": (LEFT,)}, True, id="regions"),
-        pytest.param({"ignore_regions": (LEFT,)}, True, id="ignored"),
+        pytest.param({"regions": ["0,0 1,0 1,1"]}, True, id="regions"),
+        pytest.param({"ignore_regions": ["0,0 1,0 1,1"]}, True, id="ignored"),
         pytest.param({"min_box_size": 1.5}, True, id="minimum"),
         pytest.param({"max_box_size": 0.5}, True, id="maximum"),
     ],
 )
-def test_a_filter_that_lets_all_pass_is_false(settings: dict[str, Any], filters: bool) -> None:
-    assert bool(BoxFilter(**settings)) is filters
+def test_without_regions_and_sizes_no_box_is_looked_at(settings: dict[str, Any], filters: bool) -> None:
+    box_filter = selection(validated(settings), ("cat",)).box_filter
+    assert (box_filter is not None) is filters
+    assert box_filter is None or box_filter.region_anchor == "center"
 
 
 corners = st.lists(st.tuples(*[st.integers(0, 150)] * 2, *[st.integers(1, 50)] * 2), max_size=6)

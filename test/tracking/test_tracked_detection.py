@@ -76,7 +76,7 @@ def found_in(
         classes=st.sampled_from((None, frozenset({1}))),
         agnostic_nms=st.booleans(),
         class_thresholds=st.sampled_from(((), ((1, 0.06),), ((0, 0.5), (1, 0.15)))),
-        box_filter=st.sampled_from((BoxFilter(), BoxFilter(regions=(LEFT,)), BoxFilter(min_box_size=12))),
+        box_filter=st.sampled_from((None, BoxFilter(regions=(LEFT,)), BoxFilter(min_box_size=12))),
     ),
 )
 def test_the_same_is_published_with_a_tracker_and_without(

@@ -15,7 +15,7 @@ Anchor = Literal["center", "foot"]
 
 @dataclass(frozen=True, kw_only=True)
 class BoxFilter:
-    """The settings of the same names; a false one, as by default, lets every box count."""
+    """The settings of the same names; with their defaults every box counts."""
 
     regions: tuple[Region, ...] = ()
     """A box counts only if its anchor is in one of them; without any, everywhere."""
@@ -27,9 +27,6 @@ class BoxFilter:
     """Minimum longer side of a box: up to 1 a fraction of the image's longer side, above 1 pixels."""
     max_box_size: float = 0.0
     """The maximum, alike; 0 for none."""
-
-    def __bool__(self) -> bool:
-        return bool(self.regions or self.ignore_regions or self.min_box_size or self.max_box_size)
 
     def admits(self, boxes_xyxy: NDArray[np.float32], size_hw: tuple[int, int]) -> NDArray[np.bool_]:
         """Which of the boxes (n, 4), in pixels of an image of `size_hw`, count."""

@@ -189,7 +189,7 @@ class Detector:
 
 def _counts(selection: Selection, letterbox: Letterbox) -> Counts | None:
     """Which boxes in network pixels count; None if all do."""
-    if not (box_filter := selection.box_filter):
+    if (box_filter := selection.box_filter) is None:
         return None
     return lambda boxes_xyxy: box_filter.admits(letterbox.undo(boxes_xyxy), letterbox.source_hw)
 

@@ -23,9 +23,6 @@ WORTH_TELLING = 0.05
 Counts = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
 """Which of the boxes (n, 4), in network pixels, count; see `BoxFilter`."""
 
-EVERY_BOX = BoxFilter()
-"""Counts all boxes."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Selection:
@@ -41,7 +38,8 @@ class Selection:
     max_detections: int = 1000
     classes: frozenset[int] | None = None
     agnostic_nms: bool = False
-    box_filter: BoxFilter = EVERY_BOX
+    box_filter: BoxFilter | None = None
+    """None: all boxes count."""
     with_masks: bool = False
     """Whether to compute masks; without effect if the model does not segment."""
 

@@ -62,13 +62,21 @@ def selection(settings: Settings, class_names: tuple[str, ...]) -> Selection:
         max_detections=settings.max_detections,
         classes=class_ids(settings.classes, class_names),
         agnostic_nms=settings.agnostic_nms,
-        box_filter=BoxFilter(
-            regions=tuple(map(Region.parse, settings.regions)),
-            ignore_regions=tuple(map(Region.parse, settings.ignore_regions)),
-            region_anchor=settings.region_anchor,
-            min_box_size=settings.min_box_size,
-            max_box_size=settings.max_box_size,
-        ),
+        box_filter=_box_filter(settings),
+    )
+
+
+def _box_filter(settings: Settings) -> BoxFilter | None:
+    """Which boxes count; None if all do."""
+    filters = (settings.regions, settings.ignore_regions, settings.min_box_size, settings.max_box_size)
+    if not any(filters):
+        return None
+    return BoxFilter(
+        regions=tuple(map(Region.parse, settings.regions)),
+        ignore_regions=tuple(map(Region.parse, settings.ignore_regions)),
+        region_anchor=settings.region_anchor,
+        min_box_size=settings.min_box_size,
+        max_box_size=settings.max_box_size,
     )
 
 

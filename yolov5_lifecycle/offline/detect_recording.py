@@ -88,7 +88,7 @@ class DetectionBag:
         node: str,
         class_names: Sequence[str],
         threshold: float,
-        box_filter: BoxFilter,
+        box_filter: BoxFilter | None,
         images: bool,
         masks: bool,
     ) -> None:

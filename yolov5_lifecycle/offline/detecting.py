@@ -107,8 +107,8 @@ class OfflineDetector:
         return self._detector.segments
 
     @property
-    def box_filter(self) -> BoxFilter:
-        """Which boxes count."""
+    def box_filter(self) -> BoxFilter | None:
+        """Which boxes count; None if all do."""
         return self._selection.box_filter
 
     def run(
