@@ -36,7 +36,9 @@ def write_dataset(folder: Path, *, images: int, seed: int = UNSEEN_SEED) -> None
         for number, image in enumerate(labelled_images(seed, images)):
             pixels = np.ascontiguousarray(image.pixels[..., ::-1])
             cv2.imwrite(
-                str(unfinished / "images" / "val" / f"{number:04}.jpg"), pixels, (cv2.IMWRITE_JPEG_QUALITY, 92)
+                str(unfinished / "images" / "val" / f"{number:04}.jpg"),
+                pixels,
+                (cv2.IMWRITE_JPEG_QUALITY, 92),
             )
             (unfinished / "labels" / "val" / f"{number:04}.txt").write_text(label_lines(image))
 

@@ -2,9 +2,9 @@
 
 1,000 times as many images as there are, drawn with replacement, are evaluated anew. An image that is drawn
 twice counts twice. Detections are matched within their image, so this needs no new matching: the right and
-wrong detections of an image are weighted with how often it was drawn. The result is that of pycocotools for the
-drawn images, to rounding. Two models are evaluated on the same draws: what an image contributes to both, such as
-being difficult, cancels in the difference.
+wrong detections of an image are weighted with how often it was drawn. The result is that of pycocotools for
+the drawn images, to rounding. Two models are evaluated on the same draws: what an image contributes to both,
+such as being difficult, cancels in the difference.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MIN_IMAGES = 10
 """With fewer images nothing is concluded."""
 _RECALLS = np.linspace(0.0, 1.00, int(np.round((1.00 - 0.0) / 0.01)) + 1, endpoint=True)
 """As in pycocotools."""
-_MAX_ELEMENTS = 4_000_000
+MAX_ELEMENTS = 4_000_000
 """Of an array: resamples are computed in portions."""
 _TINY = np.spacing(1)
 
@@ -105,20 +105,22 @@ def interval(
     first_figure: float,
     second_figure: float,
     image_count: int,
+    *,
+    margin: float = 0.0,
 ) -> Interval:
-    """Interval of the difference from resamples (r,) of both models, and what it shows."""
+    """Interval of the difference from resamples (r,) of both models, and whether it exceeds `margin`."""
     differences = second - first
     known = differences[np.isfinite(differences)]
     if not len(known) or not np.isfinite(second_figure - first_figure):
         return Interval(first_figure, second_figure, float("nan"), float("nan"), "")
     low, high = np.quantile(known, ((1 - SHARE) / 2, (1 + SHARE) / 2)).tolist()
-    return Interval(first_figure, second_figure, low, high, _verdict(low, high, image_count))
+    return Interval(first_figure, second_figure, low, high, _verdict(low, high, image_count, margin))
 
 
-def _verdict(low: float, high: float, image_count: int) -> str:
+def _verdict(low: float, high: float, image_count: int, margin: float) -> str:
     if image_count < MIN_IMAGES:
         return "too few images"
-    return "better" if low > 0 else "worse" if high < 0 else "no difference shown"
+    return "better" if low > margin else "worse" if high < -margin else "no difference shown"
 
 
 def _resampled_class(
@@ -159,8 +161,8 @@ def _average_precision(
 ) -> NDArray[np.float64]:
     """Average precision (r,) of resamples.
 
-    `right` (r, p): the weight of each right detection, best first; `counted` (r, p): that of all detections up
-    to there. Between right detections recall stays and precision falls, so nothing else matters.
+    `right` (r, p): the weight of each right detection, best first; `counted` (r, p): that of all detections
+    up to there. Between right detections recall stays and precision falls, so nothing else matters.
     """
     hits = np.cumsum(right, axis=1)
     precision = hits / (counted + _TINY)
@@ -175,7 +177,7 @@ def _average_precision(
 
 
 def _portions(resamples: int, detections: int) -> Iterator[slice]:
-    size = max(_MAX_ELEMENTS // max(detections, 1), 1)
+    size = max(MAX_ELEMENTS // max(detections, 1), 1)
     return (slice(start, start + size) for start in range(0, resamples, size))
 
 

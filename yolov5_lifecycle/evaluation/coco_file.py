@@ -31,7 +31,7 @@ from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 MAX_BYTES = 256 << 20
 MAX_CONTAINERS = 8_000_000
-"""Objects and lists of a file together; each takes Python 60 bytes and more. COCO's 5,000 images have 80,000."""
+"""Objects and lists of a file; each takes Python 60 bytes and more. Those of COCO's 5,000 images: 200,000."""
 _MAX_NAME = 200
 _MAX_PX = 1e6
 
@@ -39,10 +39,10 @@ _MAX_PX = 1e6
 def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) -> LabelledFolder:
     """The images and labels of the COCO file at `path`.
 
-    The names of images are relative to the folder `root` and may not leave it; None: the folder of `path`,
-    `images` in it or beside it, or that of the split, such as `val2017` for `instances_val2017.json`: the first
-    that has an image. Problems with single records are added to `problems`. Raises DataError if nothing is
-    left.
+    The names of images are relative to the folder `root` and may not leave it. None: the first that has an
+    image of the folder of `path`, `images` in it, the folder above, and there `images` and that of the split,
+    such as `val2017` for `instances_val2017.json`. Problems with single records are added to `problems`.
+    Raises DataError if nothing is left.
     """
     content = _content(path)
     categories = _categories(content["categories"], problems)

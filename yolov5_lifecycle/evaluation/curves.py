@@ -58,7 +58,7 @@ def draw_f1_curve(path: Path, matches: Matches, class_names: Sequence[str], thre
 
 
 def draw_confusion_matrix(path: Path, counts: NDArray[np.int64], class_names: Sequence[str]) -> None:
-    """Draw the matrix of `confusion_matrix`: each row in shares of its sum, with its numbers if there is room."""
+    """Draw the matrix of `confusion_matrix`: rows in shares of their sums, with numbers if there is room."""
     names = [_plain(in_one_line(name, _MAX_NAME)) for name in class_names]
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     with _axes(path, "Confusion at the set thresholds, IoU 0.5", "detected as", "object") as axes:

@@ -82,9 +82,9 @@ def _until(events: Iterator[yaml.Event], end: type[yaml.Event]) -> Iterator[yaml
 def _texts(value: object) -> tuple[str, ...]:
     """One text or a list of them; without empty ones."""
     texts = value if isinstance(value, list) else [value]
-    if not all(isinstance(text, str) or text is None for text in texts):
+    if any(isinstance(text, (list, dict)) for text in texts):
         raise ValueError("train, val and test must be paths or lists of paths")
-    return tuple(text for text in texts if text)
+    return tuple(text for text in texts if isinstance(text, str) and text)
 
 
 def _class_names(names: object) -> tuple[str, ...] | None:

@@ -36,10 +36,10 @@ class EvaluatedClasses:
         data_names: Sequence[str] | None,
         models: Sequence[tuple[Sequence[str], frozenset[int] | None]],
     ) -> EvaluatedClasses:
-        """Those that are in `data_names` and in each of `models`: names and the ids that are wanted, None for all.
+        """Those in `data_names` and in each of `models`: its names and the ids that are wanted, None: all.
 
-        Without `data_names` the ids of the data set are those of the first model. Raises DataError if there is
-        none.
+        Without `data_names` the ids of the data set are those of the first model. Raises DataError if there
+        is none.
         """
         data_names = models[0][0] if data_names is None else data_names
         wanted = [
@@ -59,7 +59,7 @@ class EvaluatedClasses:
         )
 
     def truth(self, boxes: Boxes) -> Boxes:
-        """The boxes of these classes, with indices into `names`; raises LabelError for ids that do not exist."""
+        """The boxes of these classes, with indices into `names`; raises LabelError for unknown ids."""
         if len(boxes) and boxes.class_ids.max() >= self.class_count:
             found = int(boxes.class_ids.max())
             raise LabelError(f"expected a class from 0 to {self.class_count - 1}, found {found}")

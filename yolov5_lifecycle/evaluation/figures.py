@@ -69,8 +69,8 @@ class Row:
 def rows(matches: Matches, class_names: Sequence[str], thresholds: NDArray[np.float64]) -> list[Row]:
     """The figures of all classes together, then of each, at its confidence threshold.
 
-    Together: precision, recall and F1 of all detections and objects; the mean of the average precisions of the
-    classes that have objects.
+    Together: precision, recall and F1 of all detections and objects; the mean of the average precisions of
+    the classes that have objects.
     """
     counts = [
         counts_at(one, threshold) for one, threshold in zip(matches.classes, thresholds.tolist(), strict=True)

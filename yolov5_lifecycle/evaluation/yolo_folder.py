@@ -35,9 +35,9 @@ def read_yolo_folder(
 ) -> LabelledFolder:
     """The images and labels of `data`: a folder, or the `data.yaml` of one.
 
-    `split`: which entry of `data.yaml`; None: the first of SPLITS that is there. Nothing outside of the folder
-    `root` is read; None: that of `data.yaml`. Problems with single files are added to `problems`. Raises
-    DataError if nothing is left.
+    `split`: which entry of `data.yaml`; None: the first of SPLITS that is there. Nothing outside of the
+    folder `root` is read; None: that of `data.yaml`. Problems with single files are added to `problems`.
+    Raises DataError if nothing is left.
     """
     description_path = _description_path(data)
     description = read_description(description_path) if description_path else _NOTHING
@@ -124,7 +124,7 @@ class _Reader:
         return LabelledPath(path, labels or Labels(Boxes.of([], [])))
 
     def _located(self, entry: str, base: str) -> Path | None:
-        """The path of an entry. Leading `../` are left out where that is what exists, as YOLOv5 reads them."""
+        """The path of an entry; without a leading `../` where that is what exists, as YOLOv5 reads it."""
         below = self._below(base)
         problem: LabelError | None = None
         for text in dict.fromkeys((entry, entry.removeprefix("../"))):
@@ -158,13 +158,18 @@ class _Reader:
             self._problems.add("unusable entries", path, error)
             return
         for line in filter(None, map(str.strip, lines[:MAX_IMAGES])):
-            try:
-                image = confined_path(self.root, path.parent, line)
-                if not _is_image(image):
-                    raise LabelError(f"expected a file that ends in {', '.join(IMAGE_SUFFIXES)}")
+            if (image := self._listed_image(path, line)) is not None:
                 yield image
-            except LabelError as error:
-                self._problems.add("unusable entries", path, error)
+
+    def _listed_image(self, path: Path, line: str) -> Path | None:
+        try:
+            image = confined_path(self.root, path.parent, line)
+            if not _is_image(image):
+                raise LabelError(f"expected a file that ends in {', '.join(IMAGE_SUFFIXES)}")
+        except LabelError as error:
+            self._problems.add("unusable entries", path, error)
+            return None
+        return image
 
 
 def _is_image(path: Path) -> bool:

@@ -152,7 +152,8 @@ def _usage_problem(arguments: argparse.Namespace) -> str:
     """The conflict between command-line arguments, or ""."""
     kind = kind_of(arguments.data)
     if useless := _data_options(arguments).useless(kind):
-        return f"{arguments.data} is a data set of the kind {kind}, which has no use for --{useless[0].replace('_', '-')}"
+        option = f"--{useless[0].replace('_', '-')}"
+        return f"{arguments.data} is a data set of the kind {kind}, which has no use for {option}"
     return ""
 
 
@@ -199,7 +200,7 @@ def command_parser() -> argparse.ArgumentParser:
         "--root",
         type=Path,
         metavar="FOLDER",
-        help="folder of the images; nothing outside of it is read (default: that of data.yaml or of the JSON)",
+        help="folder of the images, beyond which nothing is read (default: that of data.yaml or of the JSON)",
     )
     parser.add_argument("--topic", help="which images of a recording (default: the only ones)")
     parser.add_argument(

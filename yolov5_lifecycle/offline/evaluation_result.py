@@ -41,12 +41,14 @@ FORMAT = 1
 """Version of report.json; a change that breaks its readers raises it."""
 _MAX_CONFUSED = 10
 """With more classes the confusion matrix is not printed."""
+_SPEED_MARGIN = 0.03
+"""Part of the time per image within which no difference is claimed."""
 _COMPARED = ("f1", "ap50", "ap50_95")
 """What is printed of a comparison; the report has all."""
 
 
 class EvaluationResult:
-    """The figures of `evaluations` of one data set; the second, if there is one, is compared with the first."""
+    """The figures of `evaluations` of one data set; a second one is compared with the first."""
 
     def __init__(
         self,
@@ -93,18 +95,21 @@ class EvaluationResult:
 
     @cached_property
     def _speed(self) -> Interval | None:
-        """Median time per image of both models; None without a comparison or times."""
+        """Logarithm of the median speed of both models; None without a comparison or times."""
         if len(self._evaluations) < 2 or not len(self._evaluations[0].times_ms):
             return None
         first, second = (evaluation.times_ms for evaluation in self._evaluations)
         rng = np.random.default_rng(SEED)
         drawn = rng.integers(0, len(first), (RESAMPLES, len(first)))
+        medians = [np.log(np.median(times[drawn], axis=1)) for times in (first, second)]
+        # Shorter is better; a small difference is one of this moment rather than of the models.
         return interval(
-            -np.median(first[drawn], axis=1),
-            -np.median(second[drawn], axis=1),
-            -float(np.median(first)),
-            -float(np.median(second)),
+            -medians[0],
+            -medians[1],
+            -float(np.log(np.median(first))),
+            -float(np.log(np.median(second))),
             len(first),
+            margin=_SPEED_MARGIN,
         )
 
     @cached_property

@@ -23,7 +23,10 @@ class LabelledImage(StoredImage, Protocol):
 
 @dataclass(frozen=True)
 class LabelledData:
-    """An open data set. `images` begins anew with each call; `class_names` None: ids are those of the model."""
+    """An open data set.
+
+    `images` begins anew with each call. `class_names` None: class ids are those of the model.
+    """
 
     kind: str
     class_names: tuple[str, ...] | None

@@ -43,10 +43,10 @@ class _LabelledRecordedImage(RecordedImage):
 
 @contextmanager
 def labelled_recording(source: Path, options: DataOptions, problems: Problems) -> Iterator[LabelledData]:
-    """Open the recording `source`; images and detections belong together if their headers have one stamp.
+    """Open the recording `source`; images and detections with one stamp in their headers belong together.
 
-    Its classes are those of its `label_info`, if it has one, else those that occur. Raises RecordingError, and
-    DataError if there are no detections that can be used.
+    Its classes are those of its `label_info`, if it has one, else those that occur. Raises RecordingError,
+    and DataError if there are no detections that can be used.
     """
     with open_recording(source) as recording:
         topic = recording.image_topic(options.topic)
