@@ -74,7 +74,7 @@ def _truth_topic(source: Path, recording: Recording, name: str | None) -> Record
             f"{source}: there are no detections ({_DETECTIONS}) in it to compare with. Record the corrected "
             "detections beside the images, or merge both recordings with `ros2 bag convert`."
         )
-    return recording.one_of(topics, name, what="topic of detections", option="--truth-topic")
+    return recording.one_of(topics, name, what="detection topic", option="--truth-topic")
 
 
 def _label_info(recording: Recording, problems: Problems) -> tuple[str, ...]:
