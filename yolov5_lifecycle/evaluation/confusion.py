@@ -30,6 +30,15 @@ def confusion_matrix(
     return counts
 
 
+def occurring(
+    counts: NDArray[np.int64], class_names: Sequence[str]
+) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """The matrix without classes that have neither objects nor detections, and the names of the others."""
+    is_there = (counts.sum(axis=0) + counts.sum(axis=1))[:-1] > 0
+    kept = [*np.flatnonzero(is_there).tolist(), len(class_names)]
+    return counts[np.ix_(kept, kept)], tuple(class_names[class_id] for class_id in kept[:-1])
+
+
 def _rows_by_image(matches: Matches, count: int) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """For each image the pairs (p, 2) of detection and object of one class, and the ignored detections."""
     pairs = np.concatenate([one.pairs for one in matches.classes])

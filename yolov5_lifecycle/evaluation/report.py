@@ -19,12 +19,16 @@ _MAX_NAME = 40
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Figures of all classes and of each, in columns."""
+    """Figures of all classes together and of each that has objects or detections, in columns."""
     cells = [["class", "images", "objects", *HEADS.values()]]
-    for row in rows:
+    shown = [row for row in rows if row.counts.objects or row.counts.right or row.counts.wrong]
+    for row in shown:
         figures = [_shown(row.figures[name]) for name in METRICS]
         cells.append([_named(row.name), str(row.images), str(row.counts.objects), *figures])
-    return _aligned(cells)
+    absent = len(rows) - len(shown)
+    return _aligned(cells) + (
+        f"{absent} more classes have neither objects nor detections\n" if absent else ""
+    )
 
 
 def comparison_table(

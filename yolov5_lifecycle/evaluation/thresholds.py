@@ -98,7 +98,14 @@ def _between(scores: NDArray[np.float64], last: int) -> float:
 def threshold_yaml(thresholds: Sequence[Threshold], goal: Goal, node: str) -> str:
     """The thresholds as a parameter file of the node with the full name `node`, with what they give."""
     head = f"# Chosen for {goal}, on the evaluated images; on others it may be missed.\n"
-    missed = "".join(f"# {_quoted(one.name)}: {_reason(one)}\n" for one in thresholds if one.value is None)
+    missed = "".join(
+        f"# {_quoted(one.name)}: out of reach, the closest is {_described(one.counts)}\n"
+        for one in thresholds
+        if one.value is None and one.counts.objects
+    )
+    absent = sum(not one.counts.objects for one in thresholds)
+    if absent:
+        missed += f"# Classes without objects, and so without a threshold: {absent}.\n"
     together, *classes = thresholds
     lines = []
     if together.value is not None:
@@ -112,12 +119,6 @@ def threshold_yaml(thresholds: Sequence[Threshold], goal: Goal, node: str) -> st
     if not lines:
         return head + missed
     return f"{head}{node}:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines) + missed
-
-
-def _reason(missed: Threshold) -> str:
-    if not missed.counts.objects:
-        return "there are no objects"
-    return f"out of reach, the closest is {_described(missed.counts)}"
 
 
 def _described(counts: Counts) -> str:

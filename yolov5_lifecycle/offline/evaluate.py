@@ -100,6 +100,7 @@ def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) ->
                 class_names=classes.names,
                 threshold=settings.confidence_threshold,
                 confusion=result.confusion,
+                confused=result.confused,
                 images=[evaluation.images for evaluation in evaluations],
             )
     return write_output(_COMMAND, text)
@@ -168,7 +169,7 @@ def command_parser() -> argparse.ArgumentParser:
     """The argument parser of the command."""
     parser = CommandParser(
         _COMMAND,
-        description="Measure how good a model is on labelled images: precision, recall, F1 and mAP of each "
+        description="Measure how good a model is on labelled images: precision, recall, F1 and mAP of each\n"
         "class, what is confused with what, and the time per image.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

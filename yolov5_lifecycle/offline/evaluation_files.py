@@ -25,6 +25,7 @@ def write_files(
     class_names: Sequence[str],
     threshold: float,
     confusion: NDArray[np.int64],
+    confused: Sequence[str],
     images: Sequence[Sequence[EvaluatedImage]],
 ) -> None:
     """Write the files to the new `folder`; `images` of each model. Raises OSError."""
@@ -40,7 +41,7 @@ def write_files(
         _write_json(folder / name, [{field: row[field] for field in _FIELDS} for row in rows])
     draw_pr_curve(folder / "pr_curve.png", matches, class_names)
     draw_f1_curve(folder / "f1_curve.png", matches, class_names, threshold)
-    draw_confusion_matrix(folder / "confusion_matrix.png", confusion, class_names)
+    draw_confusion_matrix(folder / "confusion_matrix.png", confusion, confused)
 
 
 def _write_json(path: Path, content: object, *, indent: int | None = None) -> None:

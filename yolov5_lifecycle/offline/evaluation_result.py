@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yolov5_lifecycle.evaluation.bootstrap import (
     RESAMPLES,
@@ -19,7 +18,7 @@ from yolov5_lifecycle.evaluation.bootstrap import (
     interval,
     resampled,
 )
-from yolov5_lifecycle.evaluation.confusion import MIN_IOU, confusion_matrix
+from yolov5_lifecycle.evaluation.confusion import MIN_IOU, confusion_matrix, occurring
 from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses
 from yolov5_lifecycle.evaluation.figures import Row, rows
 from yolov5_lifecycle.evaluation.ground_truth import Problems
@@ -68,8 +67,8 @@ class EvaluationResult:
         count = len(classes.names)
         self._thresholds = [evaluation.thresholds(count) for evaluation in evaluations]
         self.matches: list[Matches] = [match(one.images, classes.names) for one in evaluations]
-        self.confusion: NDArray[np.int64] = confusion_matrix(
-            evaluations[0].images, self.matches[0], self._thresholds[0]
+        self.confusion, self.confused = occurring(
+            confusion_matrix(evaluations[0].images, self.matches[0], self._thresholds[0]), classes.names
         )
 
     @cached_property
@@ -121,8 +120,8 @@ class EvaluationResult:
     def text(self, node: str) -> str:
         """What is printed; `node`: the full name of the node that thresholds are for."""
         parts = [self._head(), table(self._rows[0])]
-        if len(self._classes.names) <= _MAX_CONFUSED:
-            parts.append(confusion_table(self.confusion, self._classes.names))
+        if len(self.confused) <= _MAX_CONFUSED:
+            parts.append(confusion_table(self.confusion, self.confused))
         if self._differences:
             names = [row.name for row in self._rows[0]]
             parts.append(comparison_table(names, self._differences, _COMPARED) + self._speed_line())
@@ -152,8 +151,8 @@ class EvaluationResult:
             "all": row_as_json(self._rows[0][0]),
             "classes": [row_as_json(row) for row in self._rows[0][1:]],
             "confusion_matrix": {
-                "objects": [*self._classes.names, "no object"],
-                "detected_as": [*self._classes.names, "nothing"],
+                "objects": [*self.confused, "no object"],
+                "detected_as": [*self.confused, "nothing"],
                 "counts": self.confusion.tolist(),
             },
         }
