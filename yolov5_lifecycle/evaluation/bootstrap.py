@@ -146,33 +146,36 @@ def _average_precisions(matches: ClassMatches, weights: NDArray[np.int32]) -> ND
     """(resamples, 10): the average precision at each IoU threshold; NaN without objects."""
     found = np.empty((len(weights), 10), np.float64)
     for rows in _portions(len(weights), len(matches.scores)):
-        drawn = weights[rows][:, matches.images]  # (r, d)
+        # Detections first: sums over them run along whole rows, which is ten times faster.
+        drawn = np.ascontiguousarray(weights[rows].T)[matches.images]  # (d, r)
         objects = (weights[rows] @ matches.objects).astype(np.float64)
-        all_of = np.cumsum(drawn, axis=1, dtype=np.int64)
+        all_of = np.cumsum(drawn, axis=0, dtype=np.int32)
         for level in range(10):
             is_right, ignored = matches.is_right[level], matches.is_ignored[level]
-            counted = np.cumsum(drawn * ~ignored, axis=1, dtype=np.int64) if ignored.any() else all_of
-            found[rows, level] = _average_precision(drawn[:, is_right], counted[:, is_right], objects)
+            counted = all_of
+            if ignored.any():
+                counted = np.cumsum(drawn * ~ignored[:, None], axis=0, dtype=np.int32)
+            found[rows, level] = _average_precision(drawn[is_right], counted[is_right], objects)
     return found
 
 
 def _average_precision(
-    right: NDArray[np.int32], counted: NDArray[np.int64], objects: NDArray[np.float64]
+    right: NDArray[np.int32], counted: NDArray[np.int32], objects: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Average precision (r,) of resamples.
 
-    `right` (r, p): the weight of each right detection, best first; `counted` (r, p): that of all detections
+    `right` (p, r): the weight of each right detection, best first; `counted` (p, r): that of all detections
     up to there. Between right detections recall stays and precision falls, so nothing else matters.
     """
-    hits = np.cumsum(right, axis=1)
+    hits = np.cumsum(right, axis=0, dtype=np.int32)
     precision = hits / (counted + _TINY)
-    best = np.maximum.accumulate(precision[:, ::-1], axis=1)[:, ::-1]
+    best = np.maximum.accumulate(precision[::-1], axis=0)[::-1]
     with np.errstate(invalid="ignore", divide="ignore"):
-        recall = hits / objects[:, None]
+        recall = hits / objects
     # A recall that pycocotools asks for counts at the first detection that reaches it.
     reached = np.searchsorted(_RECALLS, recall, side="right")
-    steps = np.diff(reached, axis=1, prepend=0)
-    average: NDArray[np.float64] = (best * steps).sum(axis=1) / len(_RECALLS)
+    steps = np.diff(reached, axis=0, prepend=0)
+    average: NDArray[np.float64] = (best * steps).sum(axis=0) / len(_RECALLS)
     return np.where(objects > 0, average, np.nan)
 
 

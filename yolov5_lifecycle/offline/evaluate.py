@@ -87,7 +87,7 @@ def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) ->
         classes, evaluations = evaluate_models(
             data, wanted, watch=watch, problems=watch.problems, prepare=prepare
         )
-        terminal.close()
+        terminal.begin("computing the figures")
         result = EvaluationResult(
             arguments.data, data.kind, classes, evaluations, watch.problems, arguments.thresholds
         )
@@ -103,6 +103,7 @@ def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) ->
                 confused=result.confused,
                 images=[evaluation.images for evaluation in evaluations],
             )
+        terminal.close()
     return write_output(_COMMAND, text)
 
 

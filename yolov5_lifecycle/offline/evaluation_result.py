@@ -199,7 +199,7 @@ class EvaluationResult:
         words = {"better": "faster", "worse": "slower"}
         verdict = words.get(self._speed.verdict, self._speed.verdict)
         changed = _changed(first, second)
-        listed = "".join(f"OTHER has {name}={value}\n" for name, value in changed.items())
+        listed = "".join(f"OTHER has {name}={in_one_line(str(value))}\n" for name, value in changed.items())
         return f"{listed}speed  {_median_ms(first)}, OTHER {_median_ms(second)}: {verdict}\n"
 
 

@@ -35,12 +35,19 @@ class Terminal:
         if self._shows_progress and now_s >= self._due_s:
             self._due_s = now_s + _PROGRESS_PERIOD_S
             of_all = f" of {account.expected}" if account.expected else ""
-            text = f"{account.balance.received}{of_all} images, {account.rate_hz:.1f} per second"
-            show_progress(f"{text:<60}")  # padded to overwrite a longer text
-            self._is_line_open = True
+            self._show(f"{account.balance.received}{of_all} images, {account.rate_hz:.1f} per second")
+
+    def begin(self, task: str) -> None:
+        """Show that `task` has begun, which has no images to count."""
+        if self._shows_progress:
+            self._show(task)
 
     def close(self) -> None:
         """End the progress line."""
         if self._is_line_open:
             show_progress("", done=True)
         self._is_line_open = False
+
+    def _show(self, text: str) -> None:
+        show_progress(f"{text:<60}")  # padded to overwrite a longer text
+        self._is_line_open = True
