@@ -54,12 +54,17 @@ def label_lines(image: LabelledImage) -> str:
     return "".join(lines)
 
 
-def main() -> None:
+def parser() -> argparse.ArgumentParser:
+    """The argument parser of this program."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path, metavar="OUT", help="new folder")
     parser.add_argument("--images", type=int, default=40)
     parser.add_argument("--seed", type=int, default=UNSEEN_SEED)
-    arguments = parser.parse_args()
+    return parser
+
+
+def main() -> None:
+    arguments = parser().parse_args()
     write_dataset(arguments.out, images=arguments.images, seed=arguments.seed)
 
 
