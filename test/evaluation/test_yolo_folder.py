@@ -192,6 +192,7 @@ def aliases(depth: int) -> str:
         pytest.param("val: ../../etc\nnames: [cat]", "there are no images", id="traversal"),
         pytest.param("val: /etc\nnames: [cat]", "there are no images", id="absolute"),
         pytest.param("val: missing\nnames: [cat]", "there are no images", id="missing"),
+        pytest.param(f"val: {'x' * 300}\nnames: [cat]", "there are no images", id="long name"),
         pytest.param("", "none of 1 images has a label file", id="no labels"),
     ],
 )

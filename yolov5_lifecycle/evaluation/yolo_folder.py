@@ -134,7 +134,7 @@ class _Reader:
                 except LabelError as error:
                     problem = problem or error
                     continue
-                if path.exists():
+                if os.path.exists(path):  # noqa: PTH110 - Path.exists raises if a name is too long
                     return path
                 problem = problem or LabelError(f"there is no {path}")
         self._problems.add("unusable entries", f"'{entry}' in data.yaml", problem)

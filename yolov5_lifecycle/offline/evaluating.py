@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.detection.selection import class_ids, selection
 from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses, EvaluatedImage
 from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Problems
+from yolov5_lifecycle.evaluation.thresholds import CLASS_THRESHOLDS
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detecting import OfflineDetector, Watch
 from yolov5_lifecycle.offline.labelled_images import LabelledData, LabelledImage
@@ -24,7 +25,7 @@ MIN_CONFIDENCE = 0.001
 """Detections with a lower score are not evaluated, as in YOLOv5's own validation."""
 TIMED_IMAGES = 30
 
-_WHILE_EVALUATING = {"confidence_threshold": MIN_CONFIDENCE, "tracker": "none", "class_thresholds": ()}
+_WHILE_EVALUATING = {"confidence_threshold": MIN_CONFIDENCE, "tracker": "none", CLASS_THRESHOLDS: ()}
 """Average precision needs detections below the thresholds; those above are the same with and without them."""
 
 
@@ -34,13 +35,11 @@ class Evaluation:
 
     model: PreparedModel
     settings: Settings
+    thresholds: NDArray[np.float64]
+    """The confidence threshold that is set for each evaluated class."""
     images: tuple[EvaluatedImage, ...]
     times_ms: NDArray[np.float64]
     """(t,) in a sample of the images, the same for every model, with the thresholds of `settings`."""
-
-    def thresholds(self, class_count: int) -> NDArray[np.float64]:
-        """(class_count,) the confidence threshold that is set for each class."""
-        return np.full(class_count, self.settings.confidence_threshold)
 
 
 class _Model:
@@ -68,6 +67,17 @@ class _Model:
     def wanted(self) -> frozenset[int] | None:
         """The ids of the classes that its settings select, None for all."""
         return class_ids(self.settings.classes, self.offline.class_names)
+
+    def thresholds(self, classes: EvaluatedClasses) -> NDArray[np.float64]:
+        """The confidence threshold of each of `classes`."""
+        chosen = selection(self.settings, self.offline.class_names)
+        thresholds = np.full(len(classes.names), chosen.confidence_threshold)
+        # A node without this setting has no such thresholds.
+        own: Iterable[tuple[int, float]] = getattr(chosen, CLASS_THRESHOLDS, ())
+        for class_id, threshold in own:
+            if class_id in classes.of_models[self.number]:
+                thresholds[classes.of_models[self.number][class_id]] = threshold
+        return thresholds
 
     def time_ms(self, image: ColourImage) -> float:
         """How long it takes to detect in `image` with the thresholds that are set; raises InferenceError."""
@@ -104,7 +114,13 @@ def evaluate_models(
         )
     times = _times_ms(models, list(timed.values()))
     return classes, [
-        Evaluation(model.prepared, model.settings, tuple(images[number] for number in common), of_model)
+        Evaluation(
+            model.prepared,
+            model.settings,
+            model.thresholds(classes),
+            tuple(images[number] for number in common),
+            of_model,
+        )
         for model, images, of_model in zip(models, found, times, strict=True)
     ]
 

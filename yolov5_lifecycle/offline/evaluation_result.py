@@ -64,8 +64,7 @@ class EvaluationResult:
         self._evaluations = evaluations
         self._problems = problems
         self._goal = goal
-        count = len(classes.names)
-        self._thresholds = [evaluation.thresholds(count) for evaluation in evaluations]
+        self._thresholds = [evaluation.thresholds for evaluation in evaluations]
         self.matches: list[Matches] = [match(one.images, classes.names) for one in evaluations]
         self.confusion, self.confused = occurring(
             confusion_matrix(evaluations[0].images, self.matches[0], self._thresholds[0]), classes.names
