@@ -218,6 +218,8 @@ def test_a_wrong_argument_ends_it_with_a_reason(
         pytest.param(["--topic", "/x"], "kind YOLO, which has no use for --topic", id="topic"),
         pytest.param(["--truth-topic", "/x"], "no use for --truth-topic", id="truth topic"),
         pytest.param(["--split", "mine"], "invalid choice: 'mine'", id="split"),
+        pytest.param(["--set", "weights=a.pt"], "weights has no effect: the model is WEIGHTS", id="weights"),
+        pytest.param(["-p", "tracker:=bytetrack"], "tracker has no effect: images are", id="tracker"),
         pytest.param(["--track"], "unrecognized arguments: --track", id="track"),
     ],
 )

@@ -34,6 +34,8 @@ from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _COMMAND = "evaluate"
+_USELESS = {"weights": "the model is WEIGHTS", "tracker": "images are evaluated one by one"}
+"""Settings without effect, which command-line arguments may not contain; a parameter file may."""
 _EPILOG = """\
 DATA is one of
   a folder with images/ and labels/ in YOLO format, or its data.yaml
@@ -153,6 +155,9 @@ def _complain(problem: str) -> int:
 def _usage_problem(arguments: argparse.Namespace) -> str:
     """The conflict between command-line arguments, or ""."""
     kind = kind_of(arguments.data)
+    for name, reason in _USELESS.items():
+        if any(assignment.startswith(f"{name}=") for assignment in arguments.assignments):
+            return f"the setting {name} has no effect: {reason}"
     if useless := _data_options(arguments).useless(kind):
         option = f"--{useless[0].replace('_', '-')}"
         return f"{arguments.data} is a data set of the kind {kind}, which has no use for {option}"
