@@ -225,6 +225,7 @@ def test_classes_are_compared_by_name(data: Path, tmp_path: Path) -> None:
     assert report["all"]["ap50"] > 0.93
 
 
+@pytest.mark.long
 def test_folders_need_no_rosbags_and_the_folders_of_matplotlib_are_left_alone(
     data: Path, tmp_path: Path
 ) -> None:
