@@ -50,6 +50,7 @@ setup(
             "uvicorn>=0.35",
             "websockets>=13",
         ],
+        "evaluation": ["matplotlib>=3.8", "pycocotools>=2.0.7"],
         "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
         "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
@@ -64,6 +65,7 @@ setup(
             f"demo = {name}.commands.entry_points:demo",
             f"detect_bag = {name}.commands.entry_points:detect_bag",
             f"detector = {name}.ros.entry_points:detector",
+            f"evaluate = {name}.commands.entry_points:evaluate",
             f"fetch_weights = {name}.commands.entry_points:fetch_weights",
         ]
     },

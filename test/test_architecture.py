@@ -35,7 +35,7 @@ RANKS = (
     ("images", "models"),
     ("settings", "checkpoints", "runtimes", "streaming", "sources", "spatial"),
     ("detection",),
-    ("tracking",),
+    ("tracking", "evaluation"),
     ("commands",),
     ("offline",),
     ("ros",),
@@ -46,7 +46,7 @@ EDGE = (
     *("settings.", "commands.", "offline.", "ros."),
     *("detection.prepared_model", "detection.selection", "tracking.tracked_detection"),
 )
-WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process", "tracking")
+WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process", "tracking", "evaluation")
 
 PRIVATE_BY_NAME_ONLY = {
     "os._exit",  # documented

@@ -51,6 +51,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, list[s
     [
         pytest.param("nodes", [], [COMPILED, LOG, LOG], id="detector and camera"),
         pytest.param("detect_bag", [], [COMPILED], id="detect_bag"),
+        pytest.param("evaluate", [], [COMPILED], id="evaluate"),
         pytest.param("convert", [], [], id="convert"),
         pytest.param("fetch_weights", ["look-up of weights.test"], [], id="fetch_weights"),
     ],

@@ -21,6 +21,7 @@ from sensor_msgs.msg import Image
 from support.checkpoint_builder import official_model, saved, stripped
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from support.detector_process import NODE, environment
+from support.evaluated_offline import labelled_drive
 from support.file_server import FileServer, sending_ranges
 from support.pages import (
     PAGES,
@@ -38,6 +39,7 @@ from support.small_families import segmentation_checkpoint
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
 from benchmark import bench, cameras, depth, tracking
+from tools.shapes import dataset
 from yolov5_lifecycle.commands import convert
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
@@ -149,6 +151,10 @@ def check_module(module: str, *words: str) -> None:
     MODULE_PARSERS[module]().parse_args(words)
 
 
+def check_dataset(*words: str) -> None:
+    dataset.parser().parse_args(words)
+
+
 def check_service(verb: str, service: str, service_type: str, request: str) -> None:
     assert (verb, service) == ("call", f"{NODE}/set_parameters_atomically")
     assert service_type == "rcl_interfaces/srv/SetParametersAtomically"
@@ -167,6 +173,7 @@ def check_tracking(*words: str) -> None:
 CHECKS: dict[str, Callable[..., None]] = {
     "make": check_make,
     ".venv/bin/python -m benchmark.tracking": check_tracking,
+    "python -m tools.shapes.dataset": check_dataset,
     "ros2 param": check_param,
     "ros2 lifecycle": check_lifecycle,
     "ros2 service": check_service,
@@ -233,6 +240,9 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     (tmp_path / "models" / "yolov5n-seg.pt").write_bytes(segmentation_checkpoint())
     (tmp_path / "my_detector.yaml").write_text(blocks(TUTORIAL, "yaml")[0])
     record(tmp_path / "drive", [raw(0)], storage=StoragePlugin.MCAP)
+    labelled_drive(tmp_path / "corrected_drive")
+    (tmp_path / "weights").symlink_to(REPOSITORY / "weights")
+    dataset.write_dataset(tmp_path / "shapes", images=2)
     record(tmp_path / "two_cameras", [raw(0)], storage=StoragePlugin.SQLITE3, topics=CAMERAS)
     for folder in ("shots", "images"):
         images(tmp_path / folder)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.colcon_workspace import REPOSITORY
 
-from yolov5_lifecycle.offline.detect_bag import wanted_settings
+from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.settings.parameter_file import (
     ParameterFileError,
     assigned_value,

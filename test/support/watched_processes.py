@@ -135,6 +135,15 @@ def run_command(*words: str, code: int = 0) -> Callable[[Mapping[str, str]], Non
     return run
 
 
+def labelled(folder: Path, image: Path) -> Path:
+    """A new data set of the one `image`."""
+    folder.mkdir()
+    (folder / "image.png").write_bytes(image.read_bytes())
+    (folder / "image.txt").write_text("0 0.5 0.5 0.2 0.2\n")
+    (folder / "data.yaml").write_text("val: .\nnames: [circle]\n")
+    return folder
+
+
 def written(folder: Path) -> list[str]:
     """The files below `folder`."""
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir())
@@ -151,6 +160,10 @@ def main() -> None:
         "nodes": run_nodes,
         "detect_bag": run_command(
             entry_point("detect_bag"), str(image), "--set", model, "--set", "runtime=onnxruntime"
+        ),
+        "evaluate": run_command(
+            *(entry_point("evaluate"), str(MODEL), str(labelled(folder / "data", image))),
+            *("--output", str(converted.parent / "evaluation"), "--set", "runtime=onnxruntime"),
         ),
         "convert": run_command(entry_point("convert"), str(MODEL), str(converted)),
         "fetch_weights": run_command(

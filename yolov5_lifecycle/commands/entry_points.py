@@ -29,6 +29,7 @@ MODULES: Mapping[str, str] = MappingProxyType(
         "convert": "yolov5_lifecycle.commands.convert",
         "demo": "yolov5_lifecycle.ros.demo.command",
         "detect_bag": "yolov5_lifecycle.offline.detect_bag",
+        "evaluate": "yolov5_lifecycle.offline.evaluate",
         "fetch_weights": "yolov5_lifecycle.commands.fetch_weights",
     }
 )
@@ -48,6 +49,10 @@ def demo() -> NoReturn:
 
 def detect_bag() -> NoReturn:
     _run("detect_bag")
+
+
+def evaluate() -> NoReturn:
+    _run("evaluate")
 
 
 def fetch_weights() -> NoReturn:

@@ -4,32 +4,30 @@ from __future__ import annotations
 
 import argparse
 import functools
-import re
-import signal
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_files import detect_files
 from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineDetector
+from yolov5_lifecycle.offline.detector_options import (
+    add_detector_options,
+    unwound_by_sigterm,
+    wanted_settings,
+)
 from yolov5_lifecycle.offline.image_files import has_still_images
-from yolov5_lifecycle.process.standard_streams import complain, show_progress
+from yolov5_lifecycle.offline.terminal import Terminal
+from yolov5_lifecycle.process.standard_streams import complain
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
-from yolov5_lifecycle.settings.schema import Problem, SettingsError
-from yolov5_lifecycle.settings.settings import Settings, validated
+from yolov5_lifecycle.settings.schema import SettingsError
+from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
-_OF_THE_NODE = ("autostart", "bond_timeout", "image_reliability", "image_transport", "lazy", "max_rate")
-"""Settings without effect offline; a parameter file may contain them, command-line arguments may not."""
 _TRACK = "tracker=bytetrack"
 _RECORDING_SUFFIXES = (".mcap", ".db3")
-_MAX_TOLD = 10
-_PROGRESS_PERIOD_S = 0.1
 _EPILOG = """\
 examples:
   detect_bag drive --output drive_detections --set weights=best.pt
@@ -44,23 +42,6 @@ def is_recording(path: Path) -> bool:
     if not path.is_dir():
         return path.suffix in _RECORDING_SUFFIXES
     return any(suffix in _RECORDING_SUFFIXES for file in path.iterdir() for suffix in file.suffixes)
-
-
-def wanted_settings(parameter_file: Path | None, assignments: Sequence[str], node: str) -> Settings:
-    """Settings of the node named `node`: the parameter file, overridden by `name=value` assignments.
-
-    Raises ParameterFileError, SettingsError and OSError.
-    """
-    values = file_values(parameter_file, node) if parameter_file else {}
-    assigned = dict(assigned_value(assignment) for assignment in assignments)
-    useless = [
-        Problem(name, "it is about a node and images that arrive; here every image is taken from its file.")
-        for name in _OF_THE_NODE
-        if name in assigned
-    ]
-    if useless:
-        raise SettingsError(useless)
-    return validated(values | assigned)
 
 
 def report(account: Account) -> str:
@@ -84,7 +65,10 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
             return _complain(f"{arguments.source}: there is no such file or folder")
         if problem := _usage_problem(arguments):
             parser.error(problem)
-        with _unwound_by_sigterm(), closing(_Terminal(shows_progress=bool(arguments.output))) as terminal:
+        with (
+            unwound_by_sigterm(),
+            closing(Terminal("detect_bag", shows_progress=bool(arguments.output))) as terminal,
+        ):
             with_masks = bool(arguments.masks or arguments.images or arguments.annotated)
             load = functools.partial(OfflineDetector, watch=terminal, with_masks=with_masks, prepare=prepare)
             account = _run(arguments, load)
@@ -129,39 +113,6 @@ def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetect
         masks=arguments.masks,
         load=lambda: load(settings),
     )
-
-
-class _Terminal:
-    """Reports on stderr: the first problems, and progress if no lines go to stdout."""
-
-    def __init__(self, *, shows_progress: bool) -> None:
-        self._shows_progress = shows_progress
-        self._lost = 0
-        self._due_s = 0.0
-        self._is_line_open = False
-
-    def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
-        self._lost += 1
-        if self._lost <= _MAX_TOLD:
-            self.close()
-            _complain(f"{label}: {outcome.value}: {error}")
-        if self._lost == _MAX_TOLD:
-            _complain("further ones are only counted")
-
-    def progress(self, account: Account) -> None:
-        now_s = time.monotonic()
-        if self._shows_progress and now_s >= self._due_s:
-            self._due_s = now_s + _PROGRESS_PERIOD_S
-            of_all = f" of {account.expected}" if account.expected else ""
-            text = f"{account.balance.received}{of_all} images, {account.rate_hz:.1f} per second"
-            show_progress(f"{text:<60}")  # padded to overwrite a longer text
-            self._is_line_open = True
-
-    def close(self) -> None:
-        """End the progress line."""
-        if self._is_line_open:
-            show_progress("", done=True)
-        self._is_line_open = False
 
 
 def _complain(problem: str) -> int:
@@ -209,24 +160,7 @@ def command_parser() -> argparse.ArgumentParser:
         dest="masks",
         help="write no masks of a model that segments; annotated images show them all the same",
     )
-    _add_detector_options(parser)
-    return parser
-
-
-def _add_detector_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--params-file", type=Path, metavar="FILE.yaml", help="parameters as the detector is given them"
-    )
-    for option, form in (("--set", "NAME=VALUE"), ("-p", "NAME:=VALUE")):
-        parser.add_argument(
-            option,
-            action="append",
-            default=[],
-            type=_assignment,
-            dest="assignments",
-            metavar=form,
-            help="a parameter of the detector, over those of the file; may be repeated",
-        )
+    add_detector_options(parser)
     parser.add_argument(
         "--track",
         action="append_const",
@@ -234,31 +168,4 @@ def _add_detector_options(parser: argparse.ArgumentParser) -> None:
         const=_TRACK,
         help=f"give the same object the same id in every image; short for --set {_TRACK}",
     )
-    parser.add_argument(
-        "--node",
-        type=_node_name,
-        default="/yolov5",
-        help="name of the detector in the file and in topics (default: %(default)s)",
-    )
-
-
-def _assignment(text: str) -> str:
-    """Convert `NAME:=VALUE`, as after --ros-args, to `NAME=VALUE`."""
-    name, equals, value = text.partition("=")
-    return f"{name.removesuffix(':')}{equals}{value}"
-
-
-def _node_name(text: str) -> str:
-    if not re.fullmatch(r"(/[A-Za-z_]\w*)+", text, re.ASCII):
-        raise argparse.ArgumentTypeError(f"{text!r} is no full name of a node, such as /robot/yolov5")
-    return text
-
-
-@contextmanager
-def _unwound_by_sigterm() -> Iterator[None]:
-    """Unwind on SIGTERM, so that unfinished output is removed."""
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    return parser

@@ -20,8 +20,8 @@ from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detecting import Account, LoadDetector
 from yolov5_lifecycle.offline.recording import (
     TYPES,
-    ImageTopic,
     RecordedImage,
+    RecordedTopic,
     RecordingError,
     open_recording,
 )
@@ -63,7 +63,9 @@ def detect_recording(
             return detector.run(images_of_topic, expected=image_topic.count, write=bag.write)
 
 
-def _not_empty(source: Path, topic: ImageTopic, images: Iterator[RecordedImage]) -> Iterator[RecordedImage]:
+def _not_empty(
+    source: Path, topic: RecordedTopic, images: Iterator[RecordedImage]
+) -> Iterator[RecordedImage]:
     """`images`, at least one; raises RecordingError if the topic was announced but has no messages."""
     first = next(images, None)
     if first is None:

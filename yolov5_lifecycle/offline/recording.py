@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,8 +62,8 @@ class RecordingError(ValueError):
 
 
 @dataclass(frozen=True)
-class RecordedImage:
-    """A recorded image message and its time stamp in the recording."""
+class RecordedMessage:
+    """A recorded message with a header, and its time stamp in the recording."""
 
     timestamp_ns: int
     type_name: str
@@ -75,7 +75,7 @@ class RecordedImage:
 
     @cached_property
     def message(self) -> Any:
-        """The deserialized message, a rosbags object; raises ImageError."""
+        """The deserialized message, a rosbags object; raises ImageError, whatever the message is."""
         try:
             return TYPES.deserialize_cdr(self.data, self.type_name)
         except Exception as error:  # noqa: BLE001 - rosbags wraps only some errors of damaged bytes
@@ -89,14 +89,18 @@ class RecordedImage:
         stamp = self.message.header.stamp
         return float(stamp.sec) + float(stamp.nanosec) * 1e-9
 
+
+class RecordedImage(RecordedMessage):
+    """A recorded image message."""
+
     def load(self) -> ColourImage:
         decode = compressed_image if self.type_name == _COMPRESSED else raw_image
         return decode(self.message)
 
 
 @dataclass(frozen=True)
-class ImageTopic:
-    """An image topic and its number of messages."""
+class RecordedTopic:
+    """A topic and its number of messages."""
 
     name: str
     type_name: str
@@ -108,64 +112,77 @@ class Recording:
     """An open recording; see `open_recording`."""
 
     def __init__(self, path: Path, reader: Reader) -> None:
-        self._path = path
+        self.path = path
         self._reader = reader
+        self._is_packed = reader.compression_mode == "message"  # reading changes what the reader says
 
     @property
     def storage(self) -> StoragePlugin:
         """The storage format of its files."""
-        files = [self._path] if self._path.is_file() else list(self._path.iterdir())
+        files = [self.path] if self.path.is_file() else list(self.path.iterdir())
         is_mcap = any(".mcap" in file.suffixes for file in files)
         return StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
 
-    def image_topic(self, name: str | None = None) -> ImageTopic:
+    def image_topic(self, name: str | None = None) -> RecordedTopic:
         """The image topic `name`, or the only one; raises RecordingError with the available topics."""
-        topics = self._image_topics()
+        if not (topics := self.topics(_RAW, _COMPRESSED)):
+            others = (
+                ", ".join(sorted({in_one_line(one.topic)[:200] for one in self._connections()})) or "nothing"
+            )
+            raise RecordingError(
+                f"{self.path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
+                "Record the topic of the camera."
+            )
+        return self.one_of(topics, name, what="image topic", option="--topic")
+
+    def one_of(
+        self, topics: Sequence[RecordedTopic], name: str | None, *, what: str, option: str
+    ) -> RecordedTopic:
+        """The one called `name`, or the only one; raises RecordingError with the `option` that chooses."""
         wanted = [topic for topic in topics if name in (None, topic.name)]
         if len(wanted) == 1:
             return wanted[0]
         listing = "".join(
             f"\n  {in_one_line(topic.name)}  {topic.type_name}  {topic.count}" for topic in topics
         )
-        if not topics:
-            others = (
-                ", ".join(sorted({in_one_line(one.topic)[:200] for one in self._connections()})) or "nothing"
-            )
-            raise RecordingError(
-                f"{self._path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
-                "Record the topic of the camera."
-            )
         if name is None:
-            raise RecordingError(f"{self._path}: say with --topic which of its image topics:{listing}")
-        raise RecordingError(f"{self._path}: there is no image topic {name}; name one of these:{listing}")
+            raise RecordingError(f"{self.path}: say with {option} which of its {what}s:{listing}")
+        raise RecordingError(f"{self.path}: there is no {what} {name}; name one of these:{listing}")
 
-    def images(self, topic: ImageTopic) -> Iterator[RecordedImage]:
-        """Every message of `topic` in recording order; raises RecordingError if the file is damaged."""
-        is_packed = self._reader.compression_mode == "message"
+    def images(self, topic: RecordedTopic) -> Iterator[RecordedImage]:
+        """Every image of `topic` in recording order; raises RecordingError if the file is damaged."""
+        return (RecordedImage(*message) for message in self._messages(topic))
+
+    def messages(self, topic: RecordedTopic) -> Iterator[RecordedMessage]:
+        """Like `images` for any topic whose messages have a header."""
+        return (RecordedMessage(*message) for message in self._messages(topic))
+
+    def _messages(self, topic: RecordedTopic) -> Iterator[tuple[int, str, bytes]]:
         messages = self._raw_messages(topic)
         while True:
-            with _readable(self._path):
+            with _readable(self.path):
                 if (found := next(messages, None)) is None:
                     return
                 _, timestamp_ns, data = found
                 if not (isinstance(timestamp_ns, int) and isinstance(data, bytes)):
                     raise TypeError("expected a time and bytes for each message")
-                data = unpacked_message(data) if is_packed else data
-            yield RecordedImage(timestamp_ns, topic.type_name, data)
+                data = unpacked_message(data) if self._is_packed else data
+            yield timestamp_ns, topic.type_name, data
 
-    def _raw_messages(self, topic: ImageTopic) -> Iterator[Any]:
+    def _raw_messages(self, topic: RecordedTopic) -> Iterator[Any]:
         """Messages as stored: rosbags would decompress them without a limit."""
         storage = self._reader.storage
         storage.metadata = storage.metadata._replace(compression_mode=None)
         return self._reader.messages(topic.connections)
 
-    def _image_topics(self) -> list[ImageTopic]:
+    def topics(self, *type_names: str) -> list[RecordedTopic]:
+        """Its topics of these types, sorted by name."""
         by_topic: dict[tuple[str, str], list[Connection]] = {}
         for connection in self._connections():
-            if connection.msgtype in (_RAW, _COMPRESSED):
+            if connection.msgtype in type_names:
                 by_topic.setdefault((connection.topic, connection.msgtype), []).append(connection)
         return [
-            ImageTopic(name, type_name, sum(one.msgcount for one in connections), tuple(connections))
+            RecordedTopic(name, type_name, sum(one.msgcount for one in connections), tuple(connections))
             for (name, type_name), connections in sorted(by_topic.items())
         ]
 

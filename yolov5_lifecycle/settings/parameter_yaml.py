@@ -57,7 +57,7 @@ class Entry:
 
 def parameter_entries(text: bytes | str) -> Iterator[Entry]:
     """The values in all documents of `text`, from top to bottom. Raises ParameterYamlError."""
-    events = _Events(text)
+    events = BoundedEvents(text)
     for event in events:
         if isinstance(event, yaml.MappingStartEvent):
             yield from _entries(events, ())
@@ -67,7 +67,7 @@ def parameter_entries(text: bytes | str) -> Iterator[Entry]:
 
 def parameter_value(text: str) -> Value:
     """The value of `text`, parsed as in `-p name:=text`; raises ParameterYamlError."""
-    events = _Events(text)
+    events = BoundedEvents(text)
     first = next((event for event in events if not isinstance(event, _MARKS)), None)
     if first is None:
         raise ParameterYamlError("expected a value, found nothing")
@@ -77,7 +77,7 @@ def parameter_value(text: str) -> Value:
     return value
 
 
-class _Events:
+class BoundedEvents:
     """Iterator over YAML events that enforces the limits."""
 
     def __init__(self, text: bytes | str) -> None:
@@ -116,7 +116,7 @@ def _parsed(text: bytes | str) -> Iterator[yaml.Event]:
     yield from yaml.parse(text, Loader=_LOADER)
 
 
-def _entries(events: _Events, names: tuple[str, ...]) -> Iterator[Entry]:
+def _entries(events: BoundedEvents, names: tuple[str, ...]) -> Iterator[Entry]:
     """The entries of the mapping at the path `names`, up to its end; its start event is consumed."""
     for key in events:
         if isinstance(key, yaml.MappingEndEvent):
@@ -140,7 +140,7 @@ def _entries(events: _Events, names: tuple[str, ...]) -> Iterator[Entry]:
             yield Entry(below, None, line)
 
 
-def _value(events: _Events, first: yaml.Event) -> Value:
+def _value(events: BoundedEvents, first: yaml.Event) -> Value:
     """The scalar or list that starts with the event `first`."""
     if isinstance(first, yaml.ScalarEvent):
         return _scalar(events, first)
@@ -175,7 +175,7 @@ def _alike(first: bool | int | float | str, other: bool | int | float | str) -> 
     return "[" + ", ".join(f'"{_shown(value).strip(chr(39))}"' for value in (first, other)) + "]"
 
 
-def _scalar(events: _Events, event: yaml.ScalarEvent) -> bool | int | float | str:
+def _scalar(events: BoundedEvents, event: yaml.ScalarEvent) -> bool | int | float | str:
     """A scalar in the type that rcl gives it: parsed like C, neither as YAML 1.1 nor as 1.2."""
     text = event.value
     if event.style in ("'", '"') or event.tag == _STRING_TAG:

@@ -1,0 +1,166 @@
+"""Files in COCO format: what is read, and that a hostile one is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from yolov5_lifecycle.evaluation import coco_file
+from yolov5_lifecycle.evaluation.coco_file import read_coco_file
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, LabelledFolder, Problems
+
+CATEGORIES = [{"id": 7, "name": "cat"}, {"id": 90, "name": "dog"}]
+BBOX = [10, 20, 30, 40.5]
+
+
+def image(number: int, **changed: Any) -> dict[str, Any]:
+    return {"id": number, "file_name": f"{number}.jpg", "height": 100, "width": 200, **changed}
+
+
+def annotation(image_id: int, **changed: Any) -> dict[str, Any]:
+    return {"id": 1, "image_id": image_id, "category_id": 90, "bbox": BBOX, **changed}
+
+
+def write(folder: Path, content: object) -> Path:
+    path = folder / "truth.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    (folder / "1.jpg").touch()
+    return path
+
+
+def coco(images: list[Any], annotations: list[Any], categories: list[Any] | None = None) -> dict[str, Any]:
+    return {
+        "images": images,
+        "annotations": annotations,
+        "categories": CATEGORIES if categories is None else categories,
+    }
+
+
+def read(path: Path, root: Path | None = None) -> tuple[LabelledFolder, list[str]]:
+    lines: list[str] = []
+    return read_coco_file(path, Problems(lines.append), root=root), lines
+
+
+def test_images_boxes_and_classes_are_read(tmp_path: Path) -> None:
+    crowd = annotation(1, category_id=7, iscrowd=1, bbox=[0, 0, 5, 5])
+    found, problems = read(write(tmp_path, coco([image(1), image(2)], [annotation(1), crowd])))
+    assert problems == []
+    assert found.class_names == ("cat", "dog")
+    assert [one.path.name for one in found.images] == ["1.jpg", "2.jpg"]
+    boxes = found.images[0].labels.in_pixels((100, 200))
+    np.testing.assert_array_equal(boxes.xyxy, [(10, 20, 40, 60.5), (0, 0, 5, 5)])
+    assert (boxes.class_ids.tolist(), boxes.is_crowd.tolist()) == ([1, 0], [False, True])
+    with pytest.raises(LabelError, match="for an image of 200 x 100 pixels, found 100 x 200"):
+        found.images[0].labels.in_pixels((200, 100))
+
+
+@pytest.mark.parametrize(
+    ("json_name", "image_name"),
+    [
+        pytest.param("truth.json", "1.jpg", id="beside"),
+        pytest.param("truth.json", "images/1.jpg", id="below"),
+        pytest.param("annotations/truth.json", "1.jpg", id="above"),
+        pytest.param("annotations/truth.json", "images/1.jpg", id="images beside the folder"),
+        pytest.param("annotations/instances_val2017.json", "val2017/1.jpg", id="as COCO has it"),
+    ],
+)
+def test_the_images_are_found_near_the_file(json_name: str, image_name: str, tmp_path: Path) -> None:
+    for name in (json_name, image_name):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / image_name).touch()
+    (tmp_path / json_name).write_text(json.dumps(coco([image(1)], [annotation(1)])))
+    found, _ = read(tmp_path / json_name)
+    assert found.images[0].path == tmp_path / image_name
+
+
+def test_the_root_says_where_the_images_are(tmp_path: Path) -> None:
+    path = write(tmp_path, coco([image(1, file_name="a/1.jpg")], [annotation(1)]))
+    found, _ = read(path, tmp_path / "elsewhere")
+    assert found.images[0].path == tmp_path / "elsewhere" / "a" / "1.jpg"
+    with pytest.raises(DataError, match="give their folder with --root"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        pytest.param({"bbox": [1, 2, 3]}, "a bbox of 4 numbers, found a list", id="too short"),
+        pytest.param({"bbox": None}, "a bbox of 4 numbers, found None", id="no box"),
+        pytest.param({"bbox": ["1", 2, 3, 4]}, "a bbox of 4 numbers", id="text"),
+        pytest.param({"bbox": [1, 2, 0, 4]}, "a width and height above 0", id="no width"),
+        pytest.param({"bbox": [1, 2, -3, 4]}, "a width and height above 0", id="negative"),
+        pytest.param({"bbox": [float("nan"), 2, 3, 4]}, "expected pixels", id="NaN"),
+        pytest.param({"bbox": [float("inf"), 2, 3, 4]}, "expected pixels", id="infinity"),
+        pytest.param({"bbox": [10**300, 2, 3, 4]}, "expected pixels", id="huge"),
+        pytest.param({"category_id": 1}, "the id of a category, found 1", id="unknown class"),
+        pytest.param({"category_id": "dog"}, "the id of a category, found 'dog'", id="name"),
+        pytest.param({"category_id": [[]]}, "the id of a category, found a list", id="list"),
+    ],
+)
+def test_an_image_with_a_broken_annotation_is_set_aside(
+    changed: dict[str, Any], reason: str, tmp_path: Path
+) -> None:
+    records = [annotation(1, **changed), annotation(2), annotation(1)]
+    found, problems = read(write(tmp_path, coco([image(1), image(2)], records)))
+    assert [one.path.name for one in found.images] == ["2.jpg"]
+    assert len(problems) == 1
+    assert problems[0].startswith("broken labels: annotation number 0: ")
+    assert reason in problems[0]
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        pytest.param(None, id="null"),
+        pytest.param([[[]]], id="list"),
+        pytest.param(image(1), id="id twice"),
+        pytest.param(image(3, file_name=4), id="number as name"),
+        pytest.param(image(3, file_name="3.gif"), id="another format"),
+        pytest.param(image(3, file_name=""), id="no name"),
+        pytest.param(image(3, file_name="../3.jpg"), id="traversal"),
+        pytest.param(image(3, file_name="/etc/3.jpg"), id="absolute"),
+        pytest.param(image(3, file_name="a\0.jpg"), id="null character"),
+        pytest.param(image(3, file_name="x" * 9000 + ".jpg"), id="long name"),
+        pytest.param(image("3"), id="text as id"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_broken_image_record_is_listed_and_the_rest_is_read(record: object, tmp_path: Path) -> None:
+    found, problems = read(write(tmp_path, coco([image(1), record], [annotation(1)])))
+    assert len(found.images) == 1
+    assert len(problems) == 1
+    assert problems[0].startswith("unusable entries: ")
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        pytest.param("", "expected JSON", id="empty"),
+        pytest.param("{", "expected JSON", id="cut off"),
+        pytest.param("[" * 100_000, "expected JSON|nested too deep", id="deep"),
+        pytest.param('{"images": ' + "9" * 5000 + "}", "expected JSON", id="long number"),
+        pytest.param("[]", "COCO's lists images, annotations, categories", id="list"),
+        pytest.param({"images": [], "annotations": []}, "COCO's lists", id="no categories"),
+        pytest.param({"images": {}, "annotations": [], "categories": []}, "COCO's lists", id="mapping"),
+        pytest.param(coco([], []), "its images are not beside it", id="no images"),
+        pytest.param(coco([image(1)], []), "no image with labels that can be used", id="no objects"),
+        pytest.param(coco([image(1)], [annotation(1)], []), "no image with labels", id="no classes"),
+    ],
+)
+def test_a_file_of_which_nothing_can_be_used_is_refused(content: object, reason: str, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=reason):
+        read(write(tmp_path, content))
+
+
+def test_a_file_with_too_many_records_is_refused_before_it_is_parsed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(coco_file, "MAX_CONTAINERS", 100)
+    with pytest.raises(DataError, match="more than 100 objects and lists"):
+        read(write(tmp_path, "[" * 101))
+    monkeypatch.setattr(coco_file, "MAX_BYTES", 50)
+    with pytest.raises(DataError, match="more than 50 bytes"):
+        read(write(tmp_path, "[" * 51))

@@ -1,0 +1,295 @@
+"""The command `evaluate` on the shapes: figures, files, comparison, thresholds, every kind of data set."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from pycocotools.coco import COCO
+from pycocotools.cocoeval import COCOeval
+from support.evaluated_offline import (
+    FAST,
+    WEIGHTS,
+    as_coco,
+    evaluate,
+    labelled_drive,
+    prepare_once,
+    report_of,
+    run,
+    shapes,
+)
+
+from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.evaluation.thresholds import CLASS_THRESHOLDS
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.offline.evaluating import MIN_CONFIDENCE
+from yolov5_lifecycle.settings.parameter_file import read_parameter_file
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
+
+FILES = [
+    "confusion_matrix.png",
+    "detections.json",
+    "f1_curve.png",
+    "ground_truth.json",
+    "pr_curve.png",
+    "report.json",
+]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return shapes(tmp_path_factory.mktemp("data") / "shapes")
+
+
+@pytest.fixture(scope="module")
+def evaluated(data: Path) -> Path:
+    """The files of an evaluation of the embedded model."""
+    folder = data.parent / "evaluated"
+    assert evaluate(data, "--output", str(folder)) == 0
+    return folder
+
+
+def test_the_embedded_model_finds_the_shapes(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(data) == 0
+    output, error = capsys.readouterr()
+    assert error == ""
+    lines = output.splitlines()
+    head = next(number for number, line in enumerate(lines) if line.startswith("class "))
+    assert lines[head].split() == [
+        "class",
+        "images",
+        "objects",
+        "precision",
+        "recall",
+        "F1",
+        "mAP@50",
+        "mAP@50:95",
+    ]
+    cells = {line.split()[0]: line.split()[1:] for line in lines[head + 1 : head + 6]}
+    assert list(cells) == ["all", *CLASS_NAMES]
+    precision, recall, f1, ap50, ap50_95 = map(float, cells["all"][2:])
+    assert precision > 0.9
+    assert recall > 0.85
+    assert f1 > 0.88
+    assert ap50 > 0.93
+    assert 0.7 < ap50_95 < ap50
+
+
+def test_the_report_has_all_figures(evaluated: Path, data: Path) -> None:
+    assert sorted(file.name for file in evaluated.iterdir()) == FILES
+    report = report_of(evaluated)
+    assert report["format"] == 1
+    assert report["data"]["path"] == str(data)
+    assert (report["data"]["images"], report["data"]["problems"]["counts"]) == (24, {})
+    assert report["model"]["runtime"] == "onnxruntime"
+    assert report["model"]["settings"]["image_size"] == 320
+    assert 0 < report["model"]["speed_ms"]["median"] <= report["model"]["speed_ms"]["p95"]
+    assert [row["name"] for row in report["classes"]] == list(CLASS_NAMES)
+    for row in (report["all"], *report["classes"]):
+        right, wrong, objects = row["right"], row["wrong"], row["objects"]
+        assert row["missed"] == objects - right
+        assert row["precision"] == pytest.approx(right / (right + wrong))
+        assert row["recall"] == pytest.approx(right / objects)
+        assert row["f1"] == pytest.approx(2 * right / (right + wrong + objects))
+    matrix = np.array(report["confusion_matrix"]["counts"])
+    assert matrix[:-1].sum() == report["data"]["objects"] == report["all"]["objects"]
+    assert np.diagonal(matrix).sum() == report["all"]["right"]
+    assert report["confusion_matrix"]["objects"] == [*CLASS_NAMES, "no object"]
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name.endswith(".png")])
+def test_a_curve_is_a_picture_with_something_on_it(name: str, evaluated: Path) -> None:
+    picture = cv2.imread(str(evaluated / name))
+    assert min(picture.shape[:2]) > 400
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
+
+
+def test_the_written_detections_have_the_reported_precision(evaluated: Path) -> None:
+    truth = COCO(str(evaluated / "ground_truth.json"))
+    evaluation = COCOeval(truth, truth.loadRes(str(evaluated / "detections.json")), "bbox")
+    evaluation.evaluate()
+    evaluation.accumulate()
+    evaluation.summarize()
+    report = report_of(evaluated)
+    assert report["all"]["ap50_95"] == pytest.approx(evaluation.stats[0], abs=1e-6)
+    assert report["all"]["ap50"] == pytest.approx(evaluation.stats[1], abs=1e-6)
+
+
+def test_detections_above_the_threshold_are_those_of_the_node(evaluated: Path, data: Path) -> None:
+    """Evaluating at a low threshold loses none of what the set threshold keeps, and adds none."""
+    settings = Settings(weights=WEIGHTS, image_size=320, device="cpu", runtime="onnxruntime").model_copy(
+        update={"confidence_threshold": MIN_CONFIDENCE}
+    )
+    detector = prepare_once(settings, ((480, 640),)).detector
+    chosen = selection(Settings(confidence_threshold=0.25), detector.class_names)
+    written = json.loads((evaluated / "detections.json").read_text())
+    for number, path in enumerate(sorted((data / "images" / "val").iterdir()), start=1):
+        found = detector.detect(ColourImage(cv2.imread(str(path)), "bgr"), chosen)
+        scores = [one["score"] for one in written if one["image_id"] == number and one["score"] > 0.25]
+        assert sorted(scores) == sorted(found.scores.astype(float).tolist())
+
+
+def test_coco_and_yolo_give_the_same_figures(evaluated: Path, data: Path, tmp_path: Path) -> None:
+    assert evaluate(as_coco(data), "--output", str(tmp_path / "coco")) == 0
+    of_yolo, of_coco = report_of(evaluated), report_of(tmp_path / "coco")
+    assert of_coco["data"]["kind"] == "COCO"
+    for row, other in zip(of_yolo["classes"], of_coco["classes"], strict=True):
+        assert other == pytest.approx(row, abs=1e-4)
+
+
+def test_a_recording_is_evaluated_without_ros(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drive = labelled_drive(tmp_path / "drive", labelled=(0, 2))
+    assert evaluate(drive, "--output", str(tmp_path / "out")) == 0
+    assert "images without labels: " in capsys.readouterr().err
+    report = report_of(tmp_path / "out")
+    assert report["data"]["kind"] == "recording"
+    assert (report["data"]["images"], report["all"]["objects"]) == (2, 12)
+    assert report["data"]["problems"]["counts"] == {"images without labels": 1}
+    assert report["all"]["recall"] > 0.8
+
+
+def test_another_image_size_is_compared_class_by_class(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--compare", "image_size=128,confidence_threshold=0.3", "--output", str(tmp_path / "out")]
+    assert evaluate(data, *words) == 0
+    output = capsys.readouterr().out
+    assert "OTHER has image_size=128\nOTHER has confidence_threshold=0.3\n" in output
+    comparison = report_of(tmp_path / "out")["comparison"]
+    assert comparison["changed"] == {"image_size": 128, "confidence_threshold": 0.3}
+    together, *each = comparison["rows"]
+    assert [row["name"] for row in each] == list(CLASS_NAMES)
+    found = together["intervals"]["ap50_95"]
+    assert found["verdict"] == "worse"
+    assert found["difference_low"] < found["second"] - found["first"] < found["difference_high"] < 0
+    written = json.loads((tmp_path / "out" / "detections_other.json").read_text())
+    assert written
+
+
+def test_the_same_model_is_no_better_than_itself(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(data, "--compare", WEIGHTS) == 0
+    rows = [line for line in capsys.readouterr().out.splitlines() if " mAP@50 " in line and "to" in line]
+    assert len(rows) == 1 + len(CLASS_NAMES)
+    assert all(line.endswith("no difference shown") for line in rows)
+
+
+def test_printed_thresholds_are_parameters_that_do_what_they_say(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--thresholds", "recall=0.9", "--node", "/robot/eye", "--output", str(tmp_path / "first")]
+    assert evaluate(data, *words) == 0
+    printed = capsys.readouterr().out
+    file = tmp_path / "thresholds.yaml"
+    file.write_text(printed[printed.index("# Chosen for") :])
+    values = read_parameter_file(file)["/robot/eye"]
+    assert [str(entry).partition(":")[0] for entry in list(values[CLASS_THRESHOLDS])] == list(CLASS_NAMES)  # type: ignore[arg-type]
+    chosen = report_of(tmp_path / "first")["thresholds"]
+    assert chosen["all"]["threshold"] == values["confidence_threshold"]
+    again = ["--set", f"confidence_threshold={values['confidence_threshold']}"]
+    assert evaluate(data, *again, "--output", str(tmp_path / "second")) == 0
+    reached = report_of(tmp_path / "second")["all"]
+    assert reached["recall"] >= 0.9
+    assert reached["recall"] == pytest.approx(chosen["all"]["recall"])
+    assert reached["precision"] == pytest.approx(chosen["all"]["precision"])
+
+
+def test_only_the_classes_that_are_set_are_evaluated(data: Path, tmp_path: Path) -> None:
+    assert evaluate(data, "--set", "classes=[star, circle]", "--output", str(tmp_path / "out")) == 0
+    report = report_of(tmp_path / "out")
+    assert [row["name"] for row in report["classes"]] == ["circle", "star"]
+    assert report["data"]["classes_left_out"] == ["square", "triangle"]
+    assert report["all"]["objects"] == sum(row["objects"] for row in report["classes"])
+
+
+def test_classes_are_compared_by_name(data: Path, tmp_path: Path) -> None:
+    """The ids of the data set are others than those of the model, and it has a class more."""
+    changed = tmp_path / "changed"
+    changed.mkdir()
+    for number, file in enumerate(sorted((data / "labels" / "val").iterdir())):
+        lines = [line.split(" ", 1) for line in file.read_text().splitlines()]
+        text = "".join(f"{3 - int(class_id)} {rest}\n" for class_id, rest in lines)
+        (changed / f"{number}.txt").write_text(text + "4 0.5 0.5 0.1 0.1\n")
+        (changed / f"{number}.jpg").symlink_to(data / "images" / "val" / f"{file.stem}.jpg")
+    (changed / "data.yaml").write_text("val: .\nnames: [star, triangle, square, circle, unicorn]\n")
+    assert evaluate(changed, "--output", str(tmp_path / "out")) == 0
+    report = report_of(tmp_path / "out")
+    assert [row["name"] for row in report["classes"]] == ["star", "triangle", "square", "circle"]
+    assert report["data"]["classes_left_out"] == ["unicorn"]
+    assert report["all"]["ap50"] > 0.93
+
+
+@pytest.mark.long
+def test_folders_need_no_rosbags_and_the_folders_of_matplotlib_are_left_alone(
+    data: Path, tmp_path: Path
+) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    unset = {"MPLCONFIGDIR", "XDG_CONFIG_HOME", "XDG_CACHE_HOME"}
+    environment = {name: value for name, value in os.environ.items() if name not in unset}
+    program = (
+        "import sys; sys.modules['rosbags'] = None; "
+        "from yolov5_lifecycle.commands.entry_points import evaluate; evaluate()"
+    )
+    words = [WEIGHTS, str(data), *FAST, "--output", str(tmp_path / "out")]
+    ended = subprocess.run(
+        [sys.executable, "-c", program, *words],
+        env={**environment, "HOME": str(home)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert not [path for path in home.rglob("*") if "matplotlib" in path.name]
+    assert report_of(tmp_path / "out")["data"]["images"] == 24
+
+
+@pytest.mark.parametrize(("module", "words"), [("pycocotools", []), ("matplotlib", ["--output", "out"])])
+def test_a_missing_package_is_named_with_the_remedy(
+    module: str, words: list[str], data: Path, tmp_path: Path
+) -> None:
+    program = (
+        f"import sys; sys.modules[{module!r}] = None; "
+        "from yolov5_lifecycle.commands.entry_points import evaluate; evaluate()"
+    )
+    command = [sys.executable, "-c", program, WEIGHTS, str(data), *words]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr.startswith("evaluate: ")
+    assert f"-m pip install {module}" in ended.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.long
+def test_official_weights_agree_with_their_own_detections(reference_dir: Path, tmp_path: Path) -> None:
+    """The labels are what the model itself finds, so it finds them all."""
+    weights = str(reference_dir / "weights" / "yolov5n.pt")
+    settings = Settings(weights=weights, device="cpu", runtime="torch")
+    model = prepare_once(settings, ((480, 640),))
+    picture = cv2.imread(str(reference_dir / "images" / "bus.jpg"))
+    chosen = selection(settings, model.detector.class_names)
+    found = model.detector.detect(ColourImage(picture, "bgr"), chosen)
+    height, width = picture.shape[:2]
+    for name in ("images", "labels"):
+        (tmp_path / "data" / name).mkdir(parents=True)
+    (tmp_path / "data" / "images" / "bus.jpg").symlink_to(reference_dir / "images" / "bus.jpg")
+    (tmp_path / "data" / "labels" / "bus.txt").write_text(
+        "".join(
+            f"{class_id} {(x1 + x2) / 2 / width} {(y1 + y2) / 2 / height} "
+            f"{(x2 - x1) / width} {(y2 - y1) / height}\n"
+            for class_id, (x1, y1, x2, y2) in zip(
+                found.class_ids.tolist(), found.boxes_xyxy.tolist(), strict=True
+            )
+        )
+    )
+    words = [weights, str(tmp_path / "data"), "--set", "device=cpu", "--set", "runtime=torch"]
+    assert run([*words, "--output", str(tmp_path / "out")]) == 0
+    together = report_of(tmp_path / "out")["all"]
+    assert (together["precision"], together["recall"], together["wrong"]) == (1, 1, 0)
+    assert together["objects"] == len(found) > 0

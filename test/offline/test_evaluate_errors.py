@@ -1,0 +1,309 @@
+"""What `evaluate` says when data, settings or models cannot be used; it leaves nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rosbags.rosbag2 import StoragePlugin
+from support.damaged_images import claiming_too_much
+from support.evaluated_offline import FAST, WEIGHTS, as_coco, evaluate, labelled_drive, report_of, run, shapes
+from support.recorded_scene import TOPIC, raw, record
+from support.scripted_runtime import ScriptedRuntime
+
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
+from yolov5_lifecycle.offline.evaluate import main
+from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return shapes(tmp_path / "shapes", images=6)
+
+
+def prepare_raising(error: BaseException) -> Prepare:
+    def detect() -> NDArray[np.float32]:
+        raise error
+
+    detector = Detector(ScriptedRuntime(detect), class_names=CLASS_NAMES, image_size=320, stride=32)
+    return lambda settings, _: PreparedModel(settings, detector, Path("/raising.pt"), "0" * 64)
+
+
+def spoil(data: Path) -> None:
+    """Of six images one stays usable."""
+    images, labels = data / "images" / "val", data / "labels" / "val"
+    (images / "0000.jpg").write_bytes(b"no image")
+    (images / "0001.jpg").write_bytes(claiming_too_much())
+    (labels / "0002.txt").write_text("0 nan 0.5 0.1 0.1\n")
+    (labels / "0003.txt").write_bytes(os.urandom(1000) + b"\xff")
+    (images / "0004.jpg").unlink()
+    os.mkfifo(images / "0004.jpg")
+    (images / "list.txt").write_text("no image either")
+
+
+@pytest.mark.parametrize("kind", ["YOLO", "COCO"])
+def test_broken_images_and_labels_are_listed_counted_and_left_out(
+    kind: str, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = as_coco(data) if kind == "COCO" else data
+    spoil(data)
+    if kind == "COCO":
+        content = json.loads(source.read_text())
+        for number in (2, 3):
+            content["annotations"].append({"image_id": number, "category_id": 99, "bbox": [1, 2, 3, 4]})
+        source.write_text(json.dumps(content))
+    words = ["--output", str(data.parent / "out"), "--compare", "confidence_threshold=0.5"]
+    assert evaluate(source, *words) == 0
+    output, error = capsys.readouterr()
+    report = report_of(data.parent / "out")
+    counts = report["data"]["problems"]["counts"]
+    assert counts == {"broken labels": 2, "unusable images": 3}
+    assert report["data"]["images"] == 1
+    assert [line.removeprefix("evaluate: ") for line in error.splitlines()] == report["data"]["problems"][
+        "first"
+    ]
+    assert "not evaluated: 2 broken labels, 3 unusable images\n" in output
+
+
+def test_an_image_of_another_size_than_its_labels_is_left_out(
+    data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cv2.imwrite(str(data / "images" / "val" / "0003.jpg"), np.zeros((100, 100, 3), np.uint8))
+    assert evaluate(as_coco(data)) == 0
+    assert "the labels are for an image of 320 x 256 pixels, found 100 x 100" in capsys.readouterr().err
+
+
+def no_data(folder: Path) -> Path:
+    return folder / "missing"
+
+
+def a_text(folder: Path) -> Path:
+    (folder / "notes.txt").touch()
+    return folder / "notes.txt"
+
+
+def an_empty_folder(folder: Path) -> Path:
+    (folder / "empty").mkdir()
+    return folder / "empty"
+
+
+def all_unreadable(folder: Path) -> Path:
+    data = shapes(folder / "shapes", images=2)
+    for image in (data / "images" / "val").iterdir():
+        image.write_bytes(b"no image")
+    return data
+
+
+def other_classes(folder: Path) -> Path:
+    data = shapes(folder / "shapes", images=1)
+    (data / "data.yaml").write_text("val: images\nnames: [circel, b, c, d]\n")
+    return data
+
+
+def ids_beyond_the_model(folder: Path) -> Path:
+    data = shapes(folder / "shapes", images=1)
+    (data / "data.yaml").write_text("val: images\n")
+    for label in (data / "labels" / "val").iterdir():
+        label.write_text("4 0.5 0.5 0.1 0.1\n")
+    return data
+
+
+def json_bomb(folder: Path) -> Path:
+    (folder / "bomb.json").write_text('{"images": ' + "[" * 200_000)
+    return folder / "bomb.json"
+
+
+def without_detections(folder: Path) -> Path:
+    return record(folder / "drive", [raw(0)], storage=StoragePlugin.MCAP)
+
+
+def two_truths(folder: Path) -> Path:
+    return labelled_drive(folder / "drive", topics=("/a/detections", "/b/detections"))
+
+
+def without_images(folder: Path) -> Path:
+    return labelled_drive(folder / "drive", numbers=())
+
+
+def other_stamps(folder: Path) -> Path:
+    return labelled_drive(folder / "drive", numbers=(0, 1), labelled=(2,))
+
+
+def damaged(folder: Path) -> Path:
+    (folder / "drive.mcap").write_bytes(b"these are no messages")
+    return folder / "drive.mcap"
+
+
+@pytest.mark.parametrize(
+    ("make", "words", "reason"),
+    [
+        pytest.param(no_data, [], "there is no such file or folder", id="missing"),
+        pytest.param(a_text, [], "expected a folder with images/ and labels/", id="a text"),
+        pytest.param(an_empty_folder, [], "there are no images (", id="empty folder"),
+        pytest.param(all_unreadable, [], "of 2 images none could be used", id="unreadable"),
+        pytest.param(other_classes, [], "Did you mean 'circle'?", id="other classes"),
+        pytest.param(ids_beyond_the_model, [], "there is no object of the classes", id="unknown ids"),
+        pytest.param(json_bomb, [], "nested too deep", id="JSON bomb"),
+        pytest.param(without_detections, [], "there are no detections (", id="no detections"),
+        pytest.param(two_truths, [], "say with --truth-topic which of its detection topics", id="two truths"),
+        pytest.param(two_truths, ["--truth-topic", "/c"], "there is no detection topic /c", id="other truth"),
+        pytest.param(two_truths, ["--topic", "/c"], "there is no image topic /c", id="other topic"),
+        pytest.param(without_images, [], "of 0 images none could be used", id="no images"),
+        pytest.param(other_stamps, [], "of 0 images none could be used", id="other stamps"),
+        pytest.param(damaged, [], "the recording cannot be read", id="damaged"),
+    ],
+)
+def test_data_of_which_nothing_can_be_used_ends_it_with_a_reason(
+    make: Callable[[Path], Path],
+    words: list[str],
+    reason: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    source = make(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    assert evaluate(source, *words, "--output", str(tmp_path / "out")) == 1
+    output, error = capsys.readouterr()
+    assert output == ""
+    assert reason in error
+    assert "Traceback" not in error
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        pytest.param(["--output", "shapes"], "exists and is not replaced", id="output exists"),
+        pytest.param(["--output", "a/b"], "a: there is no such folder", id="no folder for the output"),
+        pytest.param(["--set", "confidence_threshold=2"], "confidence_threshold: 2", id="setting"),
+        pytest.param(["--set", "classes=[circel]"], "Did you mean 'circle'?", id="class"),
+        pytest.param(["--set", "max_rate=5"], "it is about a node", id="useless setting"),
+        pytest.param(["--compare", "image_size=321"], "image_size: 321", id="compared setting"),
+        pytest.param(["--compare", "imagesize=320"], "Did you mean 'image_size'?", id="compared name"),
+        pytest.param(["--compare", "missing.pt"], "missing.pt", id="compared weights"),
+        pytest.param(
+            ["--compare", "classes=[star],agnostic_nms=true", "--set", "classes=[circle]"],
+            "none is left",
+            id="no class in common",
+        ),
+        pytest.param(["--split", "train"], "there is no entry 'train', only: val.", id="split"),
+    ],
+)
+def test_a_wrong_argument_ends_it_with_a_reason(
+    words: list[str],
+    reason: str,
+    data: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(data.parent)
+    assert evaluate(data, *words) == 1
+    assert reason in capsys.readouterr().err
+    assert list(data.parent.iterdir()) == [data]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        pytest.param(["--thresholds", "best"], "expected f1, recall=0.9 or precision=0.95", id="goal"),
+        pytest.param(["--topic", "/x"], "kind YOLO, which has no use for --topic", id="topic"),
+        pytest.param(["--truth-topic", "/x"], "no use for --truth-topic", id="truth topic"),
+        pytest.param(["--split", "mine"], "invalid choice: 'mine'", id="split"),
+        pytest.param(["--set", "weights=a.pt"], "weights has no effect: the model is WEIGHTS", id="weights"),
+        pytest.param(["-p", "tracker:=bytetrack"], "tracker has no effect: images are", id="tracker"),
+        pytest.param(["--track"], "unrecognized arguments: --track", id="track"),
+    ],
+)
+def test_a_wrong_command_line_ends_it_with_2(
+    words: list[str], reason: str, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        evaluate(data, *words)
+    assert end.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert reason in line
+
+
+def test_inference_that_fails_again_and_again_ends_it(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [WEIGHTS, str(data), "--set", "max_consecutive_failures=2", "--output", str(data.parent / "out")]
+    assert main(words, prepare=prepare_raising(InferenceError("out of memory"))) == 1
+    error = capsys.readouterr().err
+    assert "evaluate: stopped after 2 consecutive failed images: out of memory\n" in error
+    assert list(data.parent.iterdir()) == [data]
+
+
+def test_an_interrupt_leaves_nothing_half_written(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [WEIGHTS, str(data), "--output", str(data.parent / "out")]
+    assert main(words, prepare=prepare_raising(KeyboardInterrupt())) == 130
+    assert capsys.readouterr().err == "evaluate: interrupted; what was unfinished is removed\n"
+    assert list(data.parent.iterdir()) == [data]
+
+
+def test_weights_that_do_not_exist_are_named(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["missing.pt", str(data), *FAST]) == 1
+    assert "missing.pt" in capsys.readouterr().err
+
+
+def nan_box(message: Any) -> Any:
+    message.detections[0].bbox.size_x = float("nan")
+    return message
+
+
+def no_class(message: Any) -> Any:
+    message.detections[0].results.clear()
+    return message
+
+
+def unknown_class(message: Any) -> Any:
+    message.detections[0].results[0].hypothesis.class_id = "unicorn"
+    return message
+
+
+def negative_size(message: Any) -> Any:
+    message.detections[0].bbox.size_y = -3.0
+    return message
+
+
+def no_message(_: Any) -> Any:
+    return b"\0\1\0\0\xff\xff"
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        pytest.param(nan_box, "no finite numbers", id="NaN"),
+        pytest.param(negative_size, "a size of", id="negative"),
+        pytest.param(no_class, "a detection has no class", id="no class"),
+        pytest.param(unknown_class, "the class 'unicorn' is not in its label_info", id="unknown class"),
+        pytest.param(no_message, "found other bytes", id="no message"),
+    ],
+)
+def test_broken_detections_of_a_recording_are_refused(
+    change: Callable[[Any], Any], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = labelled_drive(tmp_path / "drive", change=change)
+    assert evaluate(drive) == 1
+    error = capsys.readouterr().err
+    assert reason in error
+    assert "none of 3 messages on /yolov5/detections can be used. 3 broken labels\n" in error
+
+
+def test_without_label_info_the_classes_are_those_that_occur(tmp_path: Path) -> None:
+    drive = labelled_drive(tmp_path / "drive", class_names=None, change=without_stars)
+    assert evaluate(drive, "--topic", TOPIC, "--output", str(tmp_path / "out")) == 0
+    names = [row["name"] for row in report_of(tmp_path / "out")["classes"]]
+    assert sorted(names) == ["circle", "square", "triangle"]
+
+
+def without_stars(message: Any) -> Any:
+    message.detections = [one for one in message.detections if one.results[0].hypothesis.class_id != "star"]
+    return message

@@ -1,0 +1,216 @@
+"""Labelled images in COCO format: one JSON file with images, annotations and categories."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yolov5_lifecycle.evaluation.ground_truth import (
+    MAX_BOXES_PER_IMAGE,
+    MAX_CLASSES,
+    MAX_IMAGES,
+    Boxes,
+    DataError,
+    LabelError,
+    LabelledFolder,
+    LabelledPath,
+    Labels,
+    Problems,
+    confined_path,
+)
+from yolov5_lifecycle.evaluation.yolo_folder import absolute
+from yolov5_lifecycle.images.image import MAX_SIDE_PX
+from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
+
+MAX_BYTES = 256 << 20
+MAX_CONTAINERS = 8_000_000
+"""Objects and lists of a file; each takes Python 60 bytes and more. Those of COCO's 5,000 images: 200,000."""
+_MAX_NAME = 200
+_MAX_PX = 1e6
+
+
+def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) -> LabelledFolder:
+    """The images and labels of the COCO file at `path`.
+
+    The names of images are relative to the folder `root` and may not leave it. None: the first that has an
+    image of the folder of `path`, `images` in it, the folder above, and there `images` and that of the split,
+    such as `val2017` for `instances_val2017.json`. Problems with single records are added to `problems`.
+    Raises DataError if nothing is left.
+    """
+    content = _content(path)
+    categories = _categories(content["categories"], problems)
+    images = _images(content["images"], problems)
+    folder = absolute(root) if root else _folder(path, images)
+    broken: set[int] = set()
+    objects = _objects(content["annotations"], images.keys(), categories, problems, broken)
+    found = []
+    for image_id, (name, size_hw) in images.items():
+        if image_id in broken:
+            continue
+        try:
+            image_path = confined_path(folder, folder, name)
+        except LabelError as error:
+            problems.add("unusable entries", f"image {image_id}", error)
+            continue
+        found.append(LabelledPath(image_path, Labels(_boxes(objects[image_id]), size_hw=size_hw)))
+    if not found or not any(len(image.labels.boxes) for image in found):
+        raise DataError(f"{path}: there is no image with labels that can be used. {problems.summary}".strip())
+    return LabelledFolder(tuple(categories.names), tuple(found))
+
+
+def _content(path: Path) -> Mapping[str, list[Any]]:
+    try:
+        text = read_regular_file(path, MAX_BYTES)
+        if text.count(b"{") + text.count(b"[") > MAX_CONTAINERS:
+            raise DataError(f"{path}: found more than {MAX_CONTAINERS} objects and lists, the limit.")
+        content = json.loads(text)
+    except (OSError, RegularFileError) as error:
+        problem = error.strerror if isinstance(error, OSError) else str(error)
+        raise DataError(f"{path}: {problem}.") from None
+    except RecursionError:
+        raise DataError(f"{path}: the JSON is nested too deep.") from None
+    except DataError:
+        raise
+    except ValueError as error:
+        raise DataError(f"{path}: expected JSON: {error}.") from None
+    keys = ("images", "annotations", "categories")
+    if not isinstance(content, dict) or not all(isinstance(content.get(key), list) for key in keys):
+        raise DataError(f"{path}: expected COCO's lists {', '.join(keys)}.")
+    return content
+
+
+class _Categories:
+    """Class names in the order of their ids in the file, and the class id of each category id."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+        self.ids: dict[int, int] = {}
+
+
+def _categories(records: Sequence[Any], problems: Problems) -> _Categories:
+    categories = _Categories()
+    for record in records[:MAX_CLASSES]:
+        match record:
+            case {"id": int(number), "name": str(name)} if 0 < len(name) <= _MAX_NAME:
+                if number not in categories.ids:
+                    categories.ids[number] = len(categories.names)
+                    categories.names.append(name)
+                    continue
+        reason = f"expected an id of its own and a name, found {_shown(record)}"
+        problems.add("unusable entries", "categories", reason)
+    return categories
+
+
+def _images(records: Sequence[Any], problems: Problems) -> dict[int, tuple[str, tuple[int, int] | None]]:
+    """File name and height and width, if given, of the images by id."""
+    images: dict[int, tuple[str, tuple[int, int] | None]] = {}
+    for record in records[:MAX_IMAGES]:
+        match record:
+            case {"id": int(number), "file_name": str(name)} if number not in images:
+                if Path(name[:4096]).suffix.lower() in IMAGE_SUFFIXES:
+                    images[number] = (name, _size_hw(record))
+                    continue
+        problems.add(
+            "unusable entries",
+            "images",
+            f"expected an id of its own and an image file, found {_shown(record)}",
+        )
+    return images
+
+
+def _size_hw(record: Mapping[str, Any]) -> tuple[int, int] | None:
+    match record:
+        case {"height": int(height), "width": int(width)} if (
+            0 < height <= MAX_SIDE_PX and 0 < width <= MAX_SIDE_PX
+        ):
+            return height, width
+    return None
+
+
+def _folder(path: Path, images: Mapping[int, tuple[str, object]]) -> Path:
+    """Where the images lie: the first folder that has one of the first of them."""
+    parent = absolute(path).parent
+    split = path.stem.rpartition("_")[2]
+    near = (parent, parent / "images", parent.parent, parent.parent / "images", parent.parent / split)
+    names = [name for name, _ in list(images.values())[:100]]
+    for folder in near:
+        if any(_is_there(folder, name) for name in names):
+            return folder
+    shown = f", such as {names[0][:200]!r}," if names else ""
+    raise DataError(f"{path}: its images{shown} are not beside it: give their folder with --root.")
+
+
+def _is_there(folder: Path, name: str) -> bool:
+    try:
+        return confined_path(folder, folder, name).exists()
+    except (LabelError, OSError):
+        return False
+
+
+_Object = tuple[int, tuple[float, float, float, float], bool]
+"""Class id, corners in pixels, whether it is a crowd."""
+
+
+def _objects(
+    records: Sequence[Any],
+    image_ids: Any,
+    categories: _Categories,
+    problems: Problems,
+    broken: set[int],
+) -> Mapping[int, list[_Object]]:
+    """The objects of each image id; images with a record that cannot be used are added to `broken`."""
+    objects: defaultdict[int, list[_Object]] = defaultdict(list)
+    for number, record in enumerate(records):
+        image_id = record.get("image_id") if isinstance(record, dict) else None
+        try:
+            if not isinstance(image_id, int) or image_id not in image_ids:
+                raise LabelError("it belongs to no image that can be used")
+            objects[image_id].append(_object(record, categories))
+            if len(objects[image_id]) > MAX_BOXES_PER_IMAGE:
+                raise LabelError(f"its image has more than {MAX_BOXES_PER_IMAGE} objects")
+        except LabelError as error:
+            problems.add("broken labels", f"annotation number {number}", error)
+            if isinstance(image_id, int):
+                broken.add(image_id)
+    return objects
+
+
+def _object(record: Mapping[str, Any], categories: _Categories) -> _Object:
+    category_id = record.get("category_id")
+    if not isinstance(category_id, int) or category_id not in categories.ids:
+        raise LabelError(f"expected the id of a category, found {_shown(category_id)}")
+    match record.get("bbox"):
+        case [float() | int(), float() | int(), float() | int(), float() | int()] as bbox:
+            x, y, width, height = _pixels(bbox)
+        case other:
+            raise LabelError(f"expected a bbox of 4 numbers, found {_shown(other)}")
+    if not (width > 0 and height > 0):
+        raise LabelError(f"expected a width and height above 0, found {width:g} and {height:g}")
+    return categories.ids[category_id], (x, y, x + width, y + height), record.get("iscrowd") in (1, True)
+
+
+def _pixels(bbox: Sequence[float]) -> Iterator[float]:
+    for value in bbox:
+        # An integer of any length is compared before it is converted.
+        if not -_MAX_PX <= value <= _MAX_PX or not math.isfinite(value):
+            raise LabelError(f"expected pixels of an image, found {str(value)[:20]}")
+        yield float(value)
+
+
+def _shown(value: object) -> str:
+    """A scalar, shortened; of anything else what it is: it may be large or nested deeply."""
+    if isinstance(value, (str, int, float, type(None))):
+        return repr(value)[:40]
+    return "a list" if isinstance(value, list) else "an object"
+
+
+def _boxes(objects: Sequence[_Object]) -> Boxes:
+    boxes = Boxes.of([box for _, box, _ in objects], [class_id for class_id, _, _ in objects])
+    return Boxes(boxes.xyxy, boxes.class_ids, np.array([crowd for *_, crowd in objects], np.bool_))

@@ -1,0 +1,162 @@
+"""Curves as PNG files: precision over recall, and F1 over the confidence threshold."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.evaluation.figures import sweep
+from yolov5_lifecycle.evaluation.matching import ClassMatches, Matches, mean_of_classes
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.process.missing_package import absence_of
+from yolov5_lifecycle.unfinished import temporary_folder
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MAX_NAMED = 10
+"""With more classes each is a grey line without a name."""
+MAX_NUMBERED = 20
+"""With more classes the confusion matrix has no numbers and names."""
+_SIZE_INCHES = (7.0, 4.6)
+_DPI = 110
+_MAX_NAME = 30
+_CONFIDENCES = np.linspace(0, 1, 1001)
+_RECALLS = np.linspace(0, 1, 101)
+
+
+def draw_pr_curve(path: Path, matches: Matches, class_names: Sequence[str]) -> None:
+    """Draw precision over recall at IoU 0.5, as average precision is computed from it. Raises OSError."""
+    precision = np.where(matches.precision[0] < 0, np.nan, matches.precision[0]).T
+    average = matches.ap50
+    with _axes(path, "Precision over recall, IoU 0.5", "recall", "precision") as axes:
+        _draw_classes(axes, _RECALLS, precision, _labelled(class_names, average))
+        mean = _mean(precision)
+        label = f"all, mAP {mean_of_classes(average):.3f}"
+        axes.plot(_RECALLS, mean, color="black", linewidth=2.5, label=label)
+        _finish(axes)
+
+
+def draw_f1_curve(path: Path, matches: Matches, class_names: Sequence[str], threshold: float) -> None:
+    """Draw F1 over the confidence threshold, with a line at the `threshold` that is set. Raises OSError."""
+    each = np.array([_f1([one]) for one in matches.classes])
+    together = _f1(matches.classes)
+    best = _best(each)
+    with _axes(path, "F1 over confidence threshold, IoU 0.5", "confidence threshold", "F1") as axes:
+        _draw_classes(axes, _CONFIDENCES, each, _labelled(class_names, best))
+        label = f"all, {float(np.nan_to_num(together).max()):.3f}"
+        axes.plot(_CONFIDENCES, together, color="black", linewidth=2.5, label=label)
+        axes.axvline(threshold, color="black", linestyle=":", linewidth=1, label=f"set, {threshold:g}")
+        _finish(axes)
+
+
+def draw_confusion_matrix(path: Path, counts: NDArray[np.int64], class_names: Sequence[str]) -> None:
+    """Draw the matrix of `confusion_matrix`: rows in shares of their sums, with numbers if there is room."""
+    names = [_plain(in_one_line(name, _MAX_NAME)) for name in class_names]
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    with _axes(path, "Confusion at the set thresholds, IoU 0.5", "detected as", "object") as axes:
+        axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+        if len(names) > MAX_NUMBERED:
+            return
+        for (row, column), count in np.ndenumerate(counts):
+            colour = "white" if shares[row, column] > 0.5 else "black"
+            axes.text(column, row, str(count), ha="center", va="center", color=colour, fontsize=8)
+        axes.set_xticks(range(len(counts)), [*names, "nothing"], rotation=30, ha="right")
+        axes.set_yticks(range(len(counts)), [*names, "no object"])
+
+
+def matplotlib_problem() -> str:
+    """Why matplotlib cannot be used, with the remedy; "" if it can."""
+    with _matplotlib_folder():
+        return absence_of("matplotlib.figure")
+
+
+def _f1(classes: Sequence[ClassMatches]) -> NDArray[np.float64]:
+    """F1 of `classes` together at each of _CONFIDENCES; NaN without objects."""
+    counts = sweep(classes)
+    if not counts.objects:
+        return np.full(len(_CONFIDENCES), np.nan)
+    return np.append(counts.f1, 0.0)[counts.at(_CONFIDENCES)]  # -1, no detection, is the last
+
+
+def _best(curves: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The maximum of each row; NaN for one without objects."""
+    return np.where(np.isnan(curves).all(axis=1), np.nan, np.nan_to_num(curves).max(axis=1))
+
+
+def _mean(curves: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean over the rows that are known."""
+    known = curves[~np.isnan(curves).all(axis=1)]
+    return np.asarray(known.mean(axis=0) if len(known) else np.full(curves.shape[1], np.nan), np.float64)
+
+
+def _labelled(class_names: Sequence[str], figures: NDArray[np.float64]) -> list[str]:
+    return [
+        f"{in_one_line(name, _MAX_NAME)}, {figure:.3f}" if np.isfinite(figure) else ""
+        for name, figure in zip(class_names, figures.tolist(), strict=True)
+    ]
+
+
+def _draw_classes(
+    axes: Axes, xs: NDArray[np.float64], curves: NDArray[np.float64], labels: Sequence[str]
+) -> None:
+    drawn = [(curve, label) for curve, label in zip(curves, labels, strict=True) if label]
+    for number, (curve, label) in enumerate(drawn):
+        if len(drawn) <= MAX_NAMED:
+            axes.plot(xs, curve, linewidth=1.3, color=f"C{number}", label=_plain(label))
+        else:
+            axes.plot(xs, curve, linewidth=0.6, color="0.7")
+
+
+def _finish(axes: Axes) -> None:
+    """What both curves have: limits, grid and legend."""
+    axes.set(xlim=(0, 1), ylim=(0, 1.02))
+    axes.grid(color="0.9")
+    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+
+
+def _plain(label: str) -> str:
+    """`label` without what matplotlib interprets: formulas, and a first underscore, which hides it."""
+    text = label.replace("$", r"\$")
+    return f" {text}" if text.startswith("_") else text
+
+
+@contextmanager
+def _axes(path: Path, title: str, x_label: str, y_label: str) -> Iterator[Axes]:
+    """Axes to draw on; written to `path` as a PNG file at the end."""
+    with _matplotlib_folder():
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, layout="constrained")
+        canvas = FigureCanvasAgg(figure)
+        axes = figure.add_subplot()
+        yield axes
+        axes.set(title=title, xlabel=x_label, ylabel=y_label)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # the font may lack letters of a class name
+            canvas.print_png(str(path), metadata={"Software": None})  # type: ignore[no-untyped-call]
+
+
+@contextmanager
+def _matplotlib_folder() -> Iterator[None]:
+    """While it is open, matplotlib writes its settings and font list to a folder that is removed again.
+
+    Unless the user has set MPLCONFIGDIR.
+    """
+    if "MPLCONFIGDIR" in os.environ:
+        yield
+        return
+    with temporary_folder() as folder:
+        os.environ["MPLCONFIGDIR"] = str(folder)
+        try:
+            yield
+        finally:
+            del os.environ["MPLCONFIGDIR"]

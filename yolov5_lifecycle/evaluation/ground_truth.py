@@ -1,0 +1,128 @@
+"""Ground truth of images, whatever it was read from, and what was wrong with it."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.printable import in_one_line
+
+MAX_BOXES_PER_IMAGE = 10_000
+MAX_IMAGES = 1_000_000
+MAX_CLASSES = 10_000
+MAX_LISTED = 10
+"""Number of problems that are told one by one; further ones are only counted."""
+_MAX_SHOWN = 300
+
+Kind = Literal[
+    "broken labels", "unusable images", "failed images", "images without labels", "unusable entries"
+]
+
+
+class DataError(ValueError):
+    """Labelled data of which nothing can be used; the message has the reason and a remedy."""
+
+
+class LabelError(ValueError):
+    """Labels of an image that cannot be used; the message states what was expected and found."""
+
+
+class Problems:
+    """Counts what cannot be used and calls `tell` with the first problems, one line each."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self.counts: Counter[Kind] = Counter()
+        self.first: list[str] = []
+        self._tell = tell
+
+    def add(self, kind: Kind, where: object, reason: object) -> None:
+        self.counts[kind] += 1
+        if len(self.first) < MAX_LISTED:
+            text = f"{kind}: {in_one_line(str(where), _MAX_SHOWN)}: {in_one_line(str(reason), _MAX_SHOWN)}"
+            self.first.append(text)
+            self._tell(text)
+            if len(self.first) == MAX_LISTED:
+                self._tell("further problems are only counted")
+
+    @property
+    def summary(self) -> str:
+        """The counts in one line; empty without problems."""
+        return ", ".join(f"{count} {kind}" for kind, count in self.counts.items())
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Ground truth boxes of an image, one row per object."""
+
+    xyxy: NDArray[np.float64]
+    """(n, 4) finite corners, x1 < x2 and y1 < y2, in pixels or, within `Labels`, in fractions."""
+    class_ids: NDArray[np.int64]
+    """(n,) indices into the class names of the data set or, where it has none, of the model."""
+    is_crowd: NDArray[np.bool_]
+    """(n,) whether the box surrounds many objects, as COCO's `iscrowd`: detections in it are not counted."""
+
+    @classmethod
+    def of(cls, rows: Sequence[Sequence[float]], class_ids: Sequence[int]) -> Boxes:
+        """Boxes with the corners `rows`, none of them a crowd."""
+        xyxy = np.array(rows, np.float64).reshape(-1, 4)
+        return cls(xyxy, np.array(class_ids, np.int64), np.zeros(len(xyxy), np.bool_))
+
+    def __len__(self) -> int:
+        return len(self.class_ids)
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """What is written about an image: boxes in pixels, or in fractions of its width and height."""
+
+    boxes: Boxes
+    in_fractions: bool = False
+    size_hw: tuple[int, int] | None = None
+    """Height and width that the labels are made for, if they say so."""
+
+    def in_pixels(self, size_hw: tuple[int, int]) -> Boxes:
+        """The boxes in an image of `size_hw`; raises LabelError if they are for another size."""
+        if self.size_hw is not None and self.size_hw != size_hw:
+            expected, found = (f"{width} x {height}" for height, width in (self.size_hw, size_hw))
+            raise LabelError(f"the labels are for an image of {expected} pixels, found {found}")
+        if not self.in_fractions:
+            return self.boxes
+        height, width = size_hw
+        pixels = self.boxes.xyxy * (width, height, width, height)
+        return Boxes(pixels, self.boxes.class_ids, self.boxes.is_crowd)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledPath:
+    """An image file and what is written about it."""
+
+    path: Path
+    labels: Labels
+
+
+@dataclass(frozen=True)
+class LabelledFolder:
+    """Labelled image files and the names of their classes; None if ids are those of the model."""
+
+    class_names: tuple[str, ...] | None
+    images: tuple[LabelledPath, ...]
+
+
+def confined_path(root: Path, base: Path, text: str) -> Path:
+    """The path `text`, relative to `base`; raises LabelError if it lies outside of the folder `root`.
+
+    `root` is absolute. Links are followed, `..` is not looked up.
+    """
+    if not text or "\0" in text or len(text) > 4096:
+        raise LabelError("expected the path of a file or folder")
+    path = Path(os.path.normpath(base / text))
+    if not path.is_relative_to(root):
+        raise LabelError(f"{text!r} lies outside of {root}; --root names the folder that may be read")
+    return path

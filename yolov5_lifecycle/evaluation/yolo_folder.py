@@ -1,0 +1,196 @@
+"""Labelled images in YOLO format: `images/`, `labels/` and `data.yaml`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from yolov5_lifecycle.evaluation.data_description import DataDescription, read_description
+from yolov5_lifecycle.evaluation.ground_truth import (
+    MAX_CLASSES,
+    MAX_IMAGES,
+    Boxes,
+    DataError,
+    LabelError,
+    LabelledFolder,
+    LabelledPath,
+    Labels,
+    Problems,
+    confined_path,
+)
+from yolov5_lifecycle.evaluation.yolo_labels import read_labels
+from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
+
+YAML_SUFFIXES = (".yaml", ".yml")
+SPLITS = ("val", "test", "train")
+"""What is evaluated: the first of these that `data.yaml` has."""
+_MAX_LIST_BYTES = 256 << 20
+_NOTHING = DataDescription("", {}, None)
+
+
+def read_yolo_folder(
+    data: Path, problems: Problems, *, split: str | None = None, root: Path | None = None
+) -> LabelledFolder:
+    """The images and labels of `data`: a folder, or the `data.yaml` of one.
+
+    `split`: which entry of `data.yaml`; None: the first of SPLITS that is there. Nothing outside of the
+    folder `root` is read; None: that of `data.yaml`. Problems with single files are added to `problems`.
+    Raises DataError if nothing is left.
+    """
+    description_path = _description_path(data)
+    description = read_description(description_path) if description_path else _NOTHING
+    folder = absolute(description_path.parent if description_path else data)
+    reader = _Reader(folder, absolute(root) if root else folder, problems)
+    entries = _entries(description, data, split)
+    paths = dict.fromkeys(path for entry in entries for path in reader.images(entry, description.folder))
+    class_count = len(description.class_names or ()) or MAX_CLASSES
+    if not paths:
+        raise DataError(
+            f"{data}: there are no images ({', '.join(IMAGE_SUFFIXES)}) in {', '.join(entries)}. Expected a "
+            f"folder with images/ and labels/, or a data.yaml that names them. {problems.summary}".strip()
+        )
+    images = [image for path in paths if (image := reader.labelled(path, class_count))]
+    if not reader.label_files:
+        path = next(iter(paths))
+        raise DataError(
+            f"{data}: none of {len(paths)} images has a label file: expected "
+            f"{_label_path(path, reader.root)} for {path}."
+        )
+    if not images:
+        raise DataError(f"{data}: the labels of none of {len(paths)} images can be used: {problems.summary}.")
+    return LabelledFolder(description.class_names, tuple(images))
+
+
+def absolute(path: Path) -> Path:
+    """`path` from the root of the file system on, without `..`; links are kept."""
+    return Path(os.path.abspath(path))  # noqa: PTH100 - Path.resolve would follow links
+
+
+def _description_path(data: Path) -> Path | None:
+    """The `data.yaml` of `data`, or the only other YAML file in it."""
+    if not data.is_dir():
+        return data
+    if (usual := data / "data.yaml").exists():
+        return usual
+    found = [file for file in sorted(data.iterdir()) if file.suffix.lower() in YAML_SUFFIXES]
+    if len(found) > 1:
+        names = ", ".join(file.name for file in found[:10])
+        raise DataError(f"{data}: expected one data.yaml, found {names}: give the one that is meant.")
+    return found[0] if found else None
+
+
+def _entries(description: DataDescription, data: Path, split: str | None) -> tuple[str, ...]:
+    """What holds the images: paths of folders and of lists."""
+    splits = description.splits
+    if split is None:
+        return next((splits[name] for name in SPLITS if name in splits), ("images",))
+    if split not in splits:
+        raise DataError(f"{data}: there is no entry {split!r}, only: {', '.join(splits) or 'none'}.")
+    return splits[split]
+
+
+class _Reader:
+    """Finds images and reads their labels; `label_files` counts those that exist."""
+
+    def __init__(self, folder: Path, root: Path, problems: Problems) -> None:
+        self.root = root
+        self.label_files = 0
+        self._folder = folder
+        self._problems = problems
+
+    def images(self, entry: str, base: str) -> Iterator[Path]:
+        """The image files of an entry: a folder, whatever is below it, or a list of files."""
+        path = self._located(entry, base)
+        if path is None:
+            return
+        if path.is_dir():
+            yield from _images_below(path)
+        elif path.suffix.lower() == ".txt":
+            yield from self._listed(path)
+        elif _is_image(path):
+            yield path
+
+    def labelled(self, path: Path, class_count: int) -> LabelledPath | None:
+        """The image with its labels, none if it has no label file; None if they are broken."""
+        try:
+            labels = read_labels(_label_path(path, self.root), class_count)
+        except LabelError as error:
+            self.label_files += 1
+            self._problems.add("broken labels", _label_path(path, self.root), error)
+            return None
+        self.label_files += labels is not None
+        return LabelledPath(path, labels or Labels(Boxes.of([], [])))
+
+    def _located(self, entry: str, base: str) -> Path | None:
+        """The path of an entry; without a leading `../` where that is what exists, as YOLOv5 reads it."""
+        below = self._below(base)
+        problem: LabelError | None = None
+        for text in dict.fromkeys((entry, entry.removeprefix("../"))):
+            for start in dict.fromkeys((below, self._folder)):
+                try:
+                    path = confined_path(self.root, start, text)
+                except LabelError as error:
+                    problem = problem or error
+                    continue
+                if os.path.exists(path):  # noqa: PTH110 - Path.exists raises if a name is too long
+                    return path
+                problem = problem or LabelError(f"there is no {path}")
+        self._problems.add("unusable entries", f"'{entry}' in data.yaml", problem)
+        return None
+
+    def _below(self, base: str) -> Path:
+        """The folder that `data.yaml` calls `path`; its own folder if that is elsewhere."""
+        if not base:
+            return self._folder
+        try:
+            return confined_path(self.root, self._folder, base)
+        except LabelError as error:
+            self._problems.add("unusable entries", "'path' in data.yaml", error)
+            return self._folder
+
+    def _listed(self, path: Path) -> Iterator[Path]:
+        """The images of a list, one path a line, relative to the list."""
+        try:
+            lines = read_regular_file(path, _MAX_LIST_BYTES).decode().splitlines()
+        except (OSError, RegularFileError, UnicodeDecodeError) as error:
+            self._problems.add("unusable entries", path, error)
+            return
+        for line in filter(None, map(str.strip, lines[:MAX_IMAGES])):
+            if (image := self._listed_image(path, line)) is not None:
+                yield image
+
+    def _listed_image(self, path: Path, line: str) -> Path | None:
+        try:
+            image = confined_path(self.root, path.parent, line)
+            if not _is_image(image):
+                raise LabelError(f"expected a file that ends in {', '.join(IMAGE_SUFFIXES)}")
+        except LabelError as error:
+            self._problems.add("unusable entries", path, error)
+            return None
+        return image
+
+
+def _is_image(path: Path) -> bool:
+    return path.suffix.lower() in IMAGE_SUFFIXES
+
+
+def _images_below(folder: Path) -> list[Path]:
+    """The image files in `folder` and below it, sorted; links to folders are not followed."""
+    found: list[Path] = []
+    for parent, _, names in os.walk(folder):
+        found += (Path(parent, name) for name in names if _is_image(Path(name)))
+        if len(found) > MAX_IMAGES:
+            raise DataError(f"{folder}: there are more than {MAX_IMAGES} images.")
+    return sorted(found)
+
+
+def _label_path(path: Path, root: Path) -> Path:
+    """Where the labels of an image lie: in `labels/` instead of the last `images/`, else beside it."""
+    below = list(path.relative_to(root).parts[:-1])
+    if "images" in below:
+        below[len(below) - 1 - below[::-1].index("images")] = "labels"
+    elif root.name == "images":
+        return root.parent.joinpath("labels", *below, path.stem + ".txt")
+    return root.joinpath(*below, path.stem + ".txt")

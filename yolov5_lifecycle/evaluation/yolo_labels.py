@@ -1,0 +1,92 @@
+"""Label files in YOLO format: a line per object, a box or a polygon in fractions of the image."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from yolov5_lifecycle.evaluation.ground_truth import (
+    MAX_BOXES_PER_IMAGE,
+    Boxes,
+    LabelError,
+    Labels,
+)
+from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+
+_MAX_BYTES = 16 << 20
+_TOLERANCE = 1e-4
+"""How far beyond the image a fraction may be: tools round."""
+_MIN_POLYGON_FIELDS = 7
+
+
+def read_labels(path: Path, class_count: int) -> Labels | None:
+    """The labels in the file at `path`, None if there is no such file.
+
+    Equal lines count once. Raises LabelError, with the line, if one is broken: with a part of the objects
+    unknown, nothing could be said about the image.
+    """
+    try:
+        text = read_regular_file(path, _MAX_BYTES).decode()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, RegularFileError) as error:
+        raise LabelError(error.strerror if isinstance(error, OSError) else str(error)) from None
+    except UnicodeDecodeError:
+        raise LabelError("expected a text, found other bytes") from None
+    return parsed_labels(text, class_count)
+
+
+def parsed_labels(text: str, class_count: int) -> Labels:
+    """The labels in `text`, with class ids below `class_count`; raises LabelError."""
+    objects: dict[tuple[int, tuple[float, ...]], None] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip():
+            continue
+        if len(objects) == MAX_BOXES_PER_IMAGE:
+            raise LabelError(f"more than {MAX_BOXES_PER_IMAGE} objects")
+        try:
+            objects[_object(line.split(), class_count)] = None
+        except LabelError as error:
+            raise LabelError(f"line {number}: {error}") from None
+    boxes = Boxes.of([box for _, box in objects], [class_id for class_id, _ in objects])
+    return Labels(boxes, in_fractions=True)
+
+
+def _object(fields: list[str], class_count: int) -> tuple[int, tuple[float, ...]]:
+    """Class id and corners x1, y1, x2, y2 of one line."""
+    if len(fields) != 5 and (len(fields) < _MIN_POLYGON_FIELDS or len(fields) % 2 == 0):
+        raise LabelError(
+            "expected a class and 4 numbers (centre and size of a box) or at least 3 points of a polygon, "
+            f"found {len(fields)} fields"
+        )
+    class_id, *values = map(_number, fields)
+    if not class_id.is_integer() or not 0 <= class_id < class_count:
+        raise LabelError(f"expected a class from 0 to {class_count - 1}, found {fields[0][:20]}")
+    outside = [value for value in values if not -_TOLERANCE <= value <= 1 + _TOLERANCE]
+    if outside:
+        raise LabelError(f"expected fractions of the image from 0 to 1, found {outside[0]:g}")
+    corners = _corners_of_box(values) if len(values) == 4 else _corners_of_polygon(values)
+    x1, y1, x2, y2 = (min(max(corner, 0.0), 1.0) for corner in corners)
+    if not (x1 < x2 and y1 < y2):
+        raise LabelError("the object has no area")
+    return int(class_id), (x1, y1, x2, y2)
+
+
+def _number(field: str) -> float:
+    try:
+        value = float(field)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise LabelError(f"expected numbers, found {field[:20]!r}")
+    return value
+
+
+def _corners_of_box(cxcywh: list[float]) -> tuple[float, ...]:
+    cx, cy, width, height = cxcywh
+    return cx - width / 2, cy - height / 2, cx + width / 2, cy + height / 2
+
+
+def _corners_of_polygon(values: list[float]) -> tuple[float, ...]:
+    xs, ys = values[0::2], values[1::2]
+    return min(xs), min(ys), max(xs), max(ys)

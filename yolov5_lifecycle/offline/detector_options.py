@@ -1,0 +1,80 @@
+"""Command-line options that configure the detector of a command, and the settings they give."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
+from yolov5_lifecycle.settings.schema import Problem, SettingsError
+from yolov5_lifecycle.settings.settings import Settings, validated
+
+_OF_THE_NODE = ("autostart", "bond_timeout", "image_reliability", "image_transport", "lazy", "max_rate")
+"""Settings without effect offline; a parameter file may contain them, command-line arguments may not."""
+
+
+def wanted_settings(parameter_file: Path | None, assignments: Sequence[str], node: str) -> Settings:
+    """Settings of the node named `node`: the parameter file, overridden by `name=value` assignments.
+
+    Raises ParameterFileError, SettingsError and OSError.
+    """
+    values = file_values(parameter_file, node) if parameter_file else {}
+    assigned = dict(assigned_value(assignment) for assignment in assignments)
+    useless = [
+        Problem(name, "it is about a node and images that arrive; here every image is taken from its file.")
+        for name in _OF_THE_NODE
+        if name in assigned
+    ]
+    if useless:
+        raise SettingsError(useless)
+    return validated(values | assigned)
+
+
+def add_detector_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options from which `wanted_settings` makes settings: params_file, assignments and node."""
+    parser.add_argument(
+        "--params-file", type=Path, metavar="FILE.yaml", help="parameters as the detector is given them"
+    )
+    for option, form in (("--set", "NAME=VALUE"), ("-p", "NAME:=VALUE")):
+        parser.add_argument(
+            option,
+            action="append",
+            default=[],
+            type=_assignment,
+            dest="assignments",
+            metavar=form,
+            help="a parameter of the detector, over those of the file; may be repeated",
+        )
+    parser.add_argument(
+        "--node",
+        type=_node_name,
+        default="/yolov5",
+        help="name of the detector in the file and in topics (default: %(default)s)",
+    )
+
+
+def _assignment(text: str) -> str:
+    """Convert `NAME:=VALUE`, as after --ros-args, to `NAME=VALUE`."""
+    name, equals, value = text.partition("=")
+    return f"{name.removesuffix(':')}{equals}{value}"
+
+
+def _node_name(text: str) -> str:
+    if not re.fullmatch(r"(/[A-Za-z_]\w*)+", text, re.ASCII):
+        raise argparse.ArgumentTypeError(f"{text!r} is no full name of a node, such as /robot/yolov5")
+    return text
+
+
+@contextmanager
+def unwound_by_sigterm() -> Iterator[None]:
+    """Unwind on SIGTERM, so that unfinished output is removed."""
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

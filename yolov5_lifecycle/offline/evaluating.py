@@ -1,0 +1,169 @@
+"""One or two models on the same labelled images: what they find, and how long it takes them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
+from yolov5_lifecycle.detection.selection import class_ids, selection
+from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses, EvaluatedImage
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Problems
+from yolov5_lifecycle.evaluation.thresholds import CLASS_THRESHOLDS
+from yolov5_lifecycle.images.image import ColourImage, ImageError
+from yolov5_lifecycle.offline.detecting import OfflineDetector, Watch
+from yolov5_lifecycle.offline.labelled_images import LabelledData, LabelledImage
+from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
+
+MIN_CONFIDENCE = 0.001
+"""Detections with a lower score are not evaluated, as in YOLOv5's own validation."""
+TIMED_IMAGES = 30
+
+_WHILE_EVALUATING = {"confidence_threshold": MIN_CONFIDENCE, "tracker": "none", CLASS_THRESHOLDS: ()}
+"""Average precision needs detections below the thresholds; those above are the same with and without them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What a model found in images, and how long detection takes, from the letterbox to NMS."""
+
+    model: PreparedModel
+    settings: Settings
+    thresholds: NDArray[np.float64]
+    """The confidence threshold that is set for each evaluated class."""
+    images: tuple[EvaluatedImage, ...]
+    times_ms: NDArray[np.float64]
+    """(t,) in a sample of the images, the same for every model, with the thresholds of `settings`."""
+
+
+class _Model:
+    """A loaded model and its number among those that are compared."""
+
+    def __init__(self, number: int, settings: Settings, watch: Watch, prepare: Prepare) -> None:
+        self.number = number
+        self.settings = settings
+        self._prepared: list[PreparedModel] = []
+
+        def remembered(wanted: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
+            self._prepared.append(prepare(wanted, sizes_hw))
+            return self._prepared[-1]
+
+        changed = {name: value for name, value in _WHILE_EVALUATING.items() if name in SETTINGS_BY_NAME}
+        self.offline = OfflineDetector(
+            settings.model_copy(update=changed), watch, with_masks=False, prepare=remembered
+        )
+
+    @property
+    def prepared(self) -> PreparedModel:
+        return self._prepared[-1]
+
+    @property
+    def wanted(self) -> frozenset[int] | None:
+        """The ids of the classes that its settings select, None for all."""
+        return class_ids(self.settings.classes, self.offline.class_names)
+
+    def thresholds(self, classes: EvaluatedClasses) -> NDArray[np.float64]:
+        """The confidence threshold of each of `classes`."""
+        chosen = selection(self.settings, self.offline.class_names)
+        thresholds = np.full(len(classes.names), chosen.confidence_threshold)
+        # A node without this setting has no such thresholds.
+        own: Iterable[tuple[int, float]] = getattr(chosen, CLASS_THRESHOLDS, ())
+        for class_id, threshold in own:
+            if class_id in classes.of_models[self.number]:
+                thresholds[classes.of_models[self.number][class_id]] = threshold
+        return thresholds
+
+    def time_ms(self, image: ColourImage) -> float:
+        """How long it takes to detect in `image` with the thresholds that are set; raises InferenceError."""
+        chosen = selection(self.settings, self.offline.class_names)
+        begun_s = time.perf_counter()
+        self.prepared.detector.detect(image, chosen)
+        return (time.perf_counter() - begun_s) * 1e3
+
+
+def evaluate_models(
+    data: LabelledData,
+    wanted: Sequence[Settings],
+    *,
+    watch: Watch,
+    problems: Problems,
+    prepare: Prepare,
+) -> tuple[EvaluatedClasses, list[Evaluation]]:
+    """Load a model for each of the `wanted` settings and let it detect in all images of `data`.
+
+    Images that cannot be used, by one of the models, are left out for all. Raises DataError and
+    DetectingError if nothing is left, and what `OfflineDetector` raises.
+    """
+    models = [_Model(number, settings, watch, prepare) for number, settings in enumerate(wanted)]
+    classes = EvaluatedClasses.shared(
+        data.class_names, [(model.offline.class_names, model.wanted) for model in models]
+    )
+    timed: dict[int, LabelledImage] = {}
+    found = [_found(data, model, classes, problems, timed) for model in models]
+    common = sorted(set(found[0]).intersection(*found[1:]))
+    if not any(len(found[0][number].truth) for number in common):
+        raise DataError(
+            f"In {len(common)} images there is no object of the classes that data and model share: "
+            f"{', '.join(classes.names[:10])}. {problems.summary}"
+        )
+    times = _times_ms(models, list(timed.values()))
+    return classes, [
+        Evaluation(
+            model.prepared,
+            model.settings,
+            model.thresholds(classes),
+            tuple(images[number] for number in common),
+            of_model,
+        )
+        for model, images, of_model in zip(models, found, times, strict=True)
+    ]
+
+
+def _found(
+    data: LabelledData,
+    model: _Model,
+    classes: EvaluatedClasses,
+    problems: Problems,
+    timed: dict[int, LabelledImage],
+) -> dict[int, EvaluatedImage]:
+    """The evaluated images by number; a sample of them is kept in `timed`."""
+    images: dict[int, EvaluatedImage] = {}
+    sample = set(np.linspace(0, max(data.expected - 1, 0), TIMED_IMAGES).round().astype(int).tolist())
+
+    def keep(stored: LabelledImage, image: ColourImage, detections: Detections) -> None:
+        try:
+            truth = classes.truth(stored.labels.in_pixels(image.size_hw))
+        except LabelError as error:
+            if model.number == 0:
+                problems.add("broken labels", stored.label, error)
+            return
+        found = classes.found(detections, model.number)
+        images[stored.number] = EvaluatedImage(stored.label, image.size_hw, truth, found)
+        if stored.number in sample:
+            timed[stored.number] = stored
+
+    model.offline.run(data.images(), expected=data.expected, write=keep)
+    return images
+
+
+def _times_ms(models: Sequence[_Model], images: Sequence[LabelledImage]) -> list[NDArray[np.float64]]:
+    """The times of each model in the same images; images that cannot be read again have none."""
+    times = [found for stored in images if (found := _times_in_image_ms(models, stored))]
+    return list(np.array(times, np.float64).reshape(-1, len(models)).T)
+
+
+def _times_in_image_ms(models: Sequence[_Model], stored: LabelledImage) -> list[float]:
+    """The shorter of two times of each model, in the order ABBA, so that none profits from coming later."""
+    try:
+        image = stored.load()
+        there = [model.time_ms(image) for model in models]
+        back = [model.time_ms(image) for model in reversed(models)]
+    except (ImageError, InferenceError):
+        return []
+    return list(map(min, there, reversed(back)))

@@ -1,0 +1,59 @@
+"""Labelled images for an evaluation: a YOLO folder, a COCO file or a recording with corrected detections."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from yolov5_lifecycle.evaluation.coco_file import read_coco_file
+from yolov5_lifecycle.evaluation.ground_truth import DataError, Labels, Problems
+from yolov5_lifecycle.evaluation.yolo_folder import YAML_SUFFIXES, read_yolo_folder
+from yolov5_lifecycle.offline.detect_bag import is_recording
+from yolov5_lifecycle.offline.image_files import ImageFile
+from yolov5_lifecycle.offline.labelled_images import DataOptions, LabelledData
+
+
+@dataclass(frozen=True)
+class _LabelledFile(ImageFile):
+    number: int
+    labels: Labels
+
+
+def kind_of(source: Path) -> str:
+    """`YOLO`, `COCO` or `recording`; raises DataError for anything else."""
+    if source.suffix.lower() == ".json" and not source.is_dir():
+        return "COCO"
+    if source.suffix.lower() in YAML_SUFFIXES and not source.is_dir():
+        return "YOLO"
+    if is_recording(source):
+        return "recording"
+    if source.is_dir():
+        return "YOLO"
+    raise DataError(
+        f"{source}: expected a folder with images/ and labels/, its data.yaml, a COCO file (.json), or a "
+        "recording with images and Detection2DArrays."
+    )
+
+
+@contextmanager
+def labelled_data(source: Path, options: DataOptions, problems: Problems) -> Iterator[LabelledData]:
+    """Open the data set `source`. Problems with single images are added to `problems`.
+
+    Raises DataError if nothing can be used, RecordingError, and ImportError without rosbags.
+    """
+    kind = kind_of(source)
+    if kind == "recording":
+        # rosbags is an extra.
+        from yolov5_lifecycle.offline.labelled_recording import labelled_recording
+
+        with labelled_recording(source, options, problems) as data:
+            yield data
+        return
+    if kind == "COCO":
+        folder = read_coco_file(source, problems, root=options.root)
+    else:
+        folder = read_yolo_folder(source, problems, split=options.split, root=options.root)
+    files = [_LabelledFile(image.path, number, image.labels) for number, image in enumerate(folder.images)]
+    yield LabelledData(kind, folder.class_names, len(files), lambda: files)

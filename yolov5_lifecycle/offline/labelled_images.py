@@ -1,0 +1,49 @@
+"""The images of a labelled data set, whatever it was read from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from yolov5_lifecycle.evaluation.ground_truth import Labels
+from yolov5_lifecycle.offline.detecting import StoredImage
+
+
+class LabelledImage(StoredImage, Protocol):
+    """A stored image with its ground truth and its number in the data set, from 0."""
+
+    @property
+    def number(self) -> int: ...
+
+    @property
+    def labels(self) -> Labels: ...
+
+
+@dataclass(frozen=True)
+class LabelledData:
+    """An open data set.
+
+    `images` begins anew with each call. `class_names` None: class ids are those of the model.
+    """
+
+    kind: str
+    class_names: tuple[str, ...] | None
+    expected: int
+    images: Callable[[], Iterable[LabelledImage]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataOptions:
+    """How to read a data set: see the options of `evaluate` of the same names."""
+
+    split: str | None = None
+    root: Path | None = None
+    topic: str | None = None
+    truth_topic: str | None = None
+
+    def useless(self, kind: str) -> list[str]:
+        """The options that are given although the data set is of another `kind`."""
+        of_kind = {"YOLO": ("split", "root"), "COCO": ("root",), "recording": ("topic", "truth_topic")}[kind]
+        return [name for name, value in vars(self).items() if value is not None and name not in of_kind]

@@ -1,0 +1,160 @@
+"""A recording as a labelled data set: images, and detections with the same stamps that somebody corrected."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from yolov5_lifecycle.evaluation.ground_truth import (
+    MAX_BOXES_PER_IMAGE,
+    MAX_CLASSES,
+    Boxes,
+    DataError,
+    LabelError,
+    Labels,
+    Problems,
+)
+from yolov5_lifecycle.images.image import ImageError
+from yolov5_lifecycle.offline.labelled_images import DataOptions, LabelledData
+from yolov5_lifecycle.offline.recording import (
+    RecordedImage,
+    RecordedTopic,
+    Recording,
+    open_recording,
+)
+
+_DETECTIONS = "vision_msgs/msg/Detection2DArray"
+_LABEL_INFO = "vision_msgs/msg/LabelInfo"
+_MAX_PX = 1e6
+
+Stamp = tuple[int, int]
+"""Seconds and nanoseconds in the header."""
+
+
+@dataclass(frozen=True)
+class _LabelledRecordedImage(RecordedImage):
+    number: int
+    labels: Labels
+
+
+@contextmanager
+def labelled_recording(source: Path, options: DataOptions, problems: Problems) -> Iterator[LabelledData]:
+    """Open the recording `source`; images and detections with one stamp in their headers belong together.
+
+    Its classes are those of its `label_info`, if it has one, else those that occur. Raises RecordingError,
+    and DataError if there are no detections that can be used.
+    """
+    with open_recording(source) as recording:
+        topic = recording.image_topic(options.topic)
+        truth_topic = _truth_topic(source, recording, options.truth_topic)
+        class_ids = {name: index for index, name in enumerate(_label_info(recording, problems))}
+        labels = _labels(recording, truth_topic, class_ids, may_add=not class_ids, problems=problems)
+        if not labels:
+            raise DataError(
+                f"{source}: none of {truth_topic.count} messages on {truth_topic.name} can be used. "
+                f"{problems.summary}".strip()
+            )
+        counted: list[bool] = []  # the images without labels are counted once
+
+        def images() -> Iterator[_LabelledRecordedImage]:
+            is_first = not counted
+            counted.append(True)
+            return _images(recording, topic, labels, problems if is_first else Problems(lambda _: None))
+
+        yield LabelledData("recording", tuple(class_ids), min(topic.count, len(labels)), images)
+
+
+def _truth_topic(source: Path, recording: Recording, name: str | None) -> RecordedTopic:
+    if not (topics := recording.topics(_DETECTIONS)):
+        raise DataError(
+            f"{source}: there are no detections ({_DETECTIONS}) in it to compare with. Record the corrected "
+            "detections beside the images, or merge both recordings with `ros2 bag convert`."
+        )
+    return recording.one_of(topics, name, what="detection topic", option="--truth-topic")
+
+
+def _label_info(recording: Recording, problems: Problems) -> tuple[str, ...]:
+    """The class names of the first LabelInfo; none without one."""
+    for topic in recording.topics(_LABEL_INFO):
+        for recorded in recording.messages(topic):
+            try:
+                pairs = {int(one.class_id): str(one.class_name) for one in recorded.message.class_map}
+            except ImageError as error:
+                problems.add("unusable entries", topic.name, error)
+                continue
+            return tuple(dict.fromkeys(pairs[class_id] for class_id in sorted(pairs)))
+    return ()
+
+
+def _labels(
+    recording: Recording,
+    topic: RecordedTopic,
+    class_ids: dict[str, int],
+    *,
+    may_add: bool,
+    problems: Problems,
+) -> dict[Stamp, Labels]:
+    """The labels by stamp. If it `may_add`, names that occur are added to `class_ids`."""
+    labels: dict[Stamp, Labels] = {}
+    for recorded in recording.messages(topic):
+        try:
+            message = recorded.message
+            boxes = _boxes(message.detections, class_ids, may_add=may_add)
+        except (ImageError, LabelError) as error:
+            problems.add("broken labels", recorded.label, error)
+            continue
+        labels[_stamp(message)] = Labels(boxes)
+    return labels
+
+
+def _stamp(message: Any) -> Stamp:
+    return int(message.header.stamp.sec), int(message.header.stamp.nanosec)
+
+
+def _boxes(detections: Any, class_ids: dict[str, int], *, may_add: bool) -> Boxes:
+    if len(detections) > MAX_BOXES_PER_IMAGE:
+        raise LabelError(f"found {len(detections)} objects, more than {MAX_BOXES_PER_IMAGE}")
+    corners, ids = [], []
+    for detection in detections:
+        corners.append(_corners(detection.bbox))
+        if not len(detection.results):
+            raise LabelError("a detection has no class")
+        name = max(detection.results, key=lambda result: result.hypothesis.score).hypothesis.class_id
+        if may_add and len(class_ids) < MAX_CLASSES:
+            class_ids.setdefault(name, len(class_ids))
+        if name not in class_ids:
+            raise LabelError(f"the class '{name[:40]}' is not in its label_info")
+        ids.append(class_ids[name])
+    return Boxes.of(corners, ids)
+
+
+def _corners(bbox: Any) -> tuple[float, float, float, float]:
+    x, y = bbox.center.position.x, bbox.center.position.y
+    width, height = bbox.size_x, bbox.size_y
+    if not all(math.isfinite(value) and abs(value) <= _MAX_PX for value in (x, y, width, height)):
+        raise LabelError("a box has no finite numbers of pixels")
+    if not (width > 0 and height > 0):
+        raise LabelError(f"a box has a size of {width:g} x {height:g} pixels")
+    return x - width / 2, y - height / 2, x + width / 2, y + height / 2
+
+
+def _images(
+    recording: Recording, topic: RecordedTopic, labels: dict[Stamp, Labels], problems: Problems
+) -> Iterator[_LabelledRecordedImage]:
+    """The images that have labels, numbered."""
+    number = 0
+    for recorded in recording.images(topic):
+        try:
+            found = labels.get(_stamp(recorded.message))
+        except ImageError as error:
+            problems.add("unusable images", recorded.label, error)
+            continue
+        if found is None:
+            problems.add("images without labels", recorded.label, "no detections have its stamp")
+            continue
+        yield _LabelledRecordedImage(recorded.timestamp_ns, recorded.type_name, recorded.data, number, found)
+        number += 1
