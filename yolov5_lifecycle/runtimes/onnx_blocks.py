@@ -71,8 +71,7 @@ def _weighted(
     usual = {"pads": [int(pad) for pad in module.padding] * 2}
     return graph.add(
         operator,
-        features,
-        graph.constant(module.weight),
+        *graph.factors(module, features),
         graph.constant(module.bias),
         kernel_shape=list(module.kernel_size),
         strides=list(module.stride),

@@ -1,0 +1,90 @@
+"""What int8 needs besides a network: ranges of activations and which convolutions stay in fp32."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import nn
+
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.printable import in_one_line
+
+LEVELS = 255
+"""Steps between the lowest and the highest value of an activation, which has 8 bits."""
+_SMALLEST_STEP = 1e-12
+_TOLD = 3
+
+Range = tuple[float, float]
+
+
+class QuantizationError(ValueError):
+    """Ranges that do not fit a network; the message says which."""
+
+
+@dataclass(frozen=True)
+class Quantization:
+    """How a network is computed in int8; names are those of `convolutions`."""
+
+    ranges: Mapping[str, Range]
+    """Lowest and highest value that each convolution reads; 0 lies between them."""
+    fp32_layers: frozenset[str]
+    """Convolutions that stay in fp32."""
+    weight_bits: int
+    """See `weight_bits` in `processor_abilities`."""
+
+    @property
+    def digest(self) -> str:
+        """Differs where the result of the network would."""
+        content = [sorted(self.ranges.items()), sorted(self.fp32_layers), self.weight_bits]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+    def of_modules(self, network: Network) -> dict[nn.Module, Range]:
+        """The range of each convolution of `network` that is computed in int8; raises QuantizationError."""
+        found = convolutions(network)
+        self.check(found)
+        return {found[name]: range_ for name, range_ in self.ranges.items() if name not in self.fp32_layers}
+
+    def check(self, found: Mapping[str, nn.Conv2d]) -> None:
+        """Raise QuantizationError unless the ranges are those of the convolutions `found`."""
+        missing = found.keys() - self.ranges.keys()
+        unknown = (self.ranges.keys() | self.fp32_layers) - found.keys()
+        problems = [
+            f"{len(names)} {what}: {', '.join(sorted(in_one_line(name)[:100] for name in names)[:_TOLD])}"
+            for names, what in ((missing, "missing"), (unknown, "unknown"))
+            if names
+        ]
+        if problems:
+            raise QuantizationError(
+                f"the ranges are not those of this network's {len(found)} convolutions: {'; '.join(problems)}"
+            )
+
+
+def convolutions(network: Network) -> dict[str, nn.Conv2d]:
+    """The convolutions that may be computed in int8, by path; those of the last layer stay in fp32."""
+    head = f"model.{len(network.model) - 1}."
+    return {
+        path: module
+        for path, module in network.named_modules()
+        if isinstance(module, nn.Conv2d) and not path.startswith(head)
+    }
+
+
+def activation_step(range_: Range) -> tuple[np.float32, np.uint8]:
+    """The size of a step, and the step that stands for 0."""
+    low, high = range_
+    step = max((high - low) / LEVELS, _SMALLEST_STEP)
+    return np.float32(step), np.uint8(np.clip(round(-low / step), 0, LEVELS))
+
+
+def quantized_weight(weight: NDArray[np.float32], bits: int) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+    """Weights (out, ...) as integers, and the size of a step of each output channel (out,)."""
+    largest = 2 ** (bits - 1) - 1
+    peaks = np.abs(weight).reshape(len(weight), -1).max(axis=1)
+    steps = np.maximum(peaks / largest, _SMALLEST_STEP).astype(np.float32)
+    integers = np.rint(weight / steps.reshape(-1, *[1] * (weight.ndim - 1)))
+    return np.clip(integers, -largest, largest).astype(np.int8), steps
