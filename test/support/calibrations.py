@@ -18,6 +18,7 @@ def a_calibration(**changed: object) -> Calibration:
         "iou_threshold": 0.45,
         "weight_bits": 8,
         "ranges": {"model.0.conv": (0.0, 1.0), "model.1.conv": (-0.278, 6.5)},
+        "means": {"model.0.conv": (0.4, 0.5, 0.5), "model.1.conv": (0.1, 0.2)},
         "fp32_layers": ("model.1.conv",),
         "detections": 120,
         "measured": (measurement("fp32", 20.0, 1.0), measurement("int8", 10.0, 0.99)),

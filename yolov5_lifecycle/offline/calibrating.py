@@ -22,13 +22,13 @@ from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.offline.agreement import agreement
-from yolov5_lifecycle.quantization.activation_ranges import activation_ranges
+from yolov5_lifecycle.quantization.activation_ranges import activations
 from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement
 from yolov5_lifecycle.quantization.sensitivity import most_sensitive
 from yolov5_lifecycle.runtimes.cache import processor
 from yolov5_lifecycle.runtimes.planes import write_planes
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
-from yolov5_lifecycle.runtimes.quantization import Quantization
+from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
 from yolov5_lifecycle.runtimes.registry import installed_runtimes, load_runtime
 
 Tell = Callable[[str], None]
@@ -37,9 +37,9 @@ _PACKAGES = ("yolov5_lifecycle", "openvino", "onnxruntime", "torch")
 _ENOUGH_TO_SPLIT = 20
 _SENSITIVITY_FRAMES = 4
 _TRIAL_FRAMES = 60
-_FP32_SHARES = (0.0, 0.07, 0.14, 0.25)
+_FP32_SHARES = (0.0, 0.07, 0.14, 0.25, 0.4)
 """Shares of the convolutions that are tried in fp32, the most sensitive ones."""
-_GOOD_AGREEMENT = 0.99
+_GOOD_AGREEMENT = 0.985
 _WARM_UPS = 3
 
 Runtime = Literal["onnxruntime", "openvino"]
@@ -72,8 +72,8 @@ class Calibrating:
 
     def result(self) -> Calibration:
         """The calibration. Raises RuntimeAbsentError, InferenceError and ValueError."""
-        ranges, order = self._ranges()
-        quantization = self._chosen(ranges, order)
+        read, order = self._activations()
+        quantization = self._chosen(read, order)
         measured, found = self._measured(quantization)
         return Calibration(
             weights_sha256=self._weights.sha256,
@@ -83,7 +83,8 @@ class Calibrating:
             confidence_threshold=self._selection.confidence_threshold,
             iou_threshold=self._selection.iou_threshold,
             weight_bits=self._bits,
-            ranges=dict(quantization.ranges),
+            ranges={name: each.range for name, each in read.items()},
+            means={name: each.means for name, each in read.items()},
             fp32_layers=tuple(sorted(quantization.fp32_layers)),
             detections=found,
             measured=measured,
@@ -92,24 +93,24 @@ class Calibrating:
             versions=_versions(),
         )
 
-    def _ranges(self) -> tuple[dict[str, tuple[float, float]], list[str]]:
-        """Ranges of what convolutions read, and their paths, the most sensitive ones first."""
+    def _activations(self) -> tuple[dict[str, Activation], list[str]]:
+        """What convolutions read, and their paths, the most sensitive ones first."""
         network = fuse(self._weights.model.network())
         channels = self._weights.model.architecture.image_channels
         frames = [_pixels(image, channels) for image in self._learned]
-        ranges = activation_ranges(
+        read = activations(
             network, frames, progress=lambda done: self._tell(f"ranges: {done} of {len(frames)} images")
         )
         order = most_sensitive(
             network,
-            ranges,
+            read,
             torch.cat(frames[:: -(-len(frames) // _SENSITIVITY_FRAMES)]),
             weight_bits=self._bits,
-            progress=lambda done: self._tell(f"sensitivity: {done} of {len(ranges)} layers"),
+            progress=lambda done: self._tell(f"sensitivity: {done} of {len(read)} layers"),
         )
-        return ranges, order
+        return read, order
 
-    def _chosen(self, ranges: Mapping[str, tuple[float, float]], order: Sequence[str]) -> Quantization:
+    def _chosen(self, read: Mapping[str, Activation], order: Sequence[str]) -> Quantization:
         """With as few layers in fp32 as agree well, else with those that agree best."""
         images = self._learned[:_TRIAL_FRAMES]
         truth = self._detections(self._detector("openvino", "fp32"), images)
@@ -117,7 +118,7 @@ class Calibrating:
         for share in _FP32_SHARES:
             kept = order[: round(share * len(order))]
             self._tell(f"comparing int8 with {len(kept)} of {len(order)} layers in fp32")
-            quantization = Quantization(ranges, frozenset(kept), self._bits)
+            quantization = Quantization(read, frozenset(kept), self._bits)
             found = self._detections(self._detector("openvino", "int8", quantization), images)
             tried.append((agreement(truth, found).f1, quantization))
             if tried[-1][0] >= _GOOD_AGREEMENT:

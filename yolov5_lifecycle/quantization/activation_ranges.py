@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
-from yolov5_lifecycle.runtimes.quantization import LEVELS, Range, convolutions
+from yolov5_lifecycle.runtimes.quantization import LEVELS, Activation, Range, convolutions
 
 BINS = 2048
 _FIRST_LOOK = 16
@@ -27,13 +27,15 @@ _SMALLEST_WIDTH = 1e-3
 
 @dataclass
 class _Histogram:
-    """Values of one activation: those seen, and how many in each of BINS between `low` and `high`."""
+    """Values of one activation: how many in each of BINS between `low` and `high`, and sums by channel."""
 
     seen_low: float = 0.0
     seen_high: float = 0.0
     low: float = 0.0
     high: float = 0.0
     counts: NDArray[np.int64] | None = None
+    sums: NDArray[np.float64] | None = None
+    frames: int = 0
 
     def look(self, values: Tensor) -> None:
         low, high = (float(value) for value in values.aminmax())
@@ -44,12 +46,22 @@ class _Histogram:
         margin = max(_MARGIN * (self.seen_high - self.seen_low), _SMALLEST_WIDTH)
         self.low, self.high = self.seen_low - margin, self.seen_high + margin
         self.counts = np.zeros(BINS, np.int64)
+        self.sums = None
 
     def count(self, values: Tensor) -> None:
         assert self.counts is not None
         sample = values.flatten()[::_SAMPLED]
         bins = ((sample - self.low) * (BINS / (self.high - self.low))).clamp_(0, BINS - 1).to(torch.int32)
         self.counts += torch.bincount(bins, minlength=BINS).numpy()
+        means = values.mean(dim=(0, 2, 3)).double().numpy()
+        self.sums = means if self.sums is None else self.sums + means
+        self.frames += 1
+
+    def activation(self) -> Activation:
+        """The range, and the mean of each channel."""
+        assert self.sums is not None
+        means = self.sums / self.frames
+        return Activation(self.range(), tuple(float(f"{mean:.5g}") for mean in means))
 
     def range(self) -> Range:
         """The range with the smallest mean squared error after rounding; 0 lies in it."""
@@ -63,7 +75,8 @@ class _Histogram:
         candidates = [(float(low), float(self.seen_high * share)) for low in lows for share in _KEPT_SHARES]
         usable = [pair for pair in candidates if pair[1] - pair[0] >= _SMALLEST_WIDTH]
         errors = [_squared_error(pair, centres, counts) for pair in usable]
-        return usable[int(np.argmin(errors))] if usable else (0.0, 1.0)
+        low, high = usable[int(np.argmin(errors))] if usable else (0.0, 1.0)
+        return float(f"{low:.6g}"), float(f"{high:.6g}")
 
 
 def _squared_error(range_: Range, values: NDArray[np.float64], counts: NDArray[np.int64]) -> float:
@@ -73,10 +86,10 @@ def _squared_error(range_: Range, values: NDArray[np.float64], counts: NDArray[n
     return float((counts * (rounded - values) ** 2).sum())
 
 
-def activation_ranges(
+def activations(
     network: Network, frames: Sequence[Tensor], *, progress: Callable[[int], None]
-) -> dict[str, Range]:
-    """The range of what each convolution of the fused `network` reads, by its path.
+) -> dict[str, Activation]:
+    """What each convolution of the fused `network` reads, by its path.
 
     `frames`: (1, c, h, w) each, floats in [0, 1]. `progress` is given the number of frames done.
     """
@@ -89,7 +102,7 @@ def activation_ranges(
     for number, frame in enumerate(frames):
         _observe(network, frame, {found[path]: each.count for path, each in histograms.items()})
         progress(number + 1)
-    return {path: histogram.range() for path, histogram in histograms.items()}
+    return {path: histogram.activation() for path, histogram in histograms.items()}
 
 
 def _observe(

@@ -16,7 +16,7 @@ from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
-from yolov5_lifecycle.runtimes.quantization import Quantization
+from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
 
 SUFFIX = ".calibration.json"
 MAX_FILE_BYTES = 4 << 20
@@ -70,6 +70,8 @@ class Calibration(_Record):
     """Bits of the weights when it was measured; 7 on x86 without VNNI."""
     ranges: Annotated[dict[Name, Range], Field(min_length=1, max_length=MAX_TENSORS)]
     """Of what each convolution reads, by its path in the network, which is that of its weights."""
+    means: Annotated[dict[Name, tuple[Figure, ...]], Field(max_length=MAX_TENSORS)]
+    """Of each channel of the same."""
     fp32_layers: Annotated[tuple[Name, ...], Field(max_length=MAX_TENSORS)]
     """Paths of the convolutions that stay in fp32."""
     detections: Annotated[int, Field(ge=0, le=1_000_000_000)]
@@ -89,7 +91,9 @@ class Calibration(_Record):
         return value
 
     @model_validator(mode="after")
-    def _is_measured_once(self) -> Calibration:
+    def _fits_together(self) -> Calibration:
+        if self.means.keys() != self.ranges.keys():
+            raise ValueError("means: expected those of the same convolutions as the ranges")
         measured = [(each.runtime, each.precision) for each in self.measured]
         if len(set(measured)) < len(measured):
             raise ValueError("measured: expected each runtime and precision once")
@@ -98,7 +102,8 @@ class Calibration(_Record):
     @property
     def quantization(self) -> Quantization:
         """How the network is computed in int8 on this processor."""
-        return Quantization(self.ranges, frozenset(self.fp32_layers), weight_bits(abilities()))
+        activations = {name: Activation(range_, self.means[name]) for name, range_ in self.ranges.items()}
+        return Quantization(activations, frozenset(self.fp32_layers), weight_bits(abilities()))
 
     def measurement(self, runtime: str, precision: str) -> Measurement | None:
         """What was measured with `runtime` in `precision`."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -13,16 +12,17 @@ from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
 from yolov5_lifecycle.runtimes.quantization import (
     LEVELS,
-    Range,
+    Activation,
     activation_step,
     convolutions,
+    corrected_bias,
     quantized_weight,
 )
 
 
 def most_sensitive(
     network: Network,
-    ranges: Mapping[str, Range],
+    activations: Mapping[str, Activation],
     frames: Tensor,
     *,
     weight_bits: int,
@@ -37,7 +37,7 @@ def most_sensitive(
     with torch.no_grad(), denormals_as_zero():
         exact = network.features(frames)
         for number, (path, module) in enumerate(convolutions(network).items()):
-            with _rounded(module, ranges[path], weight_bits):
+            with _rounded(module, activations[path], weight_bits):
                 noise[path] = _noise(network.features(frames), exact)
             progress(number + 1)
     return sorted(noise, key=lambda path: -noise[path])
@@ -52,12 +52,15 @@ def _noise(features: list[Tensor], exact: list[Tensor]) -> float:
 
 
 @contextmanager
-def _rounded(module: nn.Conv2d, range_: Range, weight_bits: int) -> Iterator[None]:
+def _rounded(module: nn.Conv2d, read: Activation, weight_bits: int) -> Iterator[None]:
     """Let `module` compute what it would in int8."""
-    exact = module.weight.data
-    integers, steps = quantized_weight(exact.numpy(), weight_bits)
-    module.weight.data = torch.from_numpy(integers.astype(np.float32) * steps.reshape(-1, 1, 1, 1))
-    step, zero = activation_step(range_)
+    assert module.bias is not None
+    weight, bias = module.weight.data, module.bias.data
+    integers, steps = quantized_weight(weight.numpy(), weight_bits)
+    rounded = integers * steps.reshape(-1, 1, 1, 1)
+    module.bias.data = torch.from_numpy(corrected_bias(module, rounded, read.means))
+    module.weight.data = torch.from_numpy(rounded)
+    step, zero = activation_step(read.range)
     handle = module.register_forward_pre_hook(
         lambda _, inputs: torch.fake_quantize_per_tensor_affine(inputs[0], float(step), int(zero), 0, LEVELS)
     )
@@ -65,4 +68,4 @@ def _rounded(module: nn.Conv2d, range_: Range, weight_bits: int) -> Iterator[Non
         yield
     finally:
         handle.remove()
-        module.weight.data = exact
+        module.weight.data, module.bias.data = weight, bias

@@ -67,12 +67,10 @@ def _weighted(
     features: str,
     **attributes: list[int],
 ) -> str:
-    assert module.bias is not None, "expected a fused network"
     usual = {"pads": [int(pad) for pad in module.padding] * 2}
     return graph.add(
         operator,
         *graph.factors(module, features),
-        graph.constant(module.bias),
         kernel_shape=list(module.kernel_size),
         strides=list(module.stride),
         group=module.groups,

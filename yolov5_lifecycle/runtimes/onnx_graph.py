@@ -39,8 +39,8 @@ def _graph(network: Network, shape: tuple[int, int, int], quantization: Quantiza
     planes = (batch, network.architecture.image_channels, height, width)
     if quantization is None:
         return Graph(planes, TensorProto.UINT8)
-    ranges = quantization.of_modules(network)
-    return QuantizedGraph(planes, TensorProto.UINT8, ranges, weight_bits=quantization.weight_bits)
+    activations = quantization.of_modules(network)
+    return QuantizedGraph(planes, TensorProto.UINT8, activations, weight_bits=quantization.weight_bits)
 
 
 def prototype_graph(proto: Proto, shape: tuple[int, int, int, int]) -> bytes:

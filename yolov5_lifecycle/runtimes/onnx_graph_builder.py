@@ -46,9 +46,10 @@ class Graph:
         self._graph.initializer.append(tensor)
         return name
 
-    def factors(self, module: nn.Conv2d | nn.ConvTranspose2d, features: str) -> tuple[str, str]:
-        """Names of what the convolution `module` of `features` multiplies: features and weights."""
-        return features, self.constant(module.weight)
+    def factors(self, module: nn.Conv2d | nn.ConvTranspose2d, features: str) -> tuple[str, str, str]:
+        """Names of what the convolution `module` reads: `features`, weights and bias."""
+        assert module.bias is not None, "expected a fused network"
+        return features, self.constant(module.weight), self.constant(module.bias)
 
     def serialized(self, outputs: Sequence[str]) -> bytes:
         self._graph.output.extend(
