@@ -101,7 +101,7 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "infinite": (of_one_tensor(0.0, float("inf")), "ranges.x.1"),
     "beyond every float": (lambda: with_()().replace(b"6.5", b"1e999"), r"ranges.model\.1\.conv.1"),
     "a huge number": (of_one_tensor(0.0, 1e30), "ranges.x.1"),
-    "an integer without end": (lambda: with_()().replace(b"6.5", b"9" * 10_000), r"ranges.model\.1\.conv.1"),
+    "an integer without end": (lambda: with_()().replace(b"6.5", b"9" * 10_000), "number out of range"),
     "of zero width": (of_one_tensor(0.0, 0.0), "range with 0 in it"),
     "upside down": (of_one_tensor(1.0, -1.0), "range with 0 in it"),
     "without zero": (of_one_tensor(1.0, 2.0), "range with 0 in it"),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -178,7 +179,19 @@ def find_calibration(
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write the file at `path`, whole or not at all. Raises OSError."""
-    write_whole(path, calibration.model_dump_json(indent=1).encode() + b"\n")
+    write_whole(path, _text(calibration.model_dump(mode="json")).encode())
+
+
+def _text(fields: Mapping[str, object]) -> str:
+    """JSON with a line for each field, and for each entry of a field that has names."""
+    lines = []
+    for name, value in fields.items():
+        text = json.dumps(value)
+        if isinstance(value, dict):
+            entries = (f"  {json.dumps(key)}: {json.dumps(entry)}" for key, entry in value.items())
+            text = "{\n" + ",\n".join(entries) + "\n }"
+        lines.append(f" {json.dumps(name)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def _first_problem(error: ValidationError) -> str:
