@@ -26,7 +26,6 @@ from yolov5_lifecycle.quantization.activation_ranges import activations
 from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement
 from yolov5_lifecycle.quantization.sensitivity import most_sensitive
 from yolov5_lifecycle.runtimes.cache import processor
-from yolov5_lifecycle.runtimes.planes import write_planes
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
 from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
 from yolov5_lifecycle.runtimes.registry import installed_runtimes, load_runtime
@@ -187,6 +186,8 @@ def _halves(images: Sequence[ColourImage]) -> tuple[Sequence[ColourImage], Seque
 
 def _pixels(image: ColourImage, channels: int) -> torch.Tensor:
     """(1, channels, h, w), floats in [0, 1], as the network reads them."""
+    from yolov5_lifecycle.runtimes.compiled_runtime import write_planes  # its package is optional
+
     planes: NDArray[np.uint8] = np.empty((channels, *image.size_hw), np.uint8)
     write_planes(image.pixels, image.order, planes)
     return torch.from_numpy(planes)[None].float() / 255

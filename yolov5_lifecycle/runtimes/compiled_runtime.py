@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,12 +22,13 @@ from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph, prototype_graph
-from yolov5_lifecycle.runtimes.planes import write_planes
 from yolov5_lifecycle.runtimes.quantization import Quantization, convolutions
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead, Features
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
+_PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
+_TO_GREY = {"rgb": cv2.COLOR_RGB2GRAY, "bgr": cv2.COLOR_BGR2GRAY}
 _GRAPH_MAKERS = tuple(
     f"{package.__name__}.{module.name}"
     for package in (models, runtimes)
@@ -154,6 +156,16 @@ class _Compiled:
         (batch,) = self._run_proto(finest)
         prototypes: NDArray[np.float32] = batch[0].copy()  # the next run may overwrite them
         return prototypes
+
+
+def write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uint8]) -> None:
+    """Write a frame (h, w, 3), or (h, w) if it is grey, into `planes`: (3, h, w) RGB or (1, h, w) grey."""
+    if order == "grey":
+        planes[:] = frame
+    elif len(planes) == 1:
+        cv2.cvtColor(frame, _TO_GREY[order], dst=planes[0])
+    else:
+        cv2.split(frame, [planes[plane] for plane in _PLANES[order]])
 
 
 class Compiler:
