@@ -20,6 +20,7 @@ from yolov5_lifecycle.quantization.calibration_file import (
     CalibrationError,
     path_beside,
     read_calibration,
+    write_calibration,
 )
 from yolov5_lifecycle.runtimes.cache import cache_folder
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
@@ -151,6 +152,17 @@ def test_int8_with_the_calibration_of_other_weights_is_refused(copied: Path) -> 
     shutil.copy(path_beside(SHAPES), path_beside(copied))
     write_safetensors(random_model(), copied)
     with pytest.raises(CalibrationError, match=rf"made for other weights.*`calibrate {copied} DATA`"):
+        load_model(copied, precision="int8", device="cpu", image_size=64)
+
+
+def test_a_calibration_that_lacks_a_convolution_is_refused(copied: Path, calibration: Calibration) -> None:
+    first = "model.0.conv"
+    ranges, means = (
+        {name: value for name, value in each.items() if name != first}
+        for each in (calibration.ranges, calibration.means)
+    )
+    write_calibration(path_beside(copied), calibration.model_copy(update={"ranges": ranges, "means": means}))
+    with pytest.raises(CalibrationError, match=rf"1 missing: {first}\. .*`calibrate {copied} DATA`"):
         load_model(copied, precision="int8", device="cpu", image_size=64)
 
 

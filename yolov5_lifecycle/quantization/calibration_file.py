@@ -10,14 +10,21 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
+import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from yolov5_lifecycle.atomic_file import write_whole
 from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
-from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
+from yolov5_lifecycle.runtimes.quantization import (
+    Activation,
+    Quantization,
+    QuantizationError,
+    convolutions,
+)
 
 SUFFIX = ".calibration.json"
 MAX_FILE_BYTES = 4 << 20
@@ -169,12 +176,23 @@ def find_calibration(
         return f"int8 was not calibrated: there is no {path}"
     try:
         real = path if allowed is None else allowed(path)
-        return read_calibration(real, weights=weights.path, weights_sha256=weights.sha256)
+        calibration = read_calibration(real, weights=weights.path, weights_sha256=weights.sha256)
+        _check_network(calibration, path, weights)
     except ValueError as error:
         if precision == "int8":
             raise
         _log.warning("int8 is not considered: %s", error)
         return f"int8 is not considered: {error}"
+    return calibration
+
+
+def _check_network(calibration: Calibration, path: Path, weights: WeightsFile) -> None:
+    with torch.device("meta"):
+        network = Network(weights.model.architecture)
+    try:
+        calibration.quantization.check(convolutions(network))
+    except QuantizationError as error:
+        raise CalibrationError(f"{path}: {error}. {remedy(weights.path)}.") from None
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
