@@ -59,6 +59,7 @@ setup(
     zip_safe=True,
     entry_points={
         "console_scripts": [
+            f"calibrate = {name}.commands.entry_points:calibrate",
             f"camera = {name}.ros.entry_points:camera",
             f"console = {name}.ros.entry_points:console",
             f"convert = {name}.commands.entry_points:convert",

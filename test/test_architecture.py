@@ -34,6 +34,7 @@ RANKS = (
     ("atomic_file", "process"),
     ("images", "models"),
     ("settings", "checkpoints", "runtimes", "streaming", "sources", "spatial"),
+    ("quantization",),
     ("detection",),
     ("tracking", "evaluation"),
     ("commands",),

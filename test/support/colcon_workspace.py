@@ -13,7 +13,17 @@ SUPPORT = Path(__file__).parent
 SUPPORT_PATH = {"PYTHONPATH": f"{SUPPORT.parent}:{REPOSITORY}"}
 """Environment of a child process that imports the folder `support`."""
 PACKAGE = "yolov5_lifecycle"
-COMMANDS = ("camera", "console", "convert", "demo", "detect_bag", "detector", "evaluate", "fetch_weights")
+COMMANDS = (
+    "calibrate",
+    "camera",
+    "console",
+    "convert",
+    "demo",
+    "detect_bag",
+    "detector",
+    "evaluate",
+    "fetch_weights",
+)
 
 
 def published_files() -> list[Path]:

@@ -26,6 +26,7 @@ from yolov5_lifecycle.process.termination import end_at_once, on_termination
 
 MODULES: Mapping[str, str] = MappingProxyType(
     {
+        "calibrate": "yolov5_lifecycle.offline.calibrate",
         "convert": "yolov5_lifecycle.commands.convert",
         "demo": "yolov5_lifecycle.ros.demo.command",
         "detect_bag": "yolov5_lifecycle.offline.detect_bag",
@@ -37,6 +38,10 @@ MODULES: Mapping[str, str] = MappingProxyType(
 EXIT_UNABLE = 1
 """Exit code if the machine or its Python lacks what the command needs."""
 _EXIT_INTERRUPTED = 128 + signal.SIGINT
+
+
+def calibrate() -> NoReturn:
+    _run("calibrate")
 
 
 def convert() -> NoReturn:

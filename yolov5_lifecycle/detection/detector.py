@@ -34,7 +34,8 @@ class Detector:
     """Detects objects in images; for one thread at a time. Owns `runtime`; stateless between images.
 
     `class_names` by class id. `image_size`: longer side of the network input in pixels, a multiple of
-    `stride`, the largest stride of the model; else ValueError. `choice`: why this runtime was selected.
+    `stride`, the largest stride of the model; else ValueError. `choice` and `precision_choice`: why this
+    runtime and its precision were selected.
     `mask_coefficients`: those of each prediction, 0 if the model does not segment.
     `selection`: the thresholds and classes of a call; may be replaced. `batches`: what is worth
     running as one; may be replaced.
@@ -48,11 +49,13 @@ class Detector:
         image_size: int,
         stride: int,
         choice: str = "as set",
+        precision_choice: str = "as set",
         mask_coefficients: int = 0,
     ) -> None:
         check_image_size(image_size, stride)
         self.runtime = runtime
         self.choice = choice
+        self.precision_choice = precision_choice
         self.batches = Batches()
         self.class_names = tuple(class_names)
         self.image_size = image_size

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
@@ -16,7 +17,8 @@ from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.process.memory import release_unused_memory
-from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
+from yolov5_lifecycle.quantization.calibration_file import Calibration, find_calibration
+from yolov5_lifecycle.quantization.precision_choice import Wish, choose
 from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.settings.schema import Change, SettingsError
@@ -46,6 +48,7 @@ class PreparedModel:
             "runtime choice": self.detector.choice,
             "device": runtime.device,
             "precision": runtime.precision,
+            "precision choice": self.detector.precision_choice,
             "batches": self.detector.batches.reason,
         }
         return {name: value for name, value in facts.items() if value}
@@ -89,6 +92,12 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
         weights_dirs=_folders(settings),
     )
     weights = load_weights(path, sha256=settings.weights_sha256)
+    calibration = find_calibration(
+        weights,
+        precision=settings.precision,
+        device=settings.device,
+        allowed=partial(confined, folders=_folders(settings)) if settings.weights_dirs else None,
+    )
     detector = load_detector(
         weights.model,
         runtime=settings.runtime,
@@ -96,6 +105,7 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
         precision=settings.precision,
         image_size=settings.image_size,
         cameras=len(sizes_hw),
+        calibration=calibration,
     )
     try:
         detector.warm_up(sizes_hw)
@@ -115,28 +125,44 @@ def load_detector(
     image_size: int = 640,
     runtime: str = "auto",
     cameras: int = 1,
+    calibration: Calibration | str = "int8 was not calibrated",
 ) -> Detector:
     """Load a detector for `model`; the other arguments are the settings of the same names.
 
-    Except for `cameras`: their number, which determines how many networks for input shapes are kept.
-    With `auto` the fastest runtime is measured and cached, see `choose_runtime`. Raises DeviceError and
-    RuntimeAbsentError (both ValueErrors), ValueError for the image size, InferenceError when measuring fails.
+    Except for `cameras`: their number, which determines how many networks for input shapes are kept; and
+    `calibration`: that of the model, or why there is none. With `auto` the fastest runtime is measured and
+    cached, see `choose_runtime`, and so is the speed of int8, see `choose_precision`.
+
+    Raises DeviceError, RuntimeAbsentError and QuantizationError (all ValueErrors), ValueError for the image
+    size, InferenceError when measuring fails.
     """
     stride = size_multiple(model.architecture)
     check_image_size(image_size, stride)
-    choice = Choice(runtime, "as set")
-    if runtime == "auto":
-        frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
-        choice = choose_runtime(model, device=device, precision=precision, frame_hw=frame_hw)
+    frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
+    used = choose(
+        model,
+        Wish(device=device, runtime=runtime, precision=precision),
+        calibration,
+        image_size=image_size,
+        frame_hw=frame_hw,
+    )
     # Besides the network of every camera there are those for batches and for a camera that changes its size.
     kept = max(MIN_KEPT, KEPT_PER_CAMERA * cameras)
-    loaded = load_runtime(model, choice.runtime, device=device, precision=precision, kept=kept)
+    loaded = load_runtime(
+        model,
+        used.runtime.runtime,
+        device=device,
+        precision=used.precision.precision,
+        kept=kept,
+        quantization=calibration.quantization if isinstance(calibration, Calibration) else None,
+    )
     return Detector(
         loaded,
         class_names=model.class_names,
         image_size=image_size,
         stride=stride,
-        choice=choice.reason,
+        choice=used.runtime.reason,
+        precision_choice=used.precision.reason,
         mask_coefficients=model.architecture.mask_coefficients,
     )
 

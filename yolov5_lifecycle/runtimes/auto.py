@@ -61,7 +61,7 @@ def choose_runtime(
         return Choice("torch", f"the only one for {torch_device.type}")
     if installed == ["torch"]:
         return Choice("torch", "the only one installed")
-    record = (folder or cache_folder("choices")) / f"{_key(model, installed, frame_hw)}.json"
+    record = (folder or cache_folder("choices")) / f"{choice_key(model, installed, frame_hw)}.json"
     figures_ms = read_figures(record, installed)
     if figures_ms is not None:
         return _fastest(figures_ms, f"cached in {record}")
@@ -78,8 +78,8 @@ def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
     return Choice(chosen, f"{figures}; {origin}")
 
 
-def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
-    """Cache key of everything the speed depends on; the weight values are not part of it."""
+def choice_key(model: Model, installed: list[str], frame_hw: tuple[int, int], *further: str) -> str:
+    """Cache key of everything the speed depends on, also `further`; the weight values are not part of it."""
     packages = sorted({package for runtime in installed for package in REQUIREMENTS[runtime]})
     circumstances = [
         repr(model.architecture),
@@ -87,22 +87,25 @@ def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
         [installed_build(package) for package in packages],
         processor(),
         torch.get_num_threads(),
+        *further,
     ]
     return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()[:16]
 
 
-def read_figures(path: Path, runtimes: Collection[str]) -> dict[str, float] | None:
-    """Milliseconds by runtime; None when the file is missing or was not written by `write_figures`.
+def read_figures(
+    path: Path, names: Collection[str], *, required: Collection[str] = ("torch",)
+) -> dict[str, float] | None:
+    """Milliseconds by runtime, or other `names`; None when the file was not written by `write_figures`.
 
-    A damaged file counts as missing: the next measurement replaces it.
+    A missing or damaged file counts as not written: the next measurement replaces it.
     """
     try:
         _, text = read_cache(path, _MAX_RECORD_BYTES) or (b"", b"")
         figures_ms = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    usable = isinstance(figures_ms, dict) and "torch" in figures_ms
-    if usable and all(name in runtimes and _is_duration(ms) for name, ms in figures_ms.items()):
+    usable = isinstance(figures_ms, dict) and set(required) <= figures_ms.keys()
+    if usable and all(name in names and _is_duration(ms) for name, ms in figures_ms.items()):
         return figures_ms  # type: ignore[no-any-return]
     return None
 

@@ -12,7 +12,6 @@ from typing import TypeVar
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from yolov5_lifecycle import models, runtimes
@@ -23,9 +22,10 @@ from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph, prototype_graph
+from yolov5_lifecycle.runtimes.quantization import Quantization, convolutions
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead, Features
-from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
+from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
 _PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
 _TO_GREY = {"rgb": cv2.COLOR_RGB2GRAY, "bgr": cv2.COLOR_BGR2GRAY}
@@ -33,7 +33,7 @@ _GRAPH_MAKERS = tuple(
     f"{package.__name__}.{module.name}"
     for package in (models, runtimes)
     for module in pkgutil.iter_modules(package.__path__)
-    if package is models or module.name.startswith("onnx_")
+    if package is models or module.name.startswith("onnx_") or module.name == "quantization"
 )
 """Modules on which the ONNX graph of a model depends."""
 
@@ -42,31 +42,37 @@ _log = logging.getLogger(__name__)
 
 
 class CompiledRuntime:
-    """A network on the CPU in fp32. See `Runtime`."""
+    """A network on the CPU, in fp32 or in what else `engine` computes. See `Runtime`."""
 
     device = "cpu"
-    precision = "fp32"
 
     def __init__(self, compiler: Compiler, engine: Engine, *, kept: int = MIN_KEPT) -> None:
+        self.precision = engine.precision
         self._engine = engine
         self._segments = compiler.proto is not None
         self._compiled = NetworksByShape(lambda shape: _Compiled(compiler, shape), kept=kept)
 
     @classmethod
     def load(
-        cls, model: Model, engine: Engine, *, device: str, precision: str, kept: int = MIN_KEPT
+        cls,
+        model: Model,
+        engine: Engine,
+        *,
+        device: str,
+        quantization: Quantization | None = None,
+        kept: int = MIN_KEPT,
     ) -> CompiledRuntime:
-        """Load `model`; `kept`: see `NetworksByShape`.
+        """Load `model`, in int8 with `quantization`; `kept`: see `NetworksByShape`.
 
-        Raises DeviceError for a device or precision that the engine does not support.
+        Raises DeviceError for a device that the engine does not support, and QuantizationError.
         """
         if device not in ("auto", "cpu"):
             raise DeviceError(
                 f"Runtime '{engine.name}' runs on the CPU only, found device {device[:40]!r}. "
                 "Use device 'cpu' or runtime 'torch'."
             )
-        resolve_precision(precision, torch.device("cpu"))
-        return cls(Compiler(model, engine, CompiledStore(cache_folder("compiled"))), engine, kept=kept)
+        store = CompiledStore(cache_folder("compiled"))
+        return cls(Compiler(model, engine, store, quantization), engine, kept=kept)
 
     @property
     def name(self) -> str:
@@ -136,7 +142,7 @@ class _Compiled:
     def features(self, frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order]) -> Sequence[Features]:
         """Those of all levels for all frames; the next run may overwrite them."""
         for planes, frame, order in zip(self._planes, frames, orders, strict=True):
-            _write_planes(frame, order, planes)
+            write_planes(frame, order, planes)
         return self._run(self._planes)
 
     def rows(self, features: Sequence[Features], min_objectness: float) -> NDArray[np.float32]:
@@ -152,7 +158,7 @@ class _Compiled:
         return prototypes
 
 
-def _write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uint8]) -> None:
+def write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uint8]) -> None:
     """Write a frame (h, w, 3), or (h, w) if it is grey, into `planes`: (3, h, w) RGB or (1, h, w) grey."""
     if order == "grey":
         planes[:] = frame
@@ -163,26 +169,33 @@ def _write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uin
 
 
 class Compiler:
-    """Compiles the network of `model` with `engine` and caches the result in `store`.
+    """Compiles the network of `model` with `engine`, in int8 with `quantization`; caches results in `store`.
 
     `head` is the network's last layer, which is not compiled; `proto` its part that computes prototypes of
     masks, None if the network does not segment. Its images have `channels`, 3 or 1.
+
+    Raises QuantizationError if `quantization` is of another network.
     """
 
-    def __init__(self, model: Model, engine: Engine, store: CompiledStore) -> None:
+    def __init__(
+        self, model: Model, engine: Engine, store: CompiledStore, quantization: Quantization | None = None
+    ) -> None:
         self._network = model.network().requires_grad_(False)
+        self._quantization = quantization
+        if quantization is not None:
+            quantization.check(convolutions(self._network))
         self.channels = model.architecture.image_channels
         self._engine = engine
         self._store = store
         self._fusing = threading.Lock()  # an abandoned thread may compile concurrently with its successor
-        self._identity = _identity(model, engine)
+        self._identity = _identity(model, engine, quantization)
         detect = self._network.head
         self.head = DetectionHead(detect)
         self.proto = detect.proto if isinstance(detect, Segment) else None
 
     def run(self, shape: Shape) -> Run:
         """The compiled network for batches of `shape`; raises the engine's errors."""
-        return self._compiled(str(shape), lambda: onnx_graph(self._network, shape))
+        return self._compiled(str(shape), lambda: onnx_graph(self._network, shape, self._quantization))
 
     def prototypes(self, finest: Features) -> Run:
         """The compiled `proto` for features like `finest`; raises the engine's errors."""
@@ -206,14 +219,15 @@ class Compiler:
         return run
 
 
-def _identity(model: Model, engine: Engine) -> str:
+def _identity(model: Model, engine: Engine, quantization: Quantization | None) -> str:
     """A string of everything that a compiled model depends on except the input shape."""
     weights = hashlib.sha256()
     for name, tensor in sorted(model.state_dict.items()):
         weights.update(name.encode() + tensor.numpy().tobytes())
     makers = (engine.name, engine.build.__module__, *_GRAPH_MAKERS)
     builds = [installed_build(maker) for maker in makers]
-    return repr([builds, processor(), model.architecture, weights.hexdigest()])
+    precision = (engine.precision, quantization.digest if quantization else "")
+    return repr([builds, processor(), model.architecture, weights.hexdigest(), precision])
 
 
 Run = Callable[[NDArray[np.generic]], Sequence[Features]]
@@ -235,3 +249,4 @@ class Engine:
     build: Callable[[bytes], tuple[Run, bytes]]
     restore: Callable[[bytes], Run]
     errors: tuple[type[Exception], ...]
+    precision: str = "fp32"

@@ -67,13 +67,10 @@ def _weighted(
     features: str,
     **attributes: list[int],
 ) -> str:
-    assert module.bias is not None, "expected a fused network"
     usual = {"pads": [int(pad) for pad in module.padding] * 2}
     return graph.add(
         operator,
-        features,
-        graph.constant(module.weight),
-        graph.constant(module.bias),
+        *graph.factors(module, features),
         kernel_shape=list(module.kernel_size),
         strides=list(module.stride),
         group=module.groups,

@@ -9,17 +9,21 @@ from yolov5_lifecycle.models.head import Proto
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.runtimes.onnx_blocks import written
 from yolov5_lifecycle.runtimes.onnx_graph_builder import INPUT, Graph
+from yolov5_lifecycle.runtimes.onnx_quantized import QuantizedGraph
+from yolov5_lifecycle.runtimes.quantization import Quantization
 
 
-def onnx_graph(network: Network, shape: tuple[int, int, int]) -> bytes:
+def onnx_graph(
+    network: Network, shape: tuple[int, int, int], quantization: Quantization | None = None
+) -> bytes:
     """A serialized ONNX model of a fused `network` for a number of frames, their height and their width.
 
     Height and width are multiples of the network's `size_multiple`. The input is uint8 (batch, c, h, w) in
     0..255, RGB or grey as the network has it. The outputs, float32 (batch, channels, ny, nx), are the inputs
-    of the network's last layer, which is not exported.
+    of the network's last layer, which is not exported. With `quantization` convolutions read and multiply
+    integers; raises QuantizationError if it does not fit the network.
     """
-    batch, height, width = shape
-    graph = Graph((batch, network.architecture.image_channels, height, width), TensorProto.UINT8)
+    graph = _graph(network, shape, quantization)
     pixels = graph.add("Cast", INPUT, to=TensorProto.FLOAT)
     pixels = graph.add("Mul", pixels, graph.constant(np.float32(1 / 255)))
     *layers, head = network.architecture.layers
@@ -28,6 +32,15 @@ def onnx_graph(network: Network, shape: tuple[int, int, int]) -> bytes:
         inputs = [(outputs or [pixels])[source] for source in layer.sources]
         outputs.append(written(graph, module, *inputs))
     return graph.serialized([(outputs or [pixels])[source] for source in head.sources])
+
+
+def _graph(network: Network, shape: tuple[int, int, int], quantization: Quantization | None) -> Graph:
+    batch, height, width = shape
+    planes = (batch, network.architecture.image_channels, height, width)
+    if quantization is None:
+        return Graph(planes, TensorProto.UINT8)
+    activations = quantization.of_modules(network)
+    return QuantizedGraph(planes, TensorProto.UINT8, activations, weight_bits=quantization.weight_bits)
 
 
 def prototype_graph(proto: Proto, shape: tuple[int, int, int, int]) -> bytes:

@@ -9,7 +9,7 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
-from torch import Tensor
+from torch import Tensor, nn
 
 # The oldest versions that have every operator used here; all current runtimes read them.
 _OPSET = 13
@@ -45,6 +45,11 @@ class Graph:
         tensor = numpy_helper.from_array(np.ascontiguousarray(array).reshape(array.shape), name)
         self._graph.initializer.append(tensor)
         return name
+
+    def factors(self, module: nn.Conv2d | nn.ConvTranspose2d, features: str) -> tuple[str, str, str]:
+        """Names of what the convolution `module` reads: `features`, weights and bias."""
+        assert module.bias is not None, "expected a fused network"
+        return features, self.constant(module.weight), self.constant(module.bias)
 
     def serialized(self, outputs: Sequence[str]) -> bytes:
         self._graph.output.extend(

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import openvino
 import torch
 
 from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Run
 
+_HINTS = {"fp32": "f32", "int8": "f32", "bf16": "bf16"}
+"""What OpenVINO computes in where the graph has no integers; fp32 by itself would be bfloat16 if it can."""
 
-def openvino_engine() -> Engine:
-    """OpenVINO on the CPU, with as many threads as torch would use.
+
+def openvino_engine(precision: str = "fp32") -> Engine:
+    """OpenVINO on the CPU, with as many threads as torch would use; `precision` fp32, int8 or bf16.
 
     It reads ONNX directly: the converter for torch modules would send usage statistics. The ONNX graph itself
     is cached: OpenVINO's own export is larger, and for large networks loading it is no faster than compiling.
     """
-    return Engine("openvino", lambda graph: (_compile(graph), graph), _compile, (RuntimeError,))
+    compiled = partial(_compile, hint=_HINTS[precision])
+    return Engine("openvino", lambda graph: (compiled(graph), graph), compiled, (RuntimeError,), precision)
 
 
-def _compile(graph: bytes) -> Run:
+def _compile(graph: bytes, *, hint: str) -> Run:
     core = openvino.Core()
     compiled = core.compile_model(
         core.read_model(graph),
@@ -25,7 +31,7 @@ def _compile(graph: bytes) -> Run:
         {
             "PERFORMANCE_HINT": "LATENCY",
             "INFERENCE_NUM_THREADS": torch.get_num_threads(),
-            "INFERENCE_PRECISION_HINT": "f32",  # else bfloat16 where the CPU supports it
+            "INFERENCE_PRECISION_HINT": hint,
             "CPU_DENORMALS_OPTIMIZATION": True,  # with denormal floats a frame takes 5 times as long
             "ENABLE_CPU_PINNING": False,  # a pinned thread would wait for other processes on its core
         },

@@ -6,16 +6,27 @@ import sys
 from collections.abc import Mapping
 from types import MappingProxyType
 
+import torch
+
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes.cache import installed_build
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT
+from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
+from yolov5_lifecycle.runtimes.quantization import Quantization, QuantizationError
 from yolov5_lifecycle.runtimes.runtime import Runtime
+from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 
 REQUIREMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"torch": ("torch",), "onnxruntime": ("onnxruntime", "onnx"), "openvino": ("openvino", "onnx")}
 )
 """Packages that each runtime imports; all but torch have a pip extra of the same name."""
+
+
+COARSE_RUNTIME = "openvino"
+"""The one that computes COARSE; ONNX Runtime takes longer in int8 than in fp32."""
+COARSE = ("int8", "bf16")
+"""Precisions of a CPU that are faster than fp32."""
 
 
 class RuntimeAbsentError(ValueError):
@@ -27,20 +38,33 @@ def installed_runtimes() -> list[str]:
     return [name for name, packages in REQUIREMENTS.items() if all(map(installed_build, packages))]
 
 
-def load_runtime(model: Model, runtime: str, *, device: str, precision: str, kept: int = MIN_KEPT) -> Runtime:
+def load_runtime(
+    model: Model,
+    runtime: str,
+    *,
+    device: str,
+    precision: str,
+    kept: int = MIN_KEPT,
+    quantization: Quantization | None = None,
+) -> Runtime:
     """Load `model` in the runtime torch, onnxruntime or openvino; other arguments as in the settings.
 
-    Of the networks for different input shapes the `kept` ones used last are kept.
+    Precision int8 needs a `quantization`. Of the networks for different input shapes the `kept` ones used
+    last are kept.
 
-    Raises RuntimeAbsentError and DeviceError, both ValueErrors.
+    Raises RuntimeAbsentError, DeviceError and QuantizationError, all ValueErrors.
     """
+    if precision in COARSE:
+        _check_coarse(runtime, precision, quantization)
     if runtime == "torch":
         return TorchRuntime.load(model, device=device, precision=precision, kept=kept)
     if runtime not in REQUIREMENTS:
         words = ", ".join(("auto", *REQUIREMENTS))
         raise RuntimeAbsentError(f"Runtime must be one of {words}, found {runtime[:40]!r}.")
     try:
-        return _load_compiled(model, runtime, device=device, precision=precision, kept=kept)
+        return _load_compiled(
+            model, runtime, device=device, precision=precision, kept=kept, quantization=quantization
+        )
     except ImportError as error:
         problem = str(error).partition("\n")[0]
     raise RuntimeAbsentError(
@@ -49,15 +73,50 @@ def load_runtime(model: Model, runtime: str, *, device: str, precision: str, kep
     )
 
 
-def _load_compiled(model: Model, runtime: str, *, device: str, precision: str, kept: int) -> Runtime:
+def _check_coarse(runtime: str, precision: str, quantization: Quantization | None) -> None:
+    """Raise DeviceError or QuantizationError unless `runtime` computes `precision` here."""
+    if runtime != COARSE_RUNTIME:
+        raise DeviceError(
+            f"Precision '{precision}' needs runtime '{COARSE_RUNTIME}', found {runtime[:40]!r}. Use that one "
+            "or 'auto', or precision 'fp32'."
+        )
+    if precision == "bf16" and not has_bf16(found := abilities()):
+        raise DeviceError(
+            "Precision 'bf16' needs a processor with AVX512-BF16 or AMX, found one with "
+            f"{', '.join(found) or 'neither'}. Use precision 'auto' or 'fp32'."
+        )
+    if precision == "int8" and quantization is None:
+        raise QuantizationError(
+            "Precision 'int8' needs the calibration of the weights; see `calibrate --help`."
+        )
+
+
+def _load_compiled(
+    model: Model,
+    runtime: str,
+    *,
+    device: str,
+    precision: str,
+    kept: int,
+    quantization: Quantization | None,
+) -> Runtime:
     """Load an ONNX engine, imported here because its packages are optional. Raises ImportError."""
     for package in REQUIREMENTS[runtime]:
         if installed_build(package) is None:  # importing an unrelated folder of that name would succeed
             raise ImportError(f"there is no package {package}")
     from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
 
+    if precision not in COARSE:
+        resolve_precision(precision, torch.device("cpu"))
+        precision, quantization = "fp32", None
     if runtime == "onnxruntime":
-        from yolov5_lifecycle.runtimes.onnxruntime_runtime import onnxruntime_engine as engine
+        from yolov5_lifecycle.runtimes.onnxruntime_runtime import onnxruntime_engine
+
+        engine = onnxruntime_engine()
     else:
-        from yolov5_lifecycle.runtimes.openvino_runtime import openvino_engine as engine
-    return CompiledRuntime.load(model, engine(), device=device, precision=precision, kept=kept)
+        from yolov5_lifecycle.runtimes.openvino_runtime import openvino_engine
+
+        engine = openvino_engine(precision)
+    return CompiledRuntime.load(
+        model, engine, device=device, quantization=quantization if precision == "int8" else None, kept=kept
+    )

@@ -46,7 +46,7 @@ class Runtime(Protocol):
 
     @property
     def precision(self) -> str:
-        """The resolved precision: fp32 or fp16."""
+        """The resolved precision: fp32, fp16, bf16 or int8."""
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         """Raw predictions for a letterboxed frame.

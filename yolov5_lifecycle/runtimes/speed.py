@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.registry import RuntimeAbsentError, load_runtime
+from yolov5_lifecycle.runtimes.quantization import Quantization
+from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, RuntimeAbsentError, load_runtime
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError, Runtime
 
 _ROUNDS = 9
@@ -42,6 +43,29 @@ def measure_ms(
     )
     for runtime in running.values():
         runtime.close()
+    return taken_ms
+
+
+def measure_int8_ms(
+    model: Model, runtime: str, quantization: Quantization, *, frame_hw: tuple[int, int]
+) -> dict[str, float]:
+    """Median milliseconds per frame of `frame_hw` on the CPU: fp32 in `runtime`, and int8.
+
+    Raises RuntimeAbsentError, QuantizationError and InferenceError.
+    """
+    frame = _grey(frame_hw)
+    runtimes = {
+        "fp32": load_runtime(model, runtime, device="cpu", precision="fp32"),
+        "int8": load_runtime(
+            model, COARSE_RUNTIME, device="cpu", precision="int8", quantization=quantization
+        ),
+    }
+    runs = {name: partial(loaded, frame, "rgb", _NOTHING_FOUND) for name, loaded in runtimes.items()}
+    for _ in range(_WARM_UPS):
+        _run_all(runs.values())
+    taken_ms = _take_turns(runs)
+    for loaded in runtimes.values():
+        loaded.close()
     return taken_ms
 
 

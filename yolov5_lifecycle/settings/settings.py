@@ -16,6 +16,7 @@ from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.camera_overrides import OverridableSchema, overrides_of
 from yolov5_lifecycle.settings.contradictions import not_above, without_scipy
+from yolov5_lifecycle.settings.precision_rule import precision_rule
 from yolov5_lifecycle.settings.schema import Change, Entries, Problem, Scope, contradiction
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
 from yolov5_lifecycle.settings.value_rules import RULES, Rule, cameras
@@ -61,8 +62,10 @@ class Settings(BaseModel):
         description="Library that runs the network. auto: torch on a GPU; on a CPU the fastest installed "
         "one, measured once and cached. onnxruntime and openvino run on the CPU only.",
     )
-    precision: Annotated[Literal["auto", "fp32", "fp16"], Change.RELOAD] = Field(
-        "auto", description="Floating-point precision of the network. auto: fp16 on CUDA, fp32 elsewhere."
+    precision: Annotated[Literal["auto", "fp32", "fp16", "bf16", "int8"], Change.RELOAD] = Field(
+        "auto",
+        description="Precision of the network. auto: fp16 on CUDA; on a CPU fp32, or int8 where a "
+        "calibration says that it pays. fp16 needs a GPU, bf16 and int8 a CPU.",
     )
     image_size: Annotated[int, Change.RELOAD] = Field(
         640,
@@ -275,10 +278,8 @@ validated = SCHEMA.validated
 def _contradictions(settings: Settings) -> list[Problem]:
     """Violated rules that involve several settings."""
     problems = []
-    if settings.precision == "fp16" and settings.device == "cpu":
-        problems.append(
-            Problem("precision", "'fp16' needs a GPU, but device is 'cpu'. Use precision 'auto' or 'fp32'.")
-        )
+    if rule := precision_rule(settings.precision, device=settings.device, runtime=settings.runtime):
+        problems.append(Problem("precision", rule))
     stride = max(SIZES[settings.model_size].strides)
     if settings.image_size % stride and not settings.weights:
         whose = f"model_size '{settings.model_size}'"

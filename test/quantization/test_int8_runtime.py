@@ -1,0 +1,207 @@
+"""Networks in int8: as good as in fp32, cached apart from it, and refused with the command that helps."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from support.colcon_workspace import REPOSITORY
+from support.random_model import random_frame, random_model
+
+from tools.shapes.evaluate import UNSEEN_SEED, evaluate, moving, stills
+from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
+from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.detection.prepared_model import load_detector, load_model, prepare_model
+from yolov5_lifecycle.models.model import WeightsError
+from yolov5_lifecycle.models.network import fuse
+from yolov5_lifecycle.quantization.calibration_file import (
+    Calibration,
+    CalibrationError,
+    path_beside,
+    read_calibration,
+    write_calibration,
+)
+from yolov5_lifecycle.runtimes.cache import cache_folder
+from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
+from yolov5_lifecycle.runtimes.quantization import Activation, Quantization, QuantizationError, convolutions
+from yolov5_lifecycle.runtimes.registry import installed_runtimes, load_runtime
+from yolov5_lifecycle.runtimes.torch_device import DeviceError
+from yolov5_lifecycle.settings.settings import Settings
+
+SHAPES = REPOSITORY / "weights" / "shapes.safetensors"
+SIZES_HW = [(64, 96)]
+pytestmark = pytest.mark.skipif("openvino" not in installed_runtimes(), reason="no openvino: make install")
+
+
+@pytest.fixture(scope="module")
+def weights() -> WeightsFile:
+    return load_weights(SHAPES)
+
+
+@pytest.fixture(scope="module")
+def calibration(weights: WeightsFile) -> Calibration:
+    return read_calibration(path_beside(SHAPES), weights=SHAPES, weights_sha256=weights.sha256)
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """The weights alone, in a folder of the test's."""
+    return Path(shutil.copy(SHAPES, tmp_path / "best.safetensors"))
+
+
+def test_the_committed_calibration_is_good(calibration: Calibration, weights: WeightsFile) -> None:
+    calibration.quantization.check(convolutions(weights.model.network()))
+    measured = calibration.measurement("openvino", "int8")
+    assert measured is not None
+    assert measured.agreement_f1 >= 0.98
+    assert calibration.detections >= 50
+
+
+@pytest.mark.parametrize(
+    ("image_size", "kind"),
+    [
+        pytest.param(320, "stills", id="stills at 320"),
+        pytest.param(640, "moving", id="moving at 640", marks=pytest.mark.long),
+    ],
+)
+def test_shapes_are_found_in_int8_as_well_as_in_fp32(
+    image_size: int, kind: str, weights: WeightsFile, calibration: Calibration
+) -> None:
+    count, size_hw = (60, (256, 320)) if kind == "stills" else (200, (480, 640))
+    figures = {}
+    for precision in ("fp32", "int8"):
+        detector = load_detector(
+            weights.model,
+            device="cpu",
+            runtime="openvino",
+            precision=precision,
+            image_size=image_size,
+            calibration=calibration,
+        )
+        assert detector.runtime.precision == precision
+        images = (stills if kind == "stills" else moving)(UNSEEN_SEED, count, size_hw)
+        figures[precision] = evaluate(detector, images)
+        detector.close()
+    assert figures["int8"].precision >= figures["fp32"].precision - 0.01
+    assert figures["int8"].recall >= figures["fp32"].recall - 0.01
+
+
+def of_ranges(high: float) -> Quantization:
+    """All activations of the random model have the range from -1 to `high`."""
+    found = convolutions(fuse(random_model().network()))
+    read = {path: Activation((-1.0, high), (0.0,) * each.in_channels) for path, each in found.items()}
+    return Quantization(read, frozenset(), 8)
+
+
+def test_compiled_models_are_cached_for_their_precision_and_ranges() -> None:
+    found = []
+    for quantization in (None, of_ranges(2.0), of_ranges(20.0), of_ranges(2.0), None):
+        runtime = load_runtime(
+            random_model(),
+            "openvino",
+            device="cpu",
+            precision="int8" if quantization else "fp32",
+            quantization=quantization,
+        )
+        rows = runtime(random_frame(), "rgb").rows
+        runtime.close()
+        found.append((rows.tobytes(), len(list(cache_folder("compiled").iterdir()))))
+    assert found[0][0] == found[4][0]
+    assert found[1][0] == found[3][0]
+    assert len({rows for rows, _ in found}) == 3
+    assert [count - found[0][1] for _, count in found] == [0, 1, 2, 2, 2]
+
+
+@pytest.mark.parametrize("runtime", ["torch", "onnxruntime"])
+@pytest.mark.parametrize("precision", ["int8", "bf16"])
+def test_other_runtimes_refuse_what_they_compute_slowly(runtime: str, precision: str) -> None:
+    with pytest.raises(DeviceError, match=f"'{precision}' needs runtime 'openvino', found '{runtime}'"):
+        load_runtime(random_model(), runtime, device="cpu", precision=precision)
+
+
+def test_int8_without_ranges_or_with_those_of_another_model_is_refused() -> None:
+    with pytest.raises(QuantizationError, match="needs the calibration"):
+        load_runtime(random_model(), "openvino", device="cpu", precision="int8")
+    quantization = Quantization({"elsewhere": Activation((0.0, 1.0), (0.0,))}, frozenset(), 8)
+    with pytest.raises(QuantizationError, match="not those of this network's"):
+        load_runtime(random_model(), "openvino", device="cpu", precision="int8", quantization=quantization)
+
+
+@pytest.mark.skipif(has_bf16(abilities()), reason="this processor multiplies bfloat16")
+def test_bf16_is_refused_where_the_processor_emulates_it() -> None:
+    with pytest.raises(
+        DeviceError, match=r"'bf16' needs a processor with AVX512-BF16 or AMX, found one with"
+    ):
+        load_runtime(random_model(), "openvino", device="cpu", precision="bf16")
+
+
+@pytest.mark.skipif(not has_bf16(abilities()), reason="no AVX512-BF16 and no AMX here")
+def test_bf16_finds_the_shapes(weights: WeightsFile) -> None:
+    detector = load_detector(weights.model, device="cpu", precision="bf16", image_size=320)
+    assert (detector.runtime.name, detector.runtime.precision) == ("openvino", "bf16")
+    assert evaluate(detector, stills(UNSEEN_SEED, 50, (256, 320))).recall >= 0.9
+
+
+def test_int8_without_a_calibration_is_refused_with_the_command_to_type(copied: Path) -> None:
+    with pytest.raises(CalibrationError, match=rf"no such calibration.*`calibrate {copied} DATA`"):
+        load_model(copied, precision="int8", device="cpu", image_size=64)
+
+
+def test_int8_with_the_calibration_of_other_weights_is_refused(copied: Path) -> None:
+    shutil.copy(path_beside(SHAPES), path_beside(copied))
+    write_safetensors(random_model(), copied)
+    with pytest.raises(CalibrationError, match=rf"made for other weights.*`calibrate {copied} DATA`"):
+        load_model(copied, precision="int8", device="cpu", image_size=64)
+
+
+def test_a_calibration_that_lacks_a_convolution_is_refused(copied: Path, calibration: Calibration) -> None:
+    first = "model.0.conv"
+    ranges, means = (
+        {name: value for name, value in each.items() if name != first}
+        for each in (calibration.ranges, calibration.means)
+    )
+    write_calibration(path_beside(copied), calibration.model_copy(update={"ranges": ranges, "means": means}))
+    with pytest.raises(CalibrationError, match=rf"1 missing: {first}\. .*`calibrate {copied} DATA`"):
+        load_model(copied, precision="int8", device="cpu", image_size=64)
+
+
+def test_a_calibration_outside_the_allowed_folders_is_refused(copied: Path) -> None:
+    path_beside(copied).symlink_to(path_beside(SHAPES))
+    settings = Settings(weights=str(copied), weights_dirs=(str(copied.parent),), image_size=64, device="cpu")
+    with pytest.raises(WeightsError, match="does not lie in a folder"):
+        prepare_model(settings.model_copy(update={"precision": "int8"}), SIZES_HW)
+    model = prepare_model(settings.model_copy(update={"runtime": "openvino"}), SIZES_HW)
+    assert model.facts["precision"] == "fp32"
+    assert "does not lie in a folder" in model.facts["precision choice"]
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        pytest.param(None, "int8 was not calibrated: there is no ", id="none"),
+        pytest.param(b"{}", "int8 is not considered: ", id="damaged"),
+        pytest.param(path_beside(SHAPES).read_bytes(), "image_size 640, not 64", id="of another size"),
+    ],
+)
+def test_auto_stays_fp32_and_says_why(content: bytes | None, reason: str, copied: Path) -> None:
+    if content is not None:
+        path_beside(copied).write_bytes(content)
+    model = prepare_model(
+        Settings(weights=str(copied), image_size=64, device="cpu", runtime="openvino"), SIZES_HW
+    )
+    assert model.facts["precision"] == "fp32"
+    assert reason in model.facts["precision choice"]
+    model.close()
+
+
+def test_int8_is_told_in_the_facts(copied: Path) -> None:
+    shutil.copy(path_beside(SHAPES), path_beside(copied))
+    model = prepare_model(
+        Settings(weights=str(copied), image_size=64, device="cpu", precision="int8"), SIZES_HW
+    )
+    told = {
+        name: model.facts[name] for name in ("runtime", "runtime choice", "precision", "precision choice")
+    }
+    assert list(told.values()) == ["openvino", "the only one for int8", "int8", "as set"]
+    model.close()

@@ -1,0 +1,128 @@
+"""`precision: auto` is int8 only where that is known to be good and faster here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.calibrations import a_calibration, measurement
+from support.random_model import random_model
+
+from yolov5_lifecycle.quantization.calibration_file import Calibration
+from yolov5_lifecycle.quantization.precision_choice import (
+    PrecisionChoice,
+    Wish,
+    choose,
+    choose_precision,
+)
+from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
+from yolov5_lifecycle.runtimes.registry import installed_runtimes
+
+needs_openvino = pytest.mark.skipif(
+    "openvino" not in installed_runtimes(), reason="no openvino: make install"
+)
+HERE = weight_bits(abilities())
+FP32, INT8 = (measurement("fp32", 20.0, 1.0), measurement("int8", 10.0, 0.99))
+
+
+def chosen(
+    folder: Path,
+    calibration: Calibration,
+    *,
+    fp32_ms: float = 20.0,
+    runtime: str = "openvino",
+    is_free: bool = True,
+) -> PrecisionChoice:
+    return choose_precision(
+        random_model(),
+        calibration,
+        runtime=runtime,
+        is_free=is_free,
+        image_size=320,
+        frame_hw=(64, 96),
+        folder=folder,
+        measure=lambda *_, **__: {"fp32": fp32_ms, "int8": 10.0},
+    )
+
+
+@needs_openvino
+@pytest.mark.parametrize(
+    ("fp32_ms", "precision"), [(20.0, "int8"), (11.5, "int8"), (11.4, "fp32"), (8.0, "fp32")]
+)
+def test_int8_must_be_faster_here(fp32_ms: float, precision: str, tmp_path: Path) -> None:
+    choice = chosen(tmp_path, a_calibration(weight_bits=HERE), fp32_ms=fp32_ms)
+    assert choice.precision == precision
+    assert f"int8 is {fp32_ms / 10:.2f} x as fast as fp32 here" in choice.reason
+    assert "measured now) and agrees with it to 0.990 (F1)" in choice.reason
+
+
+@needs_openvino
+def test_the_speed_is_measured_once(tmp_path: Path) -> None:
+    calibration = a_calibration(weight_bits=HERE)
+    assert chosen(tmp_path, calibration).precision == "int8"
+    again = chosen(tmp_path, calibration, fp32_ms=1.0)
+    assert again.precision == "int8"
+    (record,) = tmp_path.iterdir()
+    assert f"cached in {record}" in again.reason
+    record.write_text("{}")
+    assert chosen(tmp_path, calibration, fp32_ms=1.0).precision == "fp32"
+    assert chosen(tmp_path, calibration, runtime="onnxruntime").reason.count("measured now") == 1
+
+
+@needs_openvino
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        pytest.param({"measured": (FP32, measurement("int8", 10.0, 0.979))}, "to 0.979", id="unlike fp32"),
+        pytest.param({"measured": (FP32,)}, "not measured", id="never measured"),
+        pytest.param({"detections": 49}, "only 49 detections", id="too few detections"),
+        pytest.param({"image_size": 640}, "image_size 640, not 320", id="another size"),
+        pytest.param({"weight_bits": 15 - HERE}, f"this processor needs {HERE}", id="other weights"),
+        pytest.param(
+            {"measured": (FP32, INT8.model_copy(update={"map_loss": 1.1}))}, "loses 1.1 points", id="mAP loss"
+        ),
+    ],
+)
+def test_int8_must_be_good(changed: dict[str, object], reason: str, tmp_path: Path) -> None:
+    choice = chosen(tmp_path, a_calibration(**{"weight_bits": HERE} | changed))
+    assert choice.precision == "fp32"
+    assert reason in choice.reason
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_runtime_that_is_set_is_kept(tmp_path: Path) -> None:
+    choice = chosen(tmp_path, a_calibration(weight_bits=HERE), runtime="torch", is_free=False)
+    assert choice == PrecisionChoice("fp32", "int8 needs runtime 'openvino', and 'torch' is set")
+
+
+@needs_openvino
+def test_ranges_of_another_network_leave_it_at_fp32(tmp_path: Path) -> None:
+    choice = choose_precision(
+        random_model(),
+        a_calibration(weight_bits=HERE),
+        runtime="openvino",
+        is_free=True,
+        image_size=320,
+        frame_hw=(64, 96),
+        folder=tmp_path,
+    )
+    assert choice.precision == "fp32"
+    assert choice.reason.startswith("int8 cannot be used: the ranges are not those of this network's")
+
+
+@pytest.mark.parametrize(
+    ("wish", "expected"),
+    [
+        (Wish("cpu", "auto", "int8"), ("openvino", "the only one for int8", "int8", "as set")),
+        (Wish("auto", "openvino", "bf16"), ("openvino", "as set", "bf16", "as set")),
+        (Wish("cpu", "torch", "fp32"), ("torch", "as set", "fp32", "as set")),
+        (Wish("cpu", "torch", "auto"), ("torch", "as set", "fp32", "there is none")),
+    ],
+    ids=str,
+)
+def test_what_is_set_is_taken(wish: Wish, expected: tuple[str, ...]) -> None:
+    used = choose(random_model(), wish, "there is none", image_size=64, frame_hw=(64, 96))
+    assert expected == (
+        *(used.runtime.runtime, used.runtime.reason),
+        *(used.precision.precision, used.precision.reason),
+    )

@@ -1,0 +1,150 @@
+"""Rounding to integers, and the rules for which network ranges are."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from support.random_model import random_model
+from torch import nn
+
+from yolov5_lifecycle.models.network import Network, fuse
+from yolov5_lifecycle.quantization.activation_ranges import activations
+from yolov5_lifecycle.quantization.sensitivity import most_sensitive
+from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
+from yolov5_lifecycle.runtimes.quantization import (
+    Activation,
+    Quantization,
+    QuantizationError,
+    activation_step,
+    convolutions,
+    corrected_bias,
+    quantized_weight,
+)
+
+
+@pytest.fixture(scope="module")
+def network() -> Network:
+    return fuse(random_model().network())
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    return [torch.rand((1, 3, 64, 96), generator=generator) for _ in range(3)]
+
+
+@pytest.fixture(scope="module")
+def read(network: Network, frames: list[torch.Tensor]) -> dict[str, Activation]:
+    return activations(network, frames, progress=lambda _: None)
+
+
+def test_every_convolution_but_those_of_the_last_layer_has_a_range(
+    network: Network, read: dict[str, Activation]
+) -> None:
+    head = f"model.{len(network.model) - 1}."
+    paths = {path for path, module in network.named_modules() if isinstance(module, nn.Conv2d)}
+    assert read.keys() == {path for path in paths if not path.startswith(head)}
+    assert all(each.range[0] <= 0 <= each.range[1] for each in read.values())
+    assert {path: len(each.means) for path, each in read.items()} == {
+        path: module.in_channels for path, module in convolutions(network).items()
+    }
+
+
+def test_the_first_convolution_reads_pixels(read: dict[str, Activation]) -> None:
+    low, high = read["model.0.conv"].range
+    assert low == 0.0
+    assert high == pytest.approx(1.0, abs=0.1)
+    assert read["model.0.conv"].means == pytest.approx((0.5, 0.5, 0.5), abs=0.02)
+
+
+def test_observing_leaves_the_network_as_it_was(network: Network, frames: list[torch.Tensor]) -> None:
+    before = network.features(frames[0])
+    found = activations(network, frames, progress=lambda _: None)
+    order = most_sensitive(network, found, torch.cat(frames), weight_bits=8, progress=lambda _: None)
+    assert sorted(order) == sorted(found)
+    after = network.features(frames[0])
+    assert all(torch.equal(one, other) for one, other in zip(before, after, strict=True))
+
+
+@pytest.mark.parametrize(("range_", "zero"), [((0.0, 2.0), 0), ((-1.0, 1.0), 128), ((-2.0, 0.0), 255)])
+def test_zero_is_one_of_the_steps_of_an_activation(range_: tuple[float, float], zero: int) -> None:
+    step, found = activation_step(range_)
+    assert found == zero
+    assert step * 255 == pytest.approx(range_[1] - range_[0])
+
+
+@pytest.mark.parametrize(("bits", "largest"), [(8, 127), (7, 63)])
+def test_each_output_channel_of_a_weight_has_its_own_step(bits: int, largest: int) -> None:
+    weight = np.random.default_rng(0).normal(size=(4, 3, 3, 3)).astype(np.float32)
+    weight[1] *= 1000
+    weight[2] = 0
+    integers, steps = quantized_weight(weight, bits)
+    assert np.abs(integers).reshape(4, -1).max(axis=1).tolist() == [largest, largest, 0, largest]
+    assert np.abs(integers * steps.reshape(-1, 1, 1, 1) - weight).max() <= steps.max() / 2 * 1.001
+
+
+@pytest.mark.parametrize("groups", [1, 2])
+def test_the_corrected_bias_keeps_the_mean_of_the_result(groups: int) -> None:
+    torch.manual_seed(0)
+    module = nn.Conv2d(4, 6, 1, groups=groups).requires_grad_(False)
+    features = torch.rand(1, 4, 50, 50) + torch.arange(4).view(1, 4, 1, 1)
+    exact = module(features).mean(dim=(0, 2, 3))
+    integers, steps = quantized_weight(module.weight.numpy(), 4)
+    rounded = integers * steps.reshape(-1, 1, 1, 1)
+    bias = corrected_bias(module, rounded, features.mean(dim=(0, 2, 3)).tolist())
+    module.weight.data, module.bias.data = torch.from_numpy(rounded), torch.from_numpy(bias)  # type: ignore[union-attr]
+    assert torch.allclose(module(features).mean(dim=(0, 2, 3)), exact, atol=1e-4)
+
+
+def test_ranges_of_another_network_are_refused(network: Network, read: dict[str, Activation]) -> None:
+    found = convolutions(network)
+    Quantization(read, frozenset(), 8).check(found)
+    first, *_ = read
+    missing = {name: each for name, each in read.items() if name != first}
+    narrow = read | {first: Activation((0.0, 1.0), (0.5,))}
+    for other, problem in (
+        (missing, f"1 missing: {first}$"),
+        (read | {"model.99.conv": read[first]}, r"1 unknown: model\.99\.conv$"),
+        (narrow, f"1 with another number of channels: {first}$"),
+    ):
+        with pytest.raises(QuantizationError, match=problem):
+            Quantization(other, frozenset(), 8).check(found)
+    with pytest.raises(QuantizationError, match="1 unknown: elsewhere"):
+        Quantization(read, frozenset({"elsewhere"}), 8).check(found)
+
+
+def test_the_digest_differs_with_all_that_the_result_depends_on(read: dict[str, Activation]) -> None:
+    first, second, *_ = read
+    usual = Quantization(read, frozenset(), 8)
+    others = [
+        dataclasses.replace(usual, weight_bits=7),
+        dataclasses.replace(usual, fp32_layers=frozenset({first})),
+        dataclasses.replace(usual, activations=read | {second: Activation((0.0, 9.0), read[second].means)}),
+        dataclasses.replace(usual, activations=read | {second: Activation(read[second].range, (9.0,))}),
+    ]
+    assert len({each.digest for each in (usual, *others)}) == 5
+    assert usual.digest == Quantization(dict(read), frozenset(), 8).digest
+
+
+@pytest.mark.parametrize(
+    ("machine", "flags", "bits", "bf16"),
+    [
+        pytest.param("x86_64", "avx2 fma", 7, False, id="AVX2"),
+        pytest.param("x86_64", "avx2 avx512f", 7, False, id="AVX-512"),
+        pytest.param("x86_64", "avx2 avx_vnni", 8, False, id="AVX-VNNI"),
+        pytest.param("x86_64", "avx2 avx512f avx512_vnni", 8, False, id="AVX512-VNNI"),
+        pytest.param("x86_64", "avx512_vnni avx512_bf16", 8, True, id="AVX512-BF16"),
+        pytest.param("x86_64", "amx_int8 amx_bf16", 8, True, id="AMX"),
+        pytest.param("aarch64", "asimd asimddp", 8, False, id="ARM"),
+    ],
+)
+def test_bits_of_weights_follow_what_the_processor_adds_without_overflow(
+    machine: str, flags: str, bits: int, bf16: bool
+) -> None:
+    found = abilities(f"{machine}\nflags : fpu {flags}")
+    assert set(found) == set(flags.split()) - {"fma", "asimd"}
+    assert weight_bits(found, machine) == bits
+    assert has_bf16(found) == bf16

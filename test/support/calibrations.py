@@ -1,0 +1,40 @@
+"""Calibrations for tests."""
+
+from __future__ import annotations
+
+from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement
+
+DIGEST = "ab" * 32
+
+
+def a_calibration(**changed: object) -> Calibration:
+    """A valid one, of nothing in particular; `changed` replaces fields."""
+    fields: dict[str, object] = {
+        "weights_sha256": DIGEST,
+        "data_sha256": "ef" * 32,
+        "images": 40,
+        "image_size": 320,
+        "confidence_threshold": 0.25,
+        "iou_threshold": 0.45,
+        "weight_bits": 8,
+        "ranges": {"model.0.conv": (0.0, 1.0), "model.1.conv": (-0.278, 6.5)},
+        "means": {"model.0.conv": (0.4, 0.5, 0.5), "model.1.conv": (0.1, 0.2)},
+        "fp32_layers": ("model.1.conv",),
+        "detections": 120,
+        "measured": (measurement("fp32", 20.0, 1.0), measurement("int8", 10.0, 0.99)),
+        "processor": "A processor",
+        "abilities": ("avx2", "avx512_vnni"),
+        "versions": {"openvino": "2026.1"},
+    }
+    return Calibration(**fields | changed)  # type: ignore[arg-type]
+
+
+def measurement(precision: str, ms_per_image: float, agreement_f1: float) -> Measurement:
+    """One of OpenVINO."""
+    return Measurement(
+        runtime="openvino",
+        precision=precision,  # type: ignore[arg-type]
+        ms_per_image=ms_per_image,
+        agreement_f1=agreement_f1,
+        box_iou=0.97,
+    )

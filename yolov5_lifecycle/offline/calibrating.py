@@ -1,0 +1,213 @@
+"""Calibration of a model for int8: ranges, layers that stay in fp32, and measurements beside fp32."""
+
+from __future__ import annotations
+
+import hashlib
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import distributions
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.checkpoints.locate import WeightsFile
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.models.network import fuse
+from yolov5_lifecycle.offline.agreement import agreement
+from yolov5_lifecycle.quantization.activation_ranges import activations
+from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement
+from yolov5_lifecycle.quantization.sensitivity import most_sensitive
+from yolov5_lifecycle.runtimes.cache import processor
+from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
+from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
+from yolov5_lifecycle.runtimes.registry import installed_runtimes, load_runtime
+
+Tell = Callable[[str], None]
+"""Shows what is being done."""
+_PACKAGES = ("yolov5_lifecycle", "openvino", "onnxruntime", "torch")
+_ENOUGH_TO_SPLIT = 20
+_SENSITIVITY_FRAMES = 4
+_TRIAL_FRAMES = 60
+_FP32_SHARES = (0.0, 0.07, 0.14, 0.25, 0.4)
+"""Shares of the convolutions that are tried in fp32, the most sensitive ones."""
+_GOOD_AGREEMENT = 0.985
+_WARM_UPS = 3
+
+Runtime = Literal["onnxruntime", "openvino"]
+Precision = Literal["fp32", "int8", "bf16"]
+
+
+class Calibrating:
+    """Calibrates the model of `weights` on letterboxed `images` of one size.
+
+    Every other image is used for the ranges and the choice of layers, the rest for what is measured; fewer
+    than 20 are used for both.
+    """
+
+    def __init__(
+        self,
+        weights: WeightsFile,
+        images: Sequence[ColourImage],
+        *,
+        image_size: int,
+        selection: Selection,
+        tell: Tell,
+    ) -> None:
+        self._weights = weights
+        self._images = images
+        self._learned, self._compared = _halves(images)
+        self._image_size = image_size
+        self._selection = selection
+        self._tell = tell
+        self._bits = weight_bits(abilities())
+
+    def result(self) -> Calibration:
+        """The calibration. Raises RuntimeAbsentError, InferenceError and ValueError."""
+        read, order = self._activations()
+        quantization = self._chosen(read, order)
+        measured, found = self._measured(quantization)
+        return Calibration(
+            weights_sha256=self._weights.sha256,
+            data_sha256=_digest(self._images),
+            images=len(self._images),
+            image_size=self._image_size,
+            confidence_threshold=self._selection.confidence_threshold,
+            iou_threshold=self._selection.iou_threshold,
+            weight_bits=self._bits,
+            ranges={name: each.range for name, each in read.items()},
+            means={name: each.means for name, each in read.items()},
+            fp32_layers=tuple(sorted(quantization.fp32_layers)),
+            detections=found,
+            measured=measured,
+            processor=_processor_name(),
+            abilities=abilities(),
+            versions=_versions(),
+        )
+
+    def _activations(self) -> tuple[dict[str, Activation], list[str]]:
+        """What convolutions read, and their paths, the most sensitive ones first."""
+        network = fuse(self._weights.model.network())
+        channels = self._weights.model.architecture.image_channels
+        frames = [_pixels(image, channels) for image in self._learned]
+        read = activations(
+            network, frames, progress=lambda done: self._tell(f"ranges: {done} of {len(frames)} images")
+        )
+        order = most_sensitive(
+            network,
+            read,
+            torch.cat(frames[:: -(-len(frames) // _SENSITIVITY_FRAMES)]),
+            weight_bits=self._bits,
+            progress=lambda done: self._tell(f"sensitivity: {done} of {len(read)} layers"),
+        )
+        return read, order
+
+    def _chosen(self, read: Mapping[str, Activation], order: Sequence[str]) -> Quantization:
+        """With as few layers in fp32 as agree well, else with those that agree best."""
+        images = self._learned[:_TRIAL_FRAMES]
+        truth = self._detections(self._detector("openvino", "fp32"), images)
+        tried = []
+        for share in _FP32_SHARES:
+            kept = order[: round(share * len(order))]
+            self._tell(f"comparing int8 with {len(kept)} of {len(order)} layers in fp32")
+            quantization = Quantization(read, frozenset(kept), self._bits)
+            found = self._detections(self._detector("openvino", "int8", quantization), images)
+            tried.append((agreement(truth, found).f1, quantization))
+            if tried[-1][0] >= _GOOD_AGREEMENT:
+                break
+        return max(tried, key=lambda each: each[0])[1]
+
+    def _measured(self, quantization: Quantization) -> tuple[tuple[Measurement, ...], int]:
+        """What is measured, and the number of detections in fp32."""
+        wanted: list[tuple[Runtime, Precision]] = [("openvino", "fp32"), ("openvino", "int8")]
+        if "onnxruntime" in installed_runtimes():
+            wanted.append(("onnxruntime", "fp32"))
+        if has_bf16(abilities()):
+            wanted.append(("openvino", "bf16"))
+        detectors = {(name, kind): self._detector(name, kind, quantization) for name, kind in wanted}
+        taken_ms, found = self._timed(list(detectors.values()))
+        truth = found[0]
+        measured = []
+        for (runtime, precision), times_ms, others in zip(detectors, taken_ms, found, strict=True):
+            same = agreement(truth, others)
+            measured.append(
+                Measurement(
+                    runtime=runtime,
+                    precision=precision,
+                    ms_per_image=round(statistics.median(times_ms), 2),
+                    agreement_f1=round(same.f1, 4),
+                    box_iou=round(same.box_iou, 4),
+                )
+            )
+        return tuple(measured), sum(map(len, truth))
+
+    def _timed(self, detectors: Sequence[Detector]) -> tuple[list[list[float]], list[list[Detections]]]:
+        """Milliseconds and detections of each detector, in turns, so that load affects all equally."""
+        taken_ms: list[list[float]] = [[] for _ in detectors]
+        found: list[list[Detections]] = [[] for _ in detectors]
+        for detector in detectors:
+            for _ in range(_WARM_UPS):
+                detector.detect(self._compared[0], self._selection)
+        for number, image in enumerate(self._compared):
+            for detector, times_ms, detections in zip(detectors, taken_ms, found, strict=True):
+                begun_s = time.perf_counter()
+                detections.append(detector.detect(image, self._selection))
+                times_ms.append(1e3 * (time.perf_counter() - begun_s))
+            self._tell(f"measuring: {number + 1} of {len(self._compared)} images")
+        return taken_ms, found
+
+    def _detections(self, detector: Detector, images: Sequence[ColourImage]) -> list[Detections]:
+        found = [detector.detect(image, self._selection) for image in images]
+        detector.close()
+        return found
+
+    def _detector(self, runtime: str, precision: str, quantization: Quantization | None = None) -> Detector:
+        model: Model = self._weights.model
+        loaded = load_runtime(model, runtime, device="cpu", precision=precision, quantization=quantization)
+        return Detector(
+            loaded,
+            class_names=model.class_names,
+            image_size=max(self._images[0].size_hw),
+            stride=size_multiple(model.architecture),
+            mask_coefficients=model.architecture.mask_coefficients,
+        )
+
+
+def _halves(images: Sequence[ColourImage]) -> tuple[Sequence[ColourImage], Sequence[ColourImage]]:
+    return (images[::2], images[1::2]) if len(images) >= _ENOUGH_TO_SPLIT else (images, images)
+
+
+def _pixels(image: ColourImage, channels: int) -> torch.Tensor:
+    """(1, channels, h, w), floats in [0, 1], as the network reads them."""
+    from yolov5_lifecycle.runtimes.compiled_runtime import write_planes  # its package is optional
+
+    planes: NDArray[np.uint8] = np.empty((channels, *image.size_hw), np.uint8)
+    write_planes(image.pixels, image.order, planes)
+    return torch.from_numpy(planes)[None].float() / 255
+
+
+def _digest(images: Sequence[ColourImage]) -> str:
+    digest = hashlib.sha256()
+    for image in images:
+        digest.update(f"{image.size_hw} {image.order} ".encode())
+        digest.update(image.pixels.tobytes())
+    return digest.hexdigest()
+
+
+def _processor_name() -> str:
+    """Its model name, or its architecture where there is none."""
+    lines = processor().splitlines()
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return (named or lines)[0][:200]
+
+
+def _versions() -> dict[str, str]:
+    installed = {each.name: each.version for each in distributions() if each.name in _PACKAGES}
+    return dict(sorted(installed.items()))

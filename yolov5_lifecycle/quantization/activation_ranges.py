@@ -1,0 +1,126 @@
+"""Ranges of activations for int8: what each convolution reads on calibration images, without outliers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
+from yolov5_lifecycle.runtimes.quantization import LEVELS, Activation, Range, convolutions
+
+BINS = 2048
+_FIRST_LOOK = 16
+"""Images after which the limits of the histograms are set."""
+_MARGIN = 0.25
+_SAMPLED = 3
+"""Every third value is counted."""
+_KEPT_SHARES = np.linspace(0.15, 1.0, 35)
+_SMALLEST_WIDTH = 1e-3
+
+
+@dataclass
+class _Histogram:
+    """Values of one activation: how many in each of BINS between `low` and `high`, and sums by channel."""
+
+    seen_low: float = 0.0
+    seen_high: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+    counts: NDArray[np.int64] | None = None
+    sums: NDArray[np.float64] | None = None
+    frames: int = 0
+
+    def look(self, values: Tensor) -> None:
+        low, high = (float(value) for value in values.aminmax())
+        self.seen_low, self.seen_high = min(self.seen_low, low), max(self.seen_high, high)
+
+    def begin(self) -> None:
+        """Set the limits, somewhat beyond what was seen; values beyond them count as the outermost ones."""
+        margin = max(_MARGIN * (self.seen_high - self.seen_low), _SMALLEST_WIDTH)
+        self.low, self.high = self.seen_low - margin, self.seen_high + margin
+        self.counts = np.zeros(BINS, np.int64)
+        self.sums = None
+
+    def count(self, values: Tensor) -> None:
+        assert self.counts is not None
+        sample = values.flatten()[::_SAMPLED]
+        bins = ((sample - self.low) * (BINS / (self.high - self.low))).clamp_(0, BINS - 1).to(torch.int32)
+        self.counts += torch.bincount(bins, minlength=BINS).numpy()
+        means = values.mean(dim=(0, 2, 3)).double().numpy()
+        self.sums = means if self.sums is None else self.sums + means
+        self.frames += 1
+
+    def activation(self) -> Activation:
+        """The range, and the mean of each channel."""
+        assert self.sums is not None
+        means = self.sums / self.frames
+        return Activation(self.range(), tuple(float(f"{mean:.5g}") for mean in means))
+
+    def range(self) -> Range:
+        """The range with the smallest mean squared error after rounding; 0 lies in it."""
+        assert self.counts is not None
+        width = (self.high - self.low) / BINS
+        occupied = np.flatnonzero(self.counts)
+        centres = np.asarray(self.low + (occupied + 0.5) * width, np.float64)
+        counts = self.counts[occupied]
+        # Values below 0 are few bits of a range after SiLU, yet most of its values: never cut off there.
+        lows = self.seen_low * (_KEPT_SHARES if -self.seen_low > 0.5 * self.seen_high else np.ones(1))
+        candidates = [(float(low), float(self.seen_high * share)) for low in lows for share in _KEPT_SHARES]
+        usable = [pair for pair in candidates if pair[1] - pair[0] >= _SMALLEST_WIDTH]
+        errors = [_squared_error(pair, centres, counts) for pair in usable]
+        low, high = usable[int(np.argmin(errors))] if usable else (0.0, 1.0)
+        return float(f"{low:.6g}"), float(f"{high:.6g}")
+
+
+def _squared_error(range_: Range, values: NDArray[np.float64], counts: NDArray[np.int64]) -> float:
+    low, high = range_
+    step = (high - low) / LEVELS
+    rounded = np.clip(np.rint((values - low) / step), 0, LEVELS) * step + low
+    return float((counts * (rounded - values) ** 2).sum())
+
+
+def activations(
+    network: Network, frames: Sequence[Tensor], *, progress: Callable[[int], None]
+) -> dict[str, Activation]:
+    """What each convolution of the fused `network` reads, by its path.
+
+    `frames`: (1, c, h, w) each, floats in [0, 1]. `progress` is given the number of frames done.
+    """
+    found = convolutions(network)
+    histograms = {path: _Histogram() for path in found}
+    for frame in frames[:: max(1, len(frames) // _FIRST_LOOK)]:
+        _observe(network, frame, {found[path]: each.look for path, each in histograms.items()})
+    for histogram in histograms.values():
+        histogram.begin()
+    for number, frame in enumerate(frames):
+        _observe(network, frame, {found[path]: each.count for path, each in histograms.items()})
+        progress(number + 1)
+    return {path: histogram.activation() for path, histogram in histograms.items()}
+
+
+def _observe(
+    network: Network, frame: Tensor, observers: Mapping[nn.Conv2d, Callable[[Tensor], None]]
+) -> None:
+    with _reading(observers), torch.no_grad(), denormals_as_zero():
+        network.features(frame)
+
+
+@contextmanager
+def _reading(observers: Mapping[nn.Conv2d, Callable[[Tensor], None]]) -> Iterator[None]:
+    """Give each observer what its convolution reads."""
+    handles = [
+        module.register_forward_pre_hook(lambda _, inputs, observe=observe: observe(inputs[0]))
+        for module, observe in observers.items()
+    ]
+    try:
+        yield
+    finally:
+        for handle in handles:
+            handle.remove()

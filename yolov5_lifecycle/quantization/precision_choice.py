@@ -1,0 +1,188 @@
+"""Whether `precision: auto` is int8: only if its calibration says it is good, and it is faster here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement
+from yolov5_lifecycle.runtimes.auto import (
+    Choice,
+    choice_key,
+    choose_runtime,
+    read_figures,
+    write_figures,
+)
+from yolov5_lifecycle.runtimes.cache import cache_folder
+from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
+from yolov5_lifecycle.runtimes.quantization import QuantizationError
+from yolov5_lifecycle.runtimes.registry import COARSE, COARSE_RUNTIME, installed_runtimes
+from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.runtimes.speed import measure_int8_ms
+from yolov5_lifecycle.runtimes.torch_device import resolve_device
+
+MIN_SPEEDUP = 1.15
+MIN_AGREEMENT = 0.98
+MAX_MAP_LOSS = 1.0
+MIN_DETECTIONS = 50
+_MEASURED = ("fp32", "int8")
+
+
+@dataclass(frozen=True)
+class PrecisionChoice:
+    """fp32 or int8, and the reason."""
+
+    precision: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The settings of the same names."""
+
+    device: str
+    runtime: str
+    precision: str
+
+
+@dataclass(frozen=True)
+class Used:
+    """What runs the network, and in which precision."""
+
+    runtime: Choice
+    precision: PrecisionChoice
+
+
+def choose(
+    model: Model,
+    wish: Wish,
+    calibration: Calibration | str,
+    *,
+    image_size: int,
+    frame_hw: tuple[int, int],
+) -> Used:
+    """Runtime and precision for `wish`; `calibration`: that of the model, or why there is none.
+
+    Raises DeviceError, and InferenceError when measuring fails.
+    """
+    if wish.precision in COARSE:
+        runtime = COARSE_RUNTIME if wish.runtime == "auto" else wish.runtime
+        reason = "as set" if wish.runtime == runtime else f"the only one for {wish.precision}"
+        return Used(Choice(runtime, reason), PrecisionChoice(wish.precision, "as set"))
+    choice = Choice(wish.runtime, "as set")
+    if wish.runtime == "auto":
+        choice = choose_runtime(model, device=wish.device, precision=wish.precision, frame_hw=frame_hw)
+    if wish.precision != "auto":
+        return Used(choice, PrecisionChoice(wish.precision, "as set"))
+    device = resolve_device(wish.device) if choice.runtime == "torch" else torch.device("cpu")
+    if device.type != "cpu":
+        return Used(choice, PrecisionChoice("auto", f"that of {device.type}"))
+    if isinstance(calibration, str):
+        return Used(choice, PrecisionChoice("fp32", calibration))
+    precision = choose_precision(
+        model,
+        calibration,
+        runtime=choice.runtime,
+        is_free=wish.runtime == "auto",
+        image_size=image_size,
+        frame_hw=frame_hw,
+    )
+    if precision.precision == "int8" and choice.runtime != COARSE_RUNTIME:
+        choice = Choice(COARSE_RUNTIME, f"the only one for int8; in fp32: {choice.runtime}, {choice.reason}")
+    return Used(choice, precision)
+
+
+def choose_precision(
+    model: Model,
+    calibration: Calibration,
+    *,
+    runtime: str,
+    is_free: bool,
+    image_size: int,
+    frame_hw: tuple[int, int],
+    folder: Path | None = None,
+    measure: Callable[..., dict[str, float]] = measure_int8_ms,
+) -> PrecisionChoice:
+    """int8 if it is good according to `calibration` and faster here than fp32 in `runtime`, else fp32.
+
+    `is_free`: whether the runtime may be another one for int8. The speed is measured once and kept with the
+    choice of the runtime, in `folder`.
+    """
+    problem = _absence(runtime, is_free=is_free) or quality_problem(calibration, image_size=image_size)
+    if problem:
+        return PrecisionChoice("fp32", problem)
+    try:
+        figures_ms, origin = _figures_ms(
+            model, calibration, runtime=runtime, frame_hw=frame_hw, folder=folder, measure=measure
+        )
+    except (QuantizationError, InferenceError) as error:
+        return PrecisionChoice("fp32", f"int8 cannot be used: {error}")
+    return _of_speed(figures_ms, origin, calibration.measurement(COARSE_RUNTIME, "int8"))
+
+
+def quality_problem(calibration: Calibration, *, image_size: int) -> str:
+    """Why int8 is not known to be good on this processor at `image_size`, or ""."""
+    measured = calibration.measurement(COARSE_RUNTIME, "int8")
+    bits = weight_bits(abilities())
+    if measured is None:
+        return "int8 was not measured when the weights were calibrated"
+    if calibration.image_size != image_size:
+        return f"int8 was measured at image_size {calibration.image_size}, not {image_size}: calibrate again"
+    if calibration.weight_bits != bits:
+        return (
+            f"int8 was measured with weights of {calibration.weight_bits} bits, this processor needs {bits}: "
+            "calibrate on it"
+        )
+    if calibration.detections < MIN_DETECTIONS:
+        return (
+            f"only {calibration.detections} detections were compared with fp32, which is less than "
+            f"{MIN_DETECTIONS}: calibrate with other or more images"
+        )
+    if measured.agreement_f1 < MIN_AGREEMENT:
+        return (
+            f"int8 agrees with fp32 to {measured.agreement_f1:.3f} (F1), which is less than {MIN_AGREEMENT:g}"
+        )
+    if measured.map_loss is not None and measured.map_loss > MAX_MAP_LOSS:
+        return f"int8 loses {measured.map_loss:.1f} points of mAP, which is more than {MAX_MAP_LOSS:g}"
+    return ""
+
+
+def _absence(runtime: str, *, is_free: bool) -> str:
+    if not is_free and runtime != COARSE_RUNTIME:
+        return f"int8 needs runtime '{COARSE_RUNTIME}', and '{runtime}' is set"
+    return "" if COARSE_RUNTIME in installed_runtimes() else f"int8 needs {COARSE_RUNTIME}, not installed"
+
+
+def _of_speed(figures_ms: dict[str, float], origin: str, measured: Measurement | None) -> PrecisionChoice:
+    assert measured is not None
+    speedup = figures_ms["fp32"] / figures_ms["int8"]
+    told = (
+        f"int8 is {speedup:.2f} x as fast as fp32 here ({figures_ms['int8']:.1f} ms, not "
+        f"{figures_ms['fp32']:.1f}; {origin}) and agrees with it to {measured.agreement_f1:.3f} (F1)"
+    )
+    if speedup < MIN_SPEEDUP:
+        return PrecisionChoice("fp32", f"{told}; it is used from {MIN_SPEEDUP:g} x")
+    return PrecisionChoice("int8", told)
+
+
+def _figures_ms(
+    model: Model,
+    calibration: Calibration,
+    *,
+    runtime: str,
+    frame_hw: tuple[int, int],
+    folder: Path | None,
+    measure: Callable[..., dict[str, float]],
+) -> tuple[dict[str, float], str]:
+    """Milliseconds in fp32 and in int8, and where they are from."""
+    quantization = calibration.quantization
+    key = choice_key(model, installed_runtimes(), frame_hw, "int8", runtime, quantization.digest)
+    record = (folder or cache_folder("choices")) / f"{key}.json"
+    if (kept_ms := read_figures(record, _MEASURED, required=_MEASURED)) is not None:
+        return kept_ms, f"cached in {record}"
+    figures_ms = measure(model, runtime, quantization, frame_hw=frame_hw)
+    return figures_ms, write_figures(record, figures_ms) or "measured now"

@@ -1,0 +1,38 @@
+"""What the processor can compute quickly besides fp32."""
+
+from __future__ import annotations
+
+import platform
+from typing import Literal
+
+from yolov5_lifecycle.runtimes.cache import processor
+
+_TOLD = (
+    *("avx2", "avx512f", "avx_vnni", "avx512_vnni", "avx512_bf16", "amx_int8", "amx_bf16"),
+    *("asimddp", "i8mm", "bf16"),
+)
+_INTEGER_PRODUCTS = {"avx_vnni", "avx512_vnni", "amx_int8"}
+_BFLOAT16 = {"avx512_bf16", "amx_bf16"}
+_X86 = ("x86_64", "AMD64")
+
+
+def abilities(described: str | None = None) -> tuple[str, ...]:
+    """Instruction sets that matter for int8 and bf16, in a fixed order.
+
+    `described`: the result of `processor`, by default that of this one.
+    """
+    words = set((processor() if described is None else described).split())
+    return tuple(name for name in _TOLD if name in words)
+
+
+def weight_bits(found: tuple[str, ...], machine: str = platform.machine()) -> Literal[7, 8]:
+    """Bits of a quantized weight that do not overflow: 7 on x86 without VNNI, else 8.
+
+    There two products of 8 bits are added in 16 bits, with saturation.
+    """
+    return 7 if machine in _X86 and not _INTEGER_PRODUCTS & set(found) else 8
+
+
+def has_bf16(found: tuple[str, ...]) -> bool:
+    """Whether the processor multiplies bfloat16, rather than emulating it."""
+    return bool(_BFLOAT16 & set(found))

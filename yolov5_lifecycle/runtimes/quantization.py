@@ -1,0 +1,124 @@
+"""What int8 needs besides a network: ranges of activations and which convolutions stay in fp32."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import nn
+
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.printable import in_one_line
+
+LEVELS = 255
+"""Steps between the lowest and the highest value of an activation, which has 8 bits."""
+_SMALLEST_STEP = 1e-12
+_TOLD = 3
+
+Range = tuple[float, float]
+
+
+class QuantizationError(ValueError):
+    """Ranges that do not fit a network; the message says which."""
+
+
+@dataclass(frozen=True)
+class Activation:
+    """What a convolution reads."""
+
+    range: Range
+    """Lowest and highest value that are told apart; 0 lies between them."""
+    means: tuple[float, ...]
+    """Of each channel."""
+
+
+@dataclass(frozen=True)
+class Quantization:
+    """How a network is computed in int8; names are those of `convolutions`."""
+
+    activations: Mapping[str, Activation]
+    fp32_layers: frozenset[str]
+    """Convolutions that stay in fp32."""
+    weight_bits: int
+    """See `weight_bits` in `processor_abilities`."""
+
+    @property
+    def digest(self) -> str:
+        """Differs where the result of the network would."""
+        read = [(name, each.range, each.means) for name, each in sorted(self.activations.items())]
+        content = [read, sorted(self.fp32_layers), self.weight_bits]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+    def of_modules(self, network: Network) -> dict[nn.Module, Activation]:
+        """What each convolution of `network` that is computed in int8 reads; raises QuantizationError."""
+        found = convolutions(network)
+        self.check(found)
+        return {found[name]: read for name, read in self.activations.items() if name not in self.fp32_layers}
+
+    def check(self, found: Mapping[str, nn.Conv2d]) -> None:
+        """Raise QuantizationError unless the activations are those of the convolutions `found`."""
+        missing = found.keys() - self.activations.keys()
+        unknown = (self.activations.keys() | self.fp32_layers) - found.keys()
+        other = {
+            name
+            for name, read in self.activations.items()
+            if name in found and len(read.means) != found[name].in_channels
+        }
+        problems = [
+            f"{len(names)} {what}: {', '.join(sorted(in_one_line(name)[:100] for name in names)[:_TOLD])}"
+            for names, what in (
+                (missing, "missing"),
+                (unknown, "unknown"),
+                (other, "with another number of channels"),
+            )
+            if names
+        ]
+        if problems:
+            raise QuantizationError(
+                f"the ranges are not those of this network's {len(found)} convolutions: {'; '.join(problems)}"
+            )
+
+
+def convolutions(network: Network) -> dict[str, nn.Conv2d]:
+    """The convolutions that may be computed in int8, by path; those of the last layer stay in fp32."""
+    head = f"model.{len(network.model) - 1}."
+    return {
+        path: module
+        for path, module in network.named_modules()
+        if isinstance(module, nn.Conv2d) and not path.startswith(head)
+    }
+
+
+def activation_step(range_: Range) -> tuple[np.float32, np.uint8]:
+    """The size of a step, and the step that stands for 0."""
+    low, high = range_
+    step = max((high - low) / LEVELS, _SMALLEST_STEP)
+    return np.float32(step), np.uint8(np.clip(round(-low / step), 0, LEVELS))
+
+
+def quantized_weight(weight: NDArray[np.float32], bits: int) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+    """Weights (out, in / groups, h, w) as integers, and the size of a step of each output channel (out,)."""
+    largest = 2 ** (bits - 1) - 1
+    peaks = np.abs(weight).reshape(len(weight), -1).max(axis=1)
+    steps = np.maximum(peaks / largest, _SMALLEST_STEP).astype(np.float32)
+    integers = np.rint(weight / steps.reshape(-1, 1, 1, 1))
+    return np.clip(integers, -largest, largest).astype(np.int8), steps
+
+
+def corrected_bias(
+    module: nn.Conv2d, rounded: NDArray[np.float32], means: Sequence[float]
+) -> NDArray[np.float32]:
+    """The bias (out,) with which weights that were `rounded` have the same mean result as those of `module`.
+
+    That is most of what rounding weights costs: of the features of yolov5n 30.7 dB instead of 25.2.
+    """
+    assert module.bias is not None
+    lost = (module.weight.detach().numpy() - rounded).sum(axis=(2, 3))  # (out, in / groups)
+    by_group = lost.reshape(module.groups, -1, lost.shape[1])
+    read = np.asarray(means, np.float32).reshape(module.groups, 1, -1)
+    shift = (by_group * read).sum(axis=2).ravel()
+    return np.asarray(module.bias.detach().numpy() + shift, np.float32)
