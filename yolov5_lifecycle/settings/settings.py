@@ -15,8 +15,7 @@ from yolov5_lifecycle.models.architecture import SIZES, Size, image_size_problem
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.camera_overrides import OverridableSchema, overrides_of
-from yolov5_lifecycle.settings.contradictions import not_above, without_scipy
-from yolov5_lifecycle.settings.precision_rule import precision_rule
+from yolov5_lifecycle.settings.contradictions import not_above, precision_rule, without_scipy
 from yolov5_lifecycle.settings.schema import Change, Entries, Problem, Scope, contradiction
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
 from yolov5_lifecycle.settings.value_rules import RULES, Rule, cameras
