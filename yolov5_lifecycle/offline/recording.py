@@ -108,13 +108,13 @@ class Recording:
     """An open recording; see `open_recording`."""
 
     def __init__(self, path: Path, reader: Reader) -> None:
-        self._path = path
+        self.path = path
         self._reader = reader
 
     @property
     def storage(self) -> StoragePlugin:
         """The storage format of its files."""
-        files = [self._path] if self._path.is_file() else list(self._path.iterdir())
+        files = [self.path] if self.path.is_file() else list(self.path.iterdir())
         is_mcap = any(".mcap" in file.suffixes for file in files)
         return StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
 
@@ -132,19 +132,19 @@ class Recording:
                 ", ".join(sorted({in_one_line(one.topic)[:200] for one in self._connections()})) or "nothing"
             )
             raise RecordingError(
-                f"{self._path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
+                f"{self.path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
                 "Record the topic of the camera."
             )
         if name is None:
-            raise RecordingError(f"{self._path}: say with --topic which of its image topics:{listing}")
-        raise RecordingError(f"{self._path}: there is no image topic {name}; name one of these:{listing}")
+            raise RecordingError(f"{self.path}: say with --topic which of its image topics:{listing}")
+        raise RecordingError(f"{self.path}: there is no image topic {name}; name one of these:{listing}")
 
     def images(self, topic: ImageTopic) -> Iterator[RecordedImage]:
         """Every message of `topic` in recording order; raises RecordingError if the file is damaged."""
         is_packed = self._reader.compression_mode == "message"
         messages = self._raw_messages(topic)
         while True:
-            with _readable(self._path):
+            with _readable(self.path):
                 if (found := next(messages, None)) is None:
                     return
                 _, timestamp_ns, data = found
