@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import logging
+import signal
+import socket
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,11 +19,12 @@ if TYPE_CHECKING:
     from yolov5_lifecycle.offline.recordings import SourceRecording
     from yolov5_lifecycle.offline.workers import Event
 
+_ANSWER_S = 10.0
 _END_S = 10.0
 _PAUSE_S = 0.1
 
 
-class ClusterError(RuntimeError):
+class ClusterError(ConnectionError):
     """A cluster that cannot be used; the message has the remedy."""
 
 
@@ -35,8 +38,11 @@ def ray_workers(address: str, jobs: int | None, recordings: int) -> RayWorkers:
         raise ClusterError(f"--ray needs the package ray: {absence}")
     import ray
 
+    handler = signal.getsignal(signal.SIGTERM)
     try:
+        _check_answer(address)
         ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+        signal.signal(signal.SIGTERM, handler)  # Ray's would end this process with code 15
     except Exception as error:  # it raises whatever its parts raise
         raise ClusterError(
             f"--ray {address}: there is no Ray cluster that answers ({error}). `ray start --head` starts one "
@@ -47,6 +53,13 @@ def ray_workers(address: str, jobs: int | None, recordings: int) -> RayWorkers:
         ray.shutdown()
         raise ClusterError(f"--ray {address}: the cluster has no processor; start a node with some.")
     return RayWorkers(max(1, min(jobs or processors, processors, recordings)))
+
+
+def _check_answer(address: str) -> None:
+    """Raise OSError unless something listens at `address`, for which Ray would wait without an end."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if port.isdecimal():
+        socket.create_connection((host.strip("[]"), int(port)), _ANSWER_S).close()
 
 
 class Actor:
