@@ -7,6 +7,7 @@ import signal
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from rosbags.rosbag2 import Reader, StoragePlugin
 
@@ -58,7 +59,8 @@ def found_objects(recording: Path) -> dict[str, int]:
     counts: dict[str, int] = {}
     for topic, _, data in messages(recording):
         if topic == "/yolov5/detections":
-            for detection in TYPES.deserialize_cdr(data, "vision_msgs/msg/Detection2DArray").detections:
+            array: Any = TYPES.deserialize_cdr(data, "vision_msgs/msg/Detection2DArray")
+            for detection in array.detections:
                 name = detection.results[0].hypothesis.class_id
                 counts[name] = counts.get(name, 0) + 1
     return counts

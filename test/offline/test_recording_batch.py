@@ -103,12 +103,14 @@ def test_the_recording_at_which_workers_die_is_set_aside(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("event", "told"),
     [
-        pytest.param(Died(0, "it died"), "it died while it loaded the model", id="dies"),
-        pytest.param(Refused(0, "no such class"), "no such class", id="refuses"),
+        pytest.param(lambda worker: Died(worker, "it died"), "it died while it loaded the model", id="dies"),
+        pytest.param(lambda worker: Refused(worker, "no such class"), "no such class", id="refuses"),
     ],
 )
-def test_a_model_that_no_worker_can_load_ends_the_batch(event: Event, told: str, tmp_path: Path) -> None:
-    batch = Batch(tmp_path, on_start=lambda worker, _: type(event)(worker, event.reason))  # type: ignore[union-attr, call-arg]
+def test_a_model_that_no_worker_can_load_ends_the_batch(
+    event: Callable[[int], Event], told: str, tmp_path: Path
+) -> None:
+    batch = Batch(tmp_path, on_start=lambda worker, _: event(worker))
     with pytest.raises(DetectingError, match=told):
         batch.run()
     assert batch.workers.is_closed
