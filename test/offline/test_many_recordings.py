@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -287,3 +288,17 @@ def test_a_signal_ends_all_workers_and_removes_what_is_unfinished(
         _, told = process.communicate(timeout=60)
     assert process.returncode == code, told
     assert not output.exists()
+
+
+@pytest.mark.long
+def test_workers_end_with_the_process_that_started_them_even_if_that_is_killed(tmp_path: Path) -> None:
+    drives = record_drives(tmp_path / "drives", {"a": 10 * LONG})
+    output = tmp_path / "found"
+    words = [entry_point("detect_bag"), str(drives), "--output", str(output), *SET_MODEL]
+    with subprocess.Popen(words) as process:
+        while not (output.exists() and has_unfinished_outputs(output)):
+            assert process.poll() is None
+        process.kill()
+    while has_unfinished_outputs(output):  # until the time limit of the test
+        time.sleep(0.01)
+    assert list(output.iterdir()) == []

@@ -190,6 +190,9 @@ def test_wrong_usage_is_one_line(words: list[str], told: str, capsys: pytest.Cap
         pytest.param(["nothing", "drive"], "nothing: there is no such file or folder", id="missing"),
         pytest.param(["drive", "--jobs", "1", "--output", "no/x"], "no such folder; make it", id="no folder"),
         pytest.param(["drive", "--jobs", "1", "--output", "file"], "file is no folder", id="file"),
+        pytest.param(
+            ["copy.mcap", "--jobs", "1", "--output", "drive"], "drive is a recording", id="recording"
+        ),
         pytest.param(["drive", "--ray", "127.0.0.1:1"], "no Ray cluster that answers", id="no cluster"),
         pytest.param(
             ["drive", "--jobs", "1", "--set", "weights_sha256=" + "f" * 64], "its sha256 is", id="pin"
@@ -205,6 +208,7 @@ def test_an_error_says_what_to_do_and_leaves_nothing_behind(
 ) -> None:
     monkeypatch.chdir(drive.parent)
     Path("file").touch()
+    Path("copy.mcap").touch()
     before = sorted(drive.parent.rglob("*"))
     weights = plan_for(drive).weights
     assert main(["--output", "found", *words, "--set", f"weights={weights}"]) == 1

@@ -16,7 +16,7 @@ from yolov5_lifecycle.offline.batch_summary import remove_summary, write_summary
 from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.finished import finished_before
 from yolov5_lifecycle.offline.recording_result import RecordingResult
-from yolov5_lifecycle.offline.recordings import SourceRecording
+from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
 from yolov5_lifecycle.offline.workers import Died, Ended, Event, Progress, Ready, Refused, Workers
 from yolov5_lifecycle.unfinished import hold, open_itself
 
@@ -109,6 +109,8 @@ def _output_folder(folder: Path) -> Iterator[None]:
         raise OutputError(f"{folder.parent}: there is no such folder; make it first.")
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder} is no folder: many recordings need one for their results.")
+    if folder.exists() and is_recording(folder):
+        raise OutputError(f"{folder} is a recording: choose another folder for the results of many.")
     folder.mkdir(exist_ok=True)
     descriptor = open_itself(os.path.realpath(folder))
     try:
@@ -154,11 +156,6 @@ class _Batch:
         while self._waiting or self._running:
             for event in self._workers.events(_EVENT_S):
                 self._handle(event)
-            self._tally.images_in_progress = {
-                worker: images
-                for worker, images in self._tally.images_in_progress.items()
-                if worker in self._running
-            }
             self._watch.progress(self._tally)
 
     def _start(self) -> None:
@@ -170,7 +167,9 @@ class _Batch:
     def _handle(self, event: Event) -> None:
         if isinstance(event, Progress):
             self._tally.images_in_progress[event.worker] = event.images
-        elif isinstance(event, Ready):
+            return
+        self._tally.images_in_progress.pop(event.worker, None)
+        if isinstance(event, Ready):
             self._loading.discard(event.worker)
             self._was_ready = True
             self._tally.begin()

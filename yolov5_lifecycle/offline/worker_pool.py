@@ -24,6 +24,8 @@ from yolov5_lifecycle.process.memory import available_bytes
 # The path of this process; `-m` would search the current folder first, which may be one of recordings.
 _PROGRAM = "import sys; sys.path[:] = {path!r}; from {module} import main; main({descriptor})"
 _MODULE = "yolov5_lifecycle.offline.worker_process"
+_THREADS = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+"""Numbers of threads of torch, whose runtimes follow it, and of OpenCV."""
 _WORKER_BYTES = 1 << 30
 _READ_BYTES = 1 << 16
 _END_S = 10.0
@@ -76,7 +78,7 @@ class ProcessWorkers:
                 pass_fds=[descriptor],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                env={"OMP_NUM_THREADS": str(self.threads), **os.environ},
+                env=dict.fromkeys(_THREADS, str(self.threads)) | os.environ,
                 start_new_session=True,  # Ctrl-C in a terminal is for the process that started them
             )
         worker = self._workers[number] = _Worker(process, own)
