@@ -68,6 +68,18 @@ def test_the_first_worker_chooses_the_runtime_of_all(tmp_path: Path) -> None:
     assert (tally.in_state("done"), tally.images) == (4, 8)
 
 
+def test_with_a_runtime_that_is_set_all_workers_start_at_once(tmp_path: Path) -> None:
+    begun: list[int] = []
+
+    def begin(worker: int, source: SourceRecording) -> Event:
+        begun.append(len(batch.workers.runtimes))
+        return done(worker, source)
+
+    batch = Batch(tmp_path, 3, on_begin=begin)
+    detect_recordings(SOURCES, plan_for(batch.output), new_workers=lambda _: batch.workers, watch=batch.notes)
+    assert begun[0] == 3
+
+
 def test_there_are_no_more_workers_than_recordings(tmp_path: Path) -> None:
     batch = Batch(tmp_path, 100)
     batch.run()

@@ -159,8 +159,10 @@ class _Batch:
             self._watch.progress(self._tally)
 
     def _start(self) -> None:
-        """Start as many workers as have work; the first one alone, as it measures which runtime is best."""
-        wanted = min(self._max_count, len(self._waiting) + len(self._running)) if self._was_ready else 1
+        """Start as many workers as have work; with `auto` the first one alone: it chooses the runtime."""
+        wanted = min(self._max_count, len(self._waiting) + len(self._running))
+        if self._plan.runtime == "auto":
+            wanted = 1
         while len(self._loading) + len(self._running) + len(self._idle) < wanted:
             self._loading.add(self._workers.start(self._plan))
 

@@ -48,6 +48,15 @@ class _Worker:
         with suppress(OSError):  # it has died, which is reported when its connection is read
             self.connection.sendall(text.encode() + b"\n")
 
+    def ended(self, patience_s: float) -> int:
+        """Wait for its end, kill it after `patience_s`, and return its exit code."""
+        self.connection.close()
+        try:
+            return self.process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
 
 class ProcessWorkers:
     """Up to `max_count` processes that share the cores of this machine. See `Workers`."""
@@ -56,6 +65,7 @@ class ProcessWorkers:
         self.max_count = max_count
         self.threads = max(1, compute_threads() // max_count)
         self._workers: dict[int, _Worker] = {}
+        self._spares: list[_Worker] = []
         self._numbers = itertools.count()
         self._selector = selectors.DefaultSelector()
 
@@ -65,24 +75,12 @@ class ProcessWorkers:
         return {number: worker.process.pid for number, worker in self._workers.items()}
 
     def start(self, plan: Plan) -> int:
+        """Start a worker; the first call starts the processes of all, which then import their libraries."""
         number = next(self._numbers)
-        own, other = socket.socketpair()
-        descriptor = other.fileno()
-        with other:
-            process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-c",
-                    _PROGRAM.format(path=sys.path, module=_MODULE, descriptor=descriptor),
-                ],
-                pass_fds=[descriptor],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                env=dict.fromkeys(_THREADS, str(self.threads)) | os.environ,
-                start_new_session=True,  # Ctrl-C in a terminal is for the process that started them
-            )
-        worker = self._workers[number] = _Worker(process, own)
-        self._selector.register(own, selectors.EVENT_READ, number)
+        if number == 0:
+            self._spares = [self._new_process() for _ in range(self.max_count)]
+        worker = self._workers[number] = self._spares.pop() if self._spares else self._new_process()
+        self._selector.register(worker.connection, selectors.EVENT_READ, number)
         worker.send(plan.model_dump_json())
         return number
 
@@ -95,11 +93,14 @@ class ProcessWorkers:
         ]
 
     def close(self) -> None:
-        for worker in self._workers.values():
+        workers = [*self._workers.values(), *self._spares]
+        for worker in workers:
             worker.process.terminate()
         deadline_s = time.monotonic() + _END_S
-        for number in list(self._workers):
-            self._forget(number, max(0.0, deadline_s - time.monotonic()))
+        for worker in workers:
+            worker.ended(max(0.0, deadline_s - time.monotonic()))
+        self._workers.clear()
+        self._spares.clear()
         self._selector.close()
 
     def _events_of(self, number: int) -> list[Event]:
@@ -109,24 +110,33 @@ class ProcessWorkers:
         except ConnectionResetError:
             block = b""
         if not block:
-            return [Died(number, _reason(self._forget(number, _END_S)))]
+            return [Died(number, _reason(self._forget(number)))]
         *lines, rest = (bytes(worker.received) + block).split(b"\n")
         worker.received = bytearray(rest)
         events = [_event(number, line) for line in lines]
         if any(isinstance(event, Refused) for event in events):
-            self._forget(number, _END_S)
+            self._forget(number)
         return events
 
-    def _forget(self, number: int, patience_s: float) -> int:
-        """Wait for the end of a worker, kill one that does not end, and return its exit code."""
+    def _forget(self, number: int) -> int:
+        """Wait for the end of a worker and return its exit code."""
         worker = self._workers.pop(number)
         self._selector.unregister(worker.connection)
-        worker.connection.close()
-        try:
-            return worker.process.wait(patience_s)
-        except subprocess.TimeoutExpired:
-            worker.process.kill()
-            return worker.process.wait()
+        return worker.ended(_END_S)
+
+    def _new_process(self) -> _Worker:
+        own, other = socket.socketpair()
+        program = _PROGRAM.format(path=sys.path, module=_MODULE, descriptor=other.fileno())
+        with other:
+            process = subprocess.Popen(
+                [sys.executable, "-c", program],
+                pass_fds=[other.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                env=dict.fromkeys(_THREADS, str(self.threads)) | os.environ,
+                start_new_session=True,  # Ctrl-C in a terminal is for the process that started them
+            )
+        return _Worker(process, own)
 
 
 def _event(number: int, line: bytes) -> Event:
