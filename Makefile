@@ -17,6 +17,7 @@ MASKS_FLAGS ?=
 PRECISIONS_FLAGS ?=
 CONSOLE_FLAGS ?=
 CONSOLE_BENCH_FLAGS ?=
+RECORDINGS_FLAGS ?=
 SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
 
@@ -71,7 +72,7 @@ help:
 	@echo 'make test-all all tests'
 	@echo 'make coverage all tests, with the line coverage of the package, child processes included'
 	@echo 'make bench    how fast each runtime is, quiet and beside a busy process, and how well objects are tracked'
-	@echo '              and what several cameras on one node and masks cost, and what int8 saves'
+	@echo '              and what several cameras on one node, masks and many recordings cost, and what int8 saves'
 	@echo '              (BENCH_FLAGS="--quick"  CAMERAS_FLAGS="--quick"  TRACKING_FLAGS="--seeds 1")'
 	@echo 'make bench-families  the forward pass of every family of models beside eager torch (FAMILIES_FLAGS="--quick")'
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
@@ -115,6 +116,7 @@ bench: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.masks $(MASKS_FLAGS)
 	$(VENV)/bin/python -m benchmark.precisions $(PRECISIONS_FLAGS)
 	$(VENV)/bin/python -m benchmark.console $(CONSOLE_BENCH_FLAGS)
+	$(VENV)/bin/python -m benchmark.recordings $(RECORDINGS_FLAGS)
 
 bench-families: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.families $(FAMILIES_FLAGS)

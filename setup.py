@@ -54,6 +54,8 @@ setup(
         "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
         "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
+        "ray": ["ray>=2.40"],
+        "summary": ["pyarrow>=15"],
         "tracking": ["scipy>=1.11"],
     },
     zip_safe=True,

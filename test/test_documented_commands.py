@@ -61,6 +61,8 @@ NOT_RUN = {
     "journalctl ": "needs systemd; test_config.py checks the unit",
     "ros2 run rqt_image_view ": "a program of ROS's with a window",
     "ros2 run nav2_lifecycle_manager ": "needs Nav2; test_config.py checks the file",
+    "ray start ": "starts daemons; test/offline/test_ray_cluster.py starts such a cluster",
+    "detect_bag --ray ": "needs a Ray cluster; test/offline/test_ray_cluster.py has one",
     "ros2 security ": "needs sros2; test_security_documents.py checks the policy",
     "camera --ros-args -p source:=0 ": "needs a webcam",
     "camera --ros-args -p source:=rtsp:": "needs a network camera; test_network_stream.py has one of HTTP",
@@ -243,6 +245,9 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     labelled_drive(tmp_path / "corrected_drive")
     (tmp_path / "weights").symlink_to(REPOSITORY / "weights")
     dataset.write_dataset(tmp_path / "shapes", images=2)
+    (tmp_path / "drives").mkdir()
+    for name in ("drives/monday", "drives/tuesday"):
+        record(tmp_path / name, [raw(0)], storage=StoragePlugin.MCAP)
     record(tmp_path / "two_cameras", [raw(0)], storage=StoragePlugin.SQLITE3, topics=CAMERAS)
     for folder in ("shots", "images"):
         images(tmp_path / folder)

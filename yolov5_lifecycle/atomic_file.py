@@ -50,23 +50,36 @@ class OutputError(ValueError):
 
 
 @contextmanager
-def whole_output(path: Path) -> Iterator[Path]:
+def whole_output(path: Path, *, replace: bool = False) -> Iterator[Path]:
     """Temporary path for a file or folder, which is renamed to `path` when the block succeeds.
 
-    Until then, and on failure, nothing exists at `path`. A killed process leaves a hidden folder beside it,
-    which the next output to the same folder removes. Raises OutputError if `path` already exists, and
-    OSError.
+    Until then, and on failure, nothing exists at `path`; with `replace` what was there before. A killed
+    process leaves a hidden folder beside it, which the next output to the same folder removes. Raises
+    OutputError if `path` already exists, unless `replace`, and OSError.
     """
-    _check_free(path)
+    if not replace:
+        _check_free(path)
     if not path.parent.is_dir():
         raise OutputError(f"{path.parent}: there is no such folder; make it first.")
-    with suppress(OSError):
-        remove_abandoned(path.parent, prefix=_OUTPUT_PREFIX, with_subfolders=True)
+    remove_unfinished_outputs(path.parent)
     with temporary_folder(path.parent, prefix=_OUTPUT_PREFIX) as folder:
         unfinished = folder / path.name
         yield unfinished
+        if replace and os.path.lexists(path):
+            path.rename(folder / f"{path.name}{UNFINISHED_SUFFIX}")
         _check_free(path)
         unfinished.rename(path)
+
+
+def remove_unfinished_outputs(folder: Path) -> None:
+    """Remove what killed processes left in `folder` while they wrote output there, as far as possible."""
+    with suppress(OSError):
+        remove_abandoned(folder, prefix=_OUTPUT_PREFIX, with_subfolders=True)
+
+
+def has_unfinished_outputs(folder: Path) -> bool:
+    """Whether a process writes output in `folder`, or was killed while it did; raises OSError."""
+    return any(path.name.startswith(_OUTPUT_PREFIX) for path in folder.iterdir())
 
 
 def _check_free(path: Path) -> None:

@@ -107,6 +107,15 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
     raise type(refusal)(f"{path}: {refusal}.")
 
 
+def weights_digest(path: Path, *, sha256: str = "") -> str:
+    """Digest of the file at `path`, whose model is not loaded; raises WeightsError like `load_weights`."""
+    try:
+        data = read_once(path)
+        return _checked_digest(data, sha256) if sha256 else hashlib.sha256(data).hexdigest()
+    except WeightsError as error:
+        raise type(error)(f"{path}: {error}.") from None
+
+
 def expanded(path: Path) -> Path:
     """`path` with a leading ~ expanded; raises WeightsError if there is no such home folder."""
     try:

@@ -85,13 +85,7 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
 
     Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
     """
-    path = find_weights(
-        weights=resolve_package(settings.weights),
-        weights_dir=Path(resolve_package(settings.weights_dir)),
-        model_size=settings.model_size,
-        weights_dirs=_folders(settings),
-    )
-    weights = load_weights(path, sha256=settings.weights_sha256)
+    weights = load_weights(weights_path(settings), sha256=settings.weights_sha256)
     calibration = find_calibration(
         weights,
         precision=settings.precision,
@@ -115,6 +109,16 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
         detector.close()
         raise
     return PreparedModel(settings, detector, weights.path, weights.sha256)
+
+
+def weights_path(settings: Settings) -> Path:
+    """Path of the weights file that `settings` select; raises ValueError."""
+    return find_weights(
+        weights=resolve_package(settings.weights),
+        weights_dir=Path(resolve_package(settings.weights_dir)),
+        model_size=settings.model_size,
+        weights_dirs=_folders(settings),
+    )
 
 
 def load_detector(

@@ -24,7 +24,7 @@ from yolov5_lifecycle.offline.calibration_frames import (
     open_bag,
     open_files,
 )
-from yolov5_lifecycle.offline.detect_bag import is_recording
+from yolov5_lifecycle.offline.recordings import is_recording
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration

@@ -1,16 +1,20 @@
-"""Command `detect_bag SOURCE`: run the detector on a recording, a video or images, without ROS."""
+"""Command `detect_bag SOURCE ...`: run the detector on recordings, a video or images, without ROS."""
 
 from __future__ import annotations
 
 import argparse
 import functools
+import os
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
+from yolov5_lifecycle.offline.batch import detect_recordings
+from yolov5_lifecycle.offline.batch_plan import plan_of
+from yolov5_lifecycle.offline.batch_terminal import BatchTerminal, batch_report
 from yolov5_lifecycle.offline.detect_files import detect_files
 from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineDetector
 from yolov5_lifecycle.offline.detector_options import (
@@ -19,51 +23,43 @@ from yolov5_lifecycle.offline.detector_options import (
     wanted_settings,
 )
 from yolov5_lifecycle.offline.image_files import has_still_images
-from yolov5_lifecycle.offline.terminal import Terminal
+from yolov5_lifecycle.offline.recordings import are_many, is_recording, recordings_of
+from yolov5_lifecycle.offline.terminal import Terminal, report
+from yolov5_lifecycle.offline.worker_pool import ProcessWorkers, suitable_count
+from yolov5_lifecycle.offline.workers import Workers
 from yolov5_lifecycle.process.standard_streams import complain
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _TRACK = "tracker=bytetrack"
-_RECORDING_SUFFIXES = (".mcap", ".db3")
+EXIT_SET_ASIDE = 3
+"""Exit code if some of many recordings were set aside."""
+_MAX_JOBS = 1024
 _EPILOG = """\
 examples:
   detect_bag drive --output drive_detections --set weights=best.pt
   detect_bag drive.mcap --topic /front/image_raw --output front --images --params-file yolov5.yaml
   detect_bag drive --output drive_detections -p weights:=best.pt -p confidence_threshold:=0.4
   detect_bag holidays --annotated drawn --output holidays.jsonl
+  detect_bag 'drives/*' --output found --jobs 4 --set weights=best.pt
+
+Of many recordings (several paths, a quoted pattern, or a folder of them) each gets its own in the folder
+PATH, and summary.json and summary.parquet count the detections of each. The same command again does only
+what is missing. A recording that cannot be used is set aside; the exit code is then 3.
 """
-
-
-def is_recording(path: Path) -> bool:
-    """Whether `path` is a rosbag2 file, possibly compressed, or a folder that contains such files."""
-    if not path.is_dir():
-        return path.suffix in _RECORDING_SUFFIXES
-    return any(suffix in _RECORDING_SUFFIXES for file in path.iterdir() for suffix in file.suffixes)
-
-
-def report(account: Account) -> str:
-    """Summary of a run for the user, one fact per line."""
-    balance, objects = account.balance, account.objects
-    names = ", ".join(f"{name} {count}" for name, count in objects.most_common())
-    missing = f" of {account.expected} announced" if balance.received < account.expected else ""
-    return (
-        f"images    {balance.received}{missing}: {balance[Outcome.DETECTED]} detected, "
-        f"{balance[Outcome.REJECTED]} rejected, {balance[Outcome.FAILED]} failed\n"
-        f"detections  {objects.total()}{': ' if names else ''}{names}\n"
-        f"rate        {account.rate_hz:.1f} images per second\n"
-    )
 
 
 def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
     parser = command_parser()
     arguments = parser.parse_args(argv)
     try:
-        if not arguments.source.exists():
-            return _complain(f"{arguments.source}: there is no such file or folder")
-        if problem := _usage_problem(arguments):
+        if arguments.jobs or arguments.ray or are_many(arguments.sources):
+            return _run_many(parser, arguments)
+        (source,) = arguments.sources
+        if not source.exists():
+            return _complain(f"{source}: there is no such file or folder")
+        if problem := _usage_problem(source, arguments):
             parser.error(problem)
         with (
             unwound_by_sigterm(),
@@ -71,7 +67,7 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
         ):
             with_masks = bool(arguments.masks or arguments.images or arguments.annotated)
             load = functools.partial(OfflineDetector, watch=terminal, with_masks=with_masks, prepare=prepare)
-            account = _run(arguments, load)
+            account = _run(source, arguments, load)
     except BrokenPipeError:
         raise  # not reported: the reader closed the output pipe, as with `| head`
     except SettingsError as error:
@@ -86,8 +82,8 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     return 0
 
 
-def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetector]) -> Account:
-    source, output = arguments.source, arguments.output
+def _run(source: Path, arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetector]) -> Account:
+    output = arguments.output
     settings = wanted_settings(arguments.params_file, arguments.assignments, arguments.node)
     if not is_recording(source):
         return detect_files(
@@ -97,13 +93,8 @@ def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetect
             masks=arguments.masks,
             load=lambda: load(settings),
         )
-    try:
+    with _rosbags():
         from yolov5_lifecycle.offline.detect_recording import detect_recording
-    except ImportError as error:
-        raise ImportError(
-            f"a package is missing that reads recordings ({error}). Install it with "
-            f"{sys.executable} -m pip install rosbags"
-        ) from None
     return detect_recording(
         source,
         output,
@@ -115,21 +106,67 @@ def _run(arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetect
     )
 
 
+@contextmanager
+def _rosbags() -> Iterator[None]:
+    """Say how to install rosbags if it cannot be imported."""
+    try:
+        yield
+    except ImportError as error:
+        raise ImportError(
+            f"a package is missing that reads recordings ({error}). Install it with "
+            f"{sys.executable} -m pip install rosbags"
+        ) from None
+
+
+def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
+    if arguments.output is None:
+        parser.error("give --output, the folder of the results of many recordings")
+    if arguments.annotated:
+        parser.error("recordings have no use for --annotated; give --images")
+    output = Path(os.path.abspath(arguments.output))  # noqa: PTH100
+    settings = wanted_settings(arguments.params_file, arguments.assignments, arguments.node)
+    sources = recordings_of(arguments.sources, output)
+    with _rosbags():
+        import yolov5_lifecycle.offline.recording  # noqa: F401
+    plan = plan_of(
+        settings,
+        output=output,
+        topic=arguments.topic,
+        node=arguments.node,
+        images=arguments.images,
+        masks=arguments.masks,
+    )
+    with unwound_by_sigterm(), closing(BatchTerminal()) as terminal:
+        new_workers = functools.partial(_workers, arguments.jobs, arguments.ray)
+        tally = detect_recordings(sources, plan, new_workers=new_workers, watch=terminal)
+    sys.stderr.write(batch_report(tally))
+    return EXIT_SET_ASIDE if tally.in_state("set aside") else 0
+
+
+def _workers(jobs: int | None, ray: str | None, recordings: int) -> Workers:
+    """`jobs` workers, or as many as are suitable for `recordings`, on the cluster `ray` or this machine."""
+    if ray is None:
+        return ProcessWorkers(min(jobs, recordings) if jobs else suitable_count(recordings))
+    from yolov5_lifecycle.offline.ray_cluster import ray_workers
+
+    return ray_workers(ray, jobs, recordings)
+
+
 def _complain(problem: str) -> int:
     complain("detect_bag", problem)
     return 1
 
 
-def _usage_problem(arguments: argparse.Namespace) -> str:
+def _usage_problem(source: Path, arguments: argparse.Namespace) -> str:
     """The conflict between command-line arguments, or ""."""
-    if is_recording(arguments.source):
+    if is_recording(source):
         if arguments.output is None:
             return "give --output, the recording to be written"
         return "a recording has no use for --annotated; give --images" if arguments.annotated else ""
-    if _TRACK in arguments.assignments and has_still_images(arguments.source):
-        return f"{arguments.source} has no time in it; only recordings and videos are tracked"
+    if _TRACK in arguments.assignments and has_still_images(source):
+        return f"{source} has no time in it; only recordings and videos are tracked"
     useless = [name for name in ("topic", "images") if getattr(arguments, name)]
-    return f"{arguments.source} is no recording; only those have a use for --{useless[0]}" if useless else ""
+    return f"{source} is no recording; only those have a use for --{useless[0]}" if useless else ""
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -141,13 +178,29 @@ def command_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "source", type=Path, metavar="SOURCE", help="a recording of ros2 bag, a video, an image or a folder"
+        "sources",
+        nargs="+",
+        type=Path,
+        metavar="SOURCE",
+        help="a recording of ros2 bag, a video, an image or a folder of images; or many recordings",
     )
     parser.add_argument(
         "--output",
         type=Path,
         metavar="PATH",
-        help="new recording with the detections; for images, new file with JSON lines (default: stdout)",
+        help="new recording with the detections; for images, new file with JSON lines (default: stdout); for "
+        "many recordings, a folder",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=_job_count,
+        metavar="N",
+        help="processes for many recordings (default: one for each core and GiB of free memory)",
+    )
+    parser.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help="let an existing Ray cluster process many recordings, such as auto or 10.0.0.1:6379",
     )
     parser.add_argument("--topic", help="which images of the recording (default: the only ones)")
     parser.add_argument("--images", action="store_true", help="put annotated images into the new recording")
@@ -169,3 +222,9 @@ def command_parser() -> argparse.ArgumentParser:
         help=f"give the same object the same id in every image; short for --set {_TRACK}",
     )
     return parser
+
+
+def _job_count(text: str) -> int:
+    if not text.isascii() or not text.isdecimal() or not 1 <= int(text[:9]) <= _MAX_JOBS:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of processes from 1 to {_MAX_JOBS}")
+    return int(text)

@@ -22,6 +22,7 @@ from yolov5_lifecycle.offline.recording import (
     TYPES,
     RecordedImage,
     RecordedTopic,
+    Recording,
     RecordingError,
     open_recording,
 )
@@ -47,20 +48,36 @@ def detect_recording(
     of the source. Raises RecordingError, OutputError, DetectingError and what `load` raises.
     """
     with open_recording(source) as recording, whole_output(output) as unfinished:
-        image_topic = recording.image_topic(topic)
-        images_of_topic = _not_empty(source, image_topic, recording.images(image_topic))
-        detector = load()
-        with Writer(unfinished, version=9, storage_plugin=recording.storage) as writer:
-            bag = DetectionBag(
-                writer,
-                node=node,
-                class_names=detector.class_names,
-                threshold=detector.settings.confidence_threshold,
-                box_filter=detector.box_filter,
-                images=images,
-                masks=masks and detector.segments,
-            )
-            return detector.run(images_of_topic, expected=image_topic.count, write=bag.write)
+        return write_detections(
+            recording, unfinished, topic=topic, node=node, images=images, masks=masks, load=load
+        )
+
+
+def write_detections(
+    recording: Recording,
+    output: Path,
+    *,
+    topic: str | None,
+    node: str,
+    images: bool,
+    masks: bool,
+    load: LoadDetector,
+) -> Account:
+    """`detect_recording` for an open `recording`; what it has written to `output` stays when it fails."""
+    image_topic = recording.image_topic(topic)
+    images_of_topic = _not_empty(recording.path, image_topic, recording.images(image_topic))
+    detector = load()
+    with Writer(output, version=9, storage_plugin=recording.storage) as writer:
+        bag = DetectionBag(
+            writer,
+            node=node,
+            class_names=detector.class_names,
+            threshold=detector.settings.confidence_threshold,
+            box_filter=detector.box_filter,
+            images=images,
+            masks=masks and detector.segments,
+        )
+        return detector.run(images_of_topic, expected=image_topic.count, write=bag.write)
 
 
 def _not_empty(

@@ -10,9 +10,9 @@ from pathlib import Path
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Labels, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import YAML_SUFFIXES, read_yolo_folder
-from yolov5_lifecycle.offline.detect_bag import is_recording
 from yolov5_lifecycle.offline.image_files import ImageFile
 from yolov5_lifecycle.offline.labelled_images import DataOptions, LabelledData
+from yolov5_lifecycle.offline.recordings import is_recording
 
 
 @dataclass(frozen=True)

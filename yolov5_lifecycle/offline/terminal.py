@@ -1,8 +1,9 @@
-"""What a command that runs over many images reports on the terminal meanwhile."""
+"""What a command that runs over many images reports on the terminal meanwhile, and at its end."""
 
 from __future__ import annotations
 
 import time
+from collections import Counter
 
 from yolov5_lifecycle.offline.detecting import Account
 from yolov5_lifecycle.process.standard_streams import complain, show_progress
@@ -12,6 +13,31 @@ _MAX_TOLD = 10
 _PROGRESS_PERIOD_S = 0.1
 
 
+class ProgressLine:
+    """A line that is overwritten, if stderr is a terminal."""
+
+    def __init__(self) -> None:
+        self._due_s = 0.0
+        self._is_open = False
+
+    def show(self, text: str) -> None:
+        """Show `text` if the last one has been there for some time."""
+        now_s = time.monotonic()
+        if now_s >= self._due_s:
+            self._due_s = now_s + _PROGRESS_PERIOD_S
+            self.show_now(text)
+
+    def show_now(self, text: str) -> None:
+        show_progress(f"{text:<60}")  # padded to overwrite a longer text
+        self._is_open = True
+
+    def close(self) -> None:
+        """End the line."""
+        if self._is_open:
+            show_progress("", done=True)
+        self._is_open = False
+
+
 class Terminal:
     """Reports of `command` on stderr: the first problems, and progress if no lines go to stdout."""
 
@@ -19,8 +45,7 @@ class Terminal:
         self._command = command
         self._shows_progress = shows_progress
         self._lost = 0
-        self._due_s = 0.0
-        self._is_line_open = False
+        self._line = ProgressLine()
 
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
         self._lost += 1
@@ -31,23 +56,33 @@ class Terminal:
             complain(self._command, "further ones are only counted")
 
     def progress(self, account: Account) -> None:
-        now_s = time.monotonic()
-        if self._shows_progress and now_s >= self._due_s:
-            self._due_s = now_s + _PROGRESS_PERIOD_S
+        if self._shows_progress:
             of_all = f" of {account.expected}" if account.expected else ""
-            self._show(f"{account.balance.received}{of_all} images, {account.rate_hz:.1f} per second")
+            self._line.show(f"{account.balance.received}{of_all} images, {account.rate_hz:.1f} per second")
 
     def begin(self, task: str) -> None:
         """Show that `task` has begun, which has no images to count."""
         if self._shows_progress:
-            self._show(task)
+            self._line.show_now(task)
 
     def close(self) -> None:
         """End the progress line."""
-        if self._is_line_open:
-            show_progress("", done=True)
-        self._is_line_open = False
+        self._line.close()
 
-    def _show(self, text: str) -> None:
-        show_progress(f"{text:<60}")  # padded to overwrite a longer text
-        self._is_line_open = True
+
+def report(account: Account) -> str:
+    """Summary of a run for the user, one fact per line."""
+    balance, objects = account.balance, account.objects
+    missing = f" of {account.expected} announced" if balance.received < account.expected else ""
+    return (
+        f"images    {balance.received}{missing}: {balance[Outcome.DETECTED]} detected, "
+        f"{balance[Outcome.REJECTED]} rejected, {balance[Outcome.FAILED]} failed\n"
+        f"{objects_line(objects)}"
+        f"rate        {account.rate_hz:.1f} images per second\n"
+    )
+
+
+def objects_line(objects: Counter[str]) -> str:
+    """The line about detections of such a summary."""
+    names = ", ".join(f"{name} {count}" for name, count in objects.most_common())
+    return f"detections  {objects.total()}{': ' if names else ''}{names}\n"

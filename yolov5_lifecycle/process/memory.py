@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 _STATISTICS = Path("/proc/self/statm")  # in pages: the address space, then the resident set
+_MACHINE = Path("/proc/meminfo")  # in KiB
 _MIB = 1 << 20
 _TRIM_THRESHOLD = (-1, 256 * _MIB)
 _MMAP_THRESHOLD = (-3, 32 * _MIB)  # the maximum accepted by glibc; a 4K image has 24 MiB
@@ -22,6 +23,15 @@ def resident_mb() -> float | None:
     except OSError:
         return None
     return pages * os.sysconf("SC_PAGE_SIZE") / _MIB
+
+
+def available_bytes() -> int | None:
+    """Memory of the machine that can be had without swapping; None without /proc, as on macOS."""
+    try:
+        lines = _MACHINE.read_text().splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("MemAvailable:")), None)
 
 
 def prepare_heap() -> None:

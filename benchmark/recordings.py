@@ -1,0 +1,154 @@
+"""What many recordings cost: workers of `detect_bag` beside single runs of it.
+
+python -m benchmark.recordings [--weights FILE] [--recordings N] [--images N] [--rounds N] [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from benchmark.models import untrained_weights
+from benchmark.report import Goal, goal_table, row, table, write_report
+from yolov5_lifecycle.offline.recording import TYPES
+from yolov5_lifecycle.sources.scene import Scene
+
+REPORT = Path(__file__).parents[1] / "build" / "bench" / "recordings.json"
+SINGLE, ONE, ONE_CORE, TWO = "single runs", "one worker", "one worker, one core", "two workers"
+SIZE_HW = (480, 640)
+_FRAMES = 20
+_MAX_OVERHEAD = 1.05
+_MIN_GAIN = 1.6
+_IMAGE = "sensor_msgs/msg/Image"
+
+Run = Callable[[], object]
+
+
+def record_scene(path: Path, images: int) -> None:
+    """A recording of the scene at 30 Hz in the new folder `path`."""
+    scene = Scene(8, SIZE_HW)
+    frames = [scene.frame(number)[0] for number in range(min(images, _FRAMES))]
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/camera/image_raw", _IMAGE, typestore=TYPES)
+        for number in range(images):
+            stamp_ns = 1_700_000_000_000_000_000 + number * 33_333_333
+            message = _message(frames[number % len(frames)], stamp_ns)
+            writer.write(connection, stamp_ns, TYPES.serialize_cdr(message, _IMAGE))
+
+
+def _message(pixels: Any, stamp_ns: int) -> Any:
+    seconds, nanoseconds = divmod(stamp_ns, 10**9)
+    stamp = TYPES.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    header = TYPES.types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera")
+    height, width = pixels.shape[:2]
+    return TYPES.types[_IMAGE](
+        header=header,
+        height=height,
+        width=width,
+        encoding="rgb8",
+        is_bigendian=0,
+        step=3 * width,
+        data=pixels.reshape(-1),
+    )
+
+
+def calls(drives: Path, weights: Path, folder: Path) -> Mapping[str, Run]:
+    """What is measured, by name: commands as a user types them, each with new outputs in `folder`."""
+    number = count()
+    words = ["--set", f"weights={weights}", "--set", "device=cpu"]
+    sources = [str(path) for path in sorted(drives.iterdir())]
+
+    def single() -> None:
+        for source in sources:
+            _detect_bag(folder, source, "--output", str(folder / f"found-{next(number)}"), *words)
+
+    def many(jobs: int, **environment: str) -> Run:
+        def run() -> None:
+            output = str(folder / f"found-{next(number)}")
+            _detect_bag(folder, *sources, "--output", output, "--jobs", str(jobs), *words, **environment)
+
+        return run
+
+    return {
+        SINGLE: single,
+        ONE: many(1),
+        ONE_CORE: many(1, OMP_NUM_THREADS="1"),
+        TWO: many(2, OMP_NUM_THREADS="1"),
+    }
+
+
+def _detect_bag(cache: Path, *words: str, **environment: str) -> None:
+    command = Path(sys.executable).with_name("detect_bag")
+    variables = os.environ | {"XDG_CACHE_HOME": str(cache / "cache")} | environment
+    subprocess.run([command, *words], env=variables, check=True, stderr=subprocess.DEVNULL)
+
+
+def measured_s(measured: Mapping[str, Run], rounds: int) -> dict[str, list[float]]:
+    """Seconds of each call in `rounds` turns, after one that is not counted: it measures the runtimes."""
+    taken_s: dict[str, list[float]] = {name: [] for name in measured}
+    for turn in range(rounds + 1):
+        for name, call in measured.items():
+            begun_s = time.perf_counter()
+            call()
+            if turn:
+                taken_s[name].append(time.perf_counter() - begun_s)
+    return taken_s
+
+
+def goals(taken_s: Mapping[str, Sequence[float]]) -> list[Goal]:
+    """Medians of the ratios within each round."""
+
+    def ratio(above: str, below: str) -> float:
+        return statistics.median(a / b for a, b in zip(taken_s[above], taken_s[below], strict=True))
+
+    return [
+        Goal(f"{ONE} / {SINGLE}", 0, ratio(ONE, SINGLE), True, _MAX_OVERHEAD),
+        Goal(f"{ONE_CORE} / {TWO}", 0, ratio(ONE_CORE, TWO), False, _MIN_GAIN),
+        Goal(f"{ONE} on all cores / {TWO}", 0, ratio(ONE, TWO), False, 1.0),
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print and write the report; returns 0."""
+    options = parser().parse_args(arguments)
+    with tempfile.TemporaryDirectory(prefix="bench-") as name:
+        folder = Path(name)
+        (folder / "drives").mkdir()
+        for number in range(options.recordings):
+            record_scene(folder / "drives" / f"drive_{number}", 30 if options.quick else options.images)
+        weights = options.weights or untrained_weights("n", folder)
+        rounds = 1 if options.quick else options.rounds
+        taken_s = measured_s(calls(folder / "drives", weights.absolute(), folder), rounds)
+    rows = [row("batch", name, 0, times_s, unit="s") for name, times_s in taken_s.items()]
+    reached = goals(taken_s)
+    print(f"{table(rows)}\n\n{goal_table(reached)}")
+    write_report(REPORT, vars(options), rows, reached)
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The argument parser."""
+    parser = argparse.ArgumentParser(
+        prog="benchmark.recordings", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n")
+    parser.add_argument("--recordings", type=int, default=4, metavar="N", help="default: %(default)s")
+    parser.add_argument("--images", type=int, default=150, metavar="N", help="of each; default: %(default)s")
+    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="default: %(default)s")
+    parser.add_argument("--quick", action="store_true", help="one round, 30 images of each")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,238 @@
+"""How recordings are handed out to workers that load, refuse, fail and die."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from support.many_recordings import Notes, ScriptedWorkers, plan_for
+
+from yolov5_lifecycle.atomic_file import OutputError
+from yolov5_lifecycle.offline.batch import MAX_DEATHS, Tally, detect_recordings
+from yolov5_lifecycle.offline.batch_plan import Plan
+from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.offline.detecting import DetectingError
+from yolov5_lifecycle.offline.recording_result import RecordingResult
+from yolov5_lifecycle.offline.recordings import SourceRecording
+from yolov5_lifecycle.offline.worker_pool import ProcessWorkers, suitable_count
+from yolov5_lifecycle.offline.workers import Died, Ended, Event, Ready, Refused
+from yolov5_lifecycle.process.environment import compute_threads
+from yolov5_lifecycle.unfinished import hold, open_itself
+
+SOURCES = [SourceRecording(name, Path("/drives", name)) for name in "abcd"]
+
+
+def ready(worker: int, plan: Plan) -> Event:
+    return Ready(worker, "torch")
+
+
+def done(worker: int, source: SourceRecording) -> Event:
+    return Ended(
+        worker, RecordingResult(recording=source.name, path=str(source.path), state="done", images=2)
+    )
+
+
+class Batch:
+    """A batch in `folder` with scripted workers."""
+
+    def __init__(
+        self,
+        folder: Path,
+        max_count: int = 2,
+        *,
+        on_start: Callable[[int, Plan], Event] = ready,
+        on_begin: Callable[[int, SourceRecording], Event] = done,
+    ) -> None:
+        self.output = folder / "found"
+        self.notes = Notes()
+        self.workers = ScriptedWorkers(max_count, on_start, on_begin)
+
+    def run(self) -> Tally:
+        return detect_recordings(
+            SOURCES,
+            plan_for(self.output, runtime="auto"),
+            new_workers=lambda _: self.workers,
+            watch=self.notes,
+        )
+
+
+def test_the_first_worker_chooses_the_runtime_of_all(tmp_path: Path) -> None:
+    batch = Batch(tmp_path, 3)
+    tally = batch.run()
+    assert batch.workers.runtimes == ["auto", "torch", "torch"]
+    assert batch.workers.is_closed
+    assert sorted(name for _, name in batch.workers.begun) == list("abcd")
+    assert (tally.in_state("done"), tally.images) == (4, 8)
+
+
+def test_with_a_runtime_that_is_set_all_workers_start_at_once(tmp_path: Path) -> None:
+    begun: list[int] = []
+
+    def begin(worker: int, source: SourceRecording) -> Event:
+        begun.append(len(batch.workers.runtimes))
+        return done(worker, source)
+
+    batch = Batch(tmp_path, 3, on_begin=begin)
+    detect_recordings(SOURCES, plan_for(batch.output), new_workers=lambda _: batch.workers, watch=batch.notes)
+    assert begun[0] == 3
+
+
+def test_there_are_no_more_workers_than_recordings(tmp_path: Path) -> None:
+    batch = Batch(tmp_path, 100)
+    batch.run()
+    assert len(batch.workers.runtimes) == len(SOURCES)
+
+
+def test_the_recording_of_a_dead_worker_is_begun_again(tmp_path: Path) -> None:
+    deaths = ["a", "c"]
+
+    def begin(worker: int, source: SourceRecording) -> Event:
+        if source.name in deaths:
+            deaths.remove(source.name)
+            return Died(worker, "the worker died (signal 9, SIGKILL)")
+        return done(worker, source)
+
+    batch = Batch(tmp_path, on_begin=begin)
+    assert batch.run().in_state("done") == 4
+    assert sorted(name for _, name in batch.workers.begun) == list("aabccd")
+    assert len(batch.notes.remarks) == 2
+
+
+def test_the_recording_at_which_workers_die_is_set_aside(tmp_path: Path) -> None:
+    def begin(worker: int, source: SourceRecording) -> Event:
+        return Died(worker, "it died") if source.name == "b" else done(worker, source)
+
+    batch = Batch(tmp_path, on_begin=begin)
+    tally = batch.run()
+    assert (tally.in_state("done"), tally.in_state("set aside")) == (3, 1)
+    assert [result.recording for result in batch.notes.aside] == ["b"]
+    assert [name for _, name in batch.workers.begun].count("b") == MAX_DEATHS
+
+
+@pytest.mark.parametrize(
+    ("event", "told"),
+    [
+        pytest.param(lambda worker: Died(worker, "it died"), "it died while it loaded the model", id="dies"),
+        pytest.param(lambda worker: Refused(worker, "no such class"), "no such class", id="refuses"),
+    ],
+)
+def test_a_model_that_no_worker_can_load_ends_the_batch(
+    event: Callable[[int], Event], told: str, tmp_path: Path
+) -> None:
+    batch = Batch(tmp_path, on_start=lambda worker, _: event(worker))
+    with pytest.raises(DetectingError, match=told):
+        batch.run()
+    assert batch.workers.is_closed
+    assert not batch.output.exists()
+
+
+def test_a_worker_for_which_there_is_no_room_is_left_out(tmp_path: Path) -> None:
+    def start(worker: int, plan: Plan) -> Event:
+        return Refused(worker, "not enough memory") if worker else ready(worker, plan)
+
+    batch = Batch(tmp_path, 2, on_start=start)
+    assert batch.run().in_state("done") == 4
+    (remark,) = batch.notes.remarks
+    assert remark == "going on with 1 worker(s), as one more could not start: not enough memory"
+
+
+def test_a_full_disk_ends_the_batch(tmp_path: Path) -> None:
+    batch = Batch(tmp_path, on_begin=lambda worker, _: Refused(worker, "No space left on device"))
+    with pytest.raises(DetectingError, match="No space left"):
+        batch.run()
+
+
+def test_two_batches_do_not_share_a_folder(tmp_path: Path) -> None:
+    batch = Batch(tmp_path)
+    batch.output.mkdir()
+    held = open_itself(batch.output)
+    assert hold(held, batch.output)
+    with pytest.raises(OutputError, match="another detect_bag is at work there"):
+        batch.run()
+    assert batch.workers.runtimes == []
+
+
+def test_without_pyarrow_the_table_is_missing_and_the_remedy_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    batch = Batch(tmp_path)
+    batch.run()
+    assert [path.name for path in batch.output.iterdir()] == ["summary.json"]
+    assert json.loads((batch.output / "summary.json").read_text())["done"] == 4
+    (remark,) = batch.notes.remarks
+    assert remark.endswith("-m pip install pyarrow")
+
+
+@pytest.mark.parametrize(("recordings", "count"), [(1, 1), (10_000, compute_threads())])
+def test_a_machine_has_no_more_workers_than_cores_and_recordings(recordings: int, count: int) -> None:
+    assert 1 <= suitable_count(recordings) <= count
+
+
+def test_workers_share_the_cores() -> None:
+    for count in (1, 2, 1000):
+        workers = ProcessWorkers(count)
+        assert workers.threads == max(1, compute_threads() // count)
+        workers.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        pytest.param(["a", "b"], "give --output, the folder of the results", id="no output"),
+        pytest.param(["a", "b", "--output", "x", "--annotated", "y"], "give --images", id="drawings"),
+        pytest.param(["a", "--jobs", "0", "--output", "x"], "no number of processes from 1", id="no jobs"),
+        pytest.param(["a", "--jobs", "many", "--output", "x"], "no number of processes", id="word"),
+    ],
+)
+def test_wrong_usage_is_one_line(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(words)
+    assert stopped.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        pytest.param(["nothing", "drive"], "nothing: there is no such file or folder", id="missing"),
+        pytest.param(["drive", "--jobs", "1", "--output", "no/x"], "no such folder; make it", id="no folder"),
+        pytest.param(["drive", "--jobs", "1", "--output", "file"], "file is no folder", id="file"),
+        pytest.param(
+            ["copy.mcap", "--jobs", "1", "--output", "drive"], "drive is a recording", id="recording"
+        ),
+        pytest.param(["drive", "--ray", "127.0.0.1:1"], "no Ray cluster that answers", id="no cluster"),
+        pytest.param(
+            ["drive", "--jobs", "1", "--set", "weights_sha256=" + "f" * 64], "its sha256 is", id="pin"
+        ),
+    ],
+)
+def test_an_error_says_what_to_do_and_leaves_nothing_behind(
+    words: list[str],
+    told: str,
+    drive: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(drive.parent)
+    Path("file").touch()
+    Path("copy.mcap").touch()
+    before = sorted(drive.parent.rglob("*"))
+    weights = plan_for(drive).weights
+    assert main(["--output", "found", *words, "--set", f"weights={weights}"]) == 1
+    assert told in capsys.readouterr().err
+    assert sorted(drive.parent.rglob("*")) == before
+
+
+def test_without_ray_the_option_says_how_to_install_it(
+    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    weights = plan_for(drive).weights
+    words = [str(drive), "--output", str(drive.parent / "found"), "--ray", "auto"]
+    assert main([*words, "--set", f"weights={weights}"]) == 1
+    assert "-m pip install ray" in capsys.readouterr().err

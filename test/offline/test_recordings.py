@@ -1,0 +1,188 @@
+"""Which recordings the sources of a command stand for, and which of them have a result already."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from support.many_recordings import plan_for
+
+from yolov5_lifecycle.offline.finished import RECORD_NAME, Record, file_stamps, finished_before, read_record
+from yolov5_lifecycle.offline.recording_result import RecordingResult
+from yolov5_lifecycle.offline.recordings import SourceRecording, are_many, recordings_of
+from yolov5_lifecycle.sources.frames import SourceError
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two days of recordings, single files, images and results."""
+    files = (
+        *("monday/a/a_0.mcap", "monday/a/metadata.yaml", "monday/b/b_0.db3", "monday/b/metadata.yaml"),
+        *("monday/notes.txt", "monday/empty/notes.txt", "monday/.hidden/h.mcap"),
+        *("tuesday/a/a_0.mcap", "tuesday/a/metadata.yaml", "tuesday/c/c_0.mcap.zstd"),
+        *("files/d.mcap", "files/e_0.mcap.zstd", "files/e_1.db3", "lost/one.mcap"),
+        *("shots/0.png", "shots/raw/r.mcap", "found/a/a.mcap", "found/a/metadata.yaml"),
+        "summary.json/s.mcap",
+    )
+    for file in files:
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("sources", "names"),
+    [
+        pytest.param(["monday"], ["a", "b"], id="folder of recordings"),
+        pytest.param(["monday/*"], ["a", "b"], id="pattern"),
+        pytest.param(["*day/[bc]"], ["b", "c"], id="pattern over folders"),
+        pytest.param(["monday/a", "tuesday/c"], ["a", "c"], id="paths"),
+        pytest.param(["monday/a", "monday"], ["a", "b"], id="one twice"),
+        pytest.param(["monday/**"], ["a", "b"], id="recordings and their files"),
+        pytest.param(["files"], ["d", "e_0", "e_1"], id="folder of files"),
+        pytest.param(["files/*.mcap", "files/e_1.db3"], ["d", "e_1"], id="files"),
+        pytest.param(["mon*"], ["a", "b"], id="pattern of a folder of them"),
+        pytest.param(["[mf]o*"], ["a", "b"], id="results are no sources"),
+    ],
+)
+def test_sources_stand_for_recordings(sources: list[str], names: list[str], home: Path) -> None:
+    found = recordings_of(map(Path, sources), home / "found")
+    assert [recording.name for recording in found] == names
+    assert all(recording.path.is_absolute() for recording in found)
+
+
+@pytest.mark.parametrize(
+    ("sources", "told"),
+    [
+        pytest.param(["sunday"], "sunday: there is no such file or folder", id="missing"),
+        pytest.param(["sun*"], r"sun\*: expected recordings of ros2 bag, found no", id="pattern of nothing"),
+        pytest.param(["monday/notes.txt", "files"], "notes.txt: expected recordings", id="no recording"),
+        pytest.param(["found"], "found: expected recordings of ros2 bag", id="results"),
+        pytest.param(["*day"], r"1 name\(s\) belong to several .*\n.*monday/a, .*tuesday/a", id="same names"),
+        pytest.param(["summary.json"], "its result cannot have that name", id="reserved name"),
+    ],
+)
+def test_sources_that_stand_for_none_are_refused(sources: list[str], told: str, home: Path) -> None:
+    with pytest.raises(SourceError, match=told):
+        recordings_of(map(Path, sources), home / "found")
+
+
+def test_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    odd = tmp_path / "drive\udcff"
+    odd.mkdir()
+    (odd / "a.mcap").touch()
+    with pytest.raises(SourceError, match="its result cannot have that name"):
+        recordings_of([odd], tmp_path / "found")
+
+
+@pytest.mark.parametrize(
+    ("sources", "many"),
+    [
+        (["monday/a"], False),
+        (["files/d.mcap"], False),
+        (["lost"], False),
+        (["shots"], False),
+        (["nothing"], False),
+        (["monday"], True),
+        (["files"], True),
+        (["monday/a*"], True),
+        (["monday/a", "tuesday/a"], True),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_one_recording_is_one_unless_it_is_named_as_many(sources: list[str], many: bool, home: Path) -> None:
+    assert are_many(list(map(Path, sources))) == many
+
+
+def test_a_file_whose_name_has_wildcards_is_no_pattern(tmp_path: Path) -> None:
+    odd = tmp_path / "drive[1].mcap"
+    odd.touch()
+    assert not are_many([odd])
+    assert recordings_of([odd], tmp_path / "found") == [SourceRecording("drive[1]", odd)]
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> SourceRecording:
+    (tmp_path / "drive").mkdir()
+    (tmp_path / "drive" / "drive.mcap").write_bytes(b"images")
+    return SourceRecording("drive", tmp_path / "drive")
+
+
+@pytest.fixture
+def result(source: SourceRecording, tmp_path: Path) -> Path:
+    """A finished result."""
+    folder, plan = tmp_path / "found" / "drive", plan_for(tmp_path / "found")
+    folder.mkdir(parents=True)
+    (folder / "drive.mcap").write_bytes(b"detections")
+    Record(
+        weights_sha256=plan.weights_sha256,
+        settings_sha256=plan.settings_sha256,
+        recording_sha256="0" * 64,
+        recording_files=file_stamps(source.path),
+        result_bytes={"drive.mcap": 10},
+        result=RecordingResult(recording="drive", path="/before", state="done", images=3),
+    ).write(folder)
+    return folder
+
+
+def test_a_finished_result_is_found(source: SourceRecording, result: Path) -> None:
+    row = finished_before(source, plan_for(result.parent))
+    assert row is not None
+    assert (row.state, row.path, row.images) == ("skipped", str(source.path), 3)
+
+
+@pytest.mark.parametrize(
+    ("change", "settings"),
+    [
+        pytest.param(lambda source, _: (source / "drive.mcap").write_bytes(b"others"), {}, id="content"),
+        pytest.param(lambda source, _: (source / "drive_1.mcap").touch(), {}, id="another file"),
+        pytest.param(lambda source, _: (source / "drive.mcap").unlink(), {}, id="file missing"),
+        pytest.param(lambda _, result: (result / "drive.mcap").write_bytes(b""), {}, id="result cut off"),
+        pytest.param(lambda _, result: (result / RECORD_NAME).unlink(), {}, id="no record"),
+        pytest.param(lambda *_: None, {"iou_threshold": 0.4}, id="setting"),
+    ],
+)
+def test_what_has_changed_is_not_finished(
+    change: Callable[[Path, Path], object],
+    settings: dict[str, object],
+    source: SourceRecording,
+    result: Path,
+) -> None:
+    change(source.path, result)
+    assert finished_before(source, plan_for(result.parent, **settings)) is None
+
+
+def test_where_the_weights_lie_makes_no_difference(
+    source: SourceRecording, result: Path, tmp_path: Path
+) -> None:
+    plan = plan_for(result.parent)
+    moved = tmp_path / "moved.safetensors"
+    moved.write_bytes(Path(plan.weights).read_bytes())
+    assert finished_before(source, plan_for(result.parent, weights=str(moved))) is not None
+
+
+def test_notes_beside_the_files_of_a_recording_make_no_difference(
+    source: SourceRecording, result: Path
+) -> None:
+    (source.path / "notes.txt").touch()
+    assert finished_before(source, plan_for(result.parent)) is not None
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(b"", id="empty"),
+        pytest.param(b"[]", id="list"),
+        pytest.param(b"{}", id="nothing in it"),
+        pytest.param(b"\xff\xfe", id="no text"),
+        pytest.param(b"[" * 100_000, id="deep"),
+        pytest.param(b'{"weights_sha256": 1}', id="number"),
+        pytest.param(bytes((16 << 20) + 1), id="too large"),
+    ],
+)
+def test_a_damaged_record_counts_as_none(content: bytes, result: Path) -> None:
+    assert read_record(result) is not None
+    (result / RECORD_NAME).write_bytes(content)
+    assert read_record(result) is None

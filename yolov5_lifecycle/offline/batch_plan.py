@@ -1,0 +1,73 @@
+"""What is done with every recording of a batch, in a form that can be sent to its workers."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from yolov5_lifecycle.checkpoints.locate import weights_digest
+from yolov5_lifecycle.detection.prepared_model import weights_path
+from yolov5_lifecycle.settings.settings import Settings, validated
+
+_PLACE_OF_WEIGHTS = {"model_size", "weights", "weights_dir", "weights_dirs", "weights_sha256"}
+"""Settings that say where the model is, and not which one it is."""
+
+
+class Plan(BaseModel):
+    """The model, the settings and the options of a batch, and the folder of its results."""
+
+    model_config = ConfigDict(frozen=True)
+
+    output: Path
+    weights: str
+    weights_sha256: str
+    settings: dict[str, object]
+    runtime: str
+    """The one that is set, or that the first worker has chosen."""
+    topic: str | None
+    node: str
+    images: bool
+    masks: bool
+
+    @property
+    def settings_sha256(self) -> str:
+        """Digest of everything but model and recording that the results depend on."""
+        settings = {name: value for name, value in self.settings.items() if name not in _PLACE_OF_WEIGHTS}
+        options = {"topic": self.topic, "node": self.node, "images": self.images, "masks": self.masks}
+        text = json.dumps([settings, options], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def model_settings(self) -> Settings:
+        """The settings with this model and runtime."""
+        chosen = {"weights": self.weights, "weights_sha256": self.weights_sha256, "runtime": self.runtime}
+        return validated({**self.settings, **chosen})
+
+
+def plan_of(
+    settings: Settings,
+    *,
+    output: Path,
+    topic: str | None,
+    node: str,
+    images: bool,
+    masks: bool,
+) -> Plan:
+    """The plan for the model that `settings` select, as its file is now; raises WeightsError and OSError."""
+    weights = Path(os.path.abspath(weights_path(settings)))  # noqa: PTH100
+    digest = weights_digest(weights, sha256=settings.weights_sha256)
+    return Plan(
+        output=output,
+        weights=str(weights),
+        weights_sha256=digest,
+        settings=settings.model_dump(mode="json"),
+        runtime=settings.runtime,
+        topic=topic,
+        node=node,
+        images=images,
+        masks=masks,
+    )

@@ -1,0 +1,94 @@
+"""The summary of a batch: a row for each recording, as JSON and as a Parquet table."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.offline.batch_plan import Plan
+from yolov5_lifecycle.offline.recording_result import RecordingResult
+from yolov5_lifecycle.process.missing_package import absence_of
+
+JSON_NAME, PARQUET_NAME = "summary.json", "summary.parquet"
+CLASS_COLUMN = "detections/"
+"""How the columns of classes begin in the table."""
+_COUNTED = ("images", "detected", "rejected", "failed")
+_COLUMNS = {
+    "recording": "string",
+    "path": "string",
+    "state": "string",
+    "reason": "string",
+    "images": "int64",
+    "detected": "int64",
+    "rejected": "int64",
+    "failed": "int64",
+    "first_problem": "string",
+    "seconds": "float64",
+    "runtime": "string",
+    "detections": "int64",
+}
+
+
+def remove_summary(folder: Path) -> None:
+    """Remove the summary of an earlier run; raises OSError."""
+    for name in (JSON_NAME, PARQUET_NAME):
+        (folder / name).unlink(missing_ok=True)
+
+
+def write_summary(plan: Plan, results: Sequence[RecordingResult]) -> list[str]:
+    """Write both files to the folder of results and return why one was left out. Raises OSError."""
+    text = json.dumps(summary(plan, results), indent=1, ensure_ascii=False)
+    write_whole(plan.output / JSON_NAME, text.encode(), b"\n")
+    if absence := absence_of("pyarrow"):
+        return [f"{PARQUET_NAME} is not written, only {JSON_NAME}: {absence}"]
+    write_whole(plan.output / PARQUET_NAME, _parquet(results))
+    return []
+
+
+def summary(plan: Plan, results: Sequence[RecordingResult]) -> Mapping[str, object]:
+    """The content of the JSON file."""
+    detections: Counter[str] = Counter()
+    for result in results:
+        detections.update(result.detections)
+    return {
+        "weights": plan.weights,
+        "weights_sha256": plan.weights_sha256,
+        "settings_sha256": plan.settings_sha256,
+        "recordings": len(results),
+        **{
+            state.replace(" ", "_"): sum(result.state == state for result in results)
+            for state in ("done", "skipped", "set aside")
+        },
+        **{name: sum(getattr(result, name) for result in results) for name in _COUNTED},
+        "detections": dict(detections),
+        "results": [result.model_dump() for result in results],
+    }
+
+
+def _parquet(results: Sequence[RecordingResult]) -> bytes:
+    """A table with a column for each class; a recording that was set aside has no values in those."""
+    import pyarrow
+    from pyarrow import parquet
+
+    classes = dict.fromkeys(name for result in results for name in result.detections)
+    columns: dict[str, Any] = {
+        name: pyarrow.array([_value(result, name) for result in results], type_name)
+        for name, type_name in _COLUMNS.items()
+    }
+    for name in classes:
+        column = [result.detections.get(name) for result in results]
+        columns[f"{CLASS_COLUMN}{name}"] = pyarrow.array(column, "int64")
+    sink = pyarrow.BufferOutputStream()
+    parquet.write_table(pyarrow.table(columns), sink)
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def _value(result: RecordingResult, column: str) -> object:
+    if column != "detections":
+        return getattr(result, column)
+    return None if result.state == "set aside" else sum(result.detections.values())

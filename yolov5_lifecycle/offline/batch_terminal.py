@@ -1,0 +1,54 @@
+"""What `detect_bag` reports about many recordings on the terminal."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import get_args
+
+from yolov5_lifecycle.offline.batch import Tally
+from yolov5_lifecycle.offline.recording_result import RecordingResult, State
+from yolov5_lifecycle.offline.terminal import ProgressLine, objects_line
+from yolov5_lifecycle.process.standard_streams import complain
+
+_COUNTED = ("images", "detected", "rejected", "failed")
+
+
+class BatchTerminal:
+    """Reports a batch: each recording that was set aside, and progress over all."""
+
+    def __init__(self) -> None:
+        self._line = ProgressLine()
+
+    def set_aside(self, result: RecordingResult) -> None:
+        self.remark(f"{result.recording}: set aside: {result.reason}")
+
+    def remark(self, text: str) -> None:
+        self.close()
+        complain("detect_bag", text)
+
+    def progress(self, tally: Tally) -> None:
+        self._line.show(
+            f"{len(tally.results)} of {tally.count} recordings, {tally.images} images, "
+            f"{tally.rate_hz:.1f} per second"
+        )
+
+    def close(self) -> None:
+        """End the progress line."""
+        self._line.close()
+
+
+def batch_report(tally: Tally) -> str:
+    """Summary of a batch for the user, one fact per line."""
+    results = tally.results.values()
+    objects: Counter[str] = Counter()
+    for result in results:
+        objects.update(+Counter(result.detections))
+    images = {name: sum(getattr(result, name) for result in results) for name in _COUNTED}
+    states = ", ".join(f"{tally.in_state(state)} {state}" for state in get_args(State))
+    return (
+        f"recordings  {tally.count}: {states}\n"
+        f"images      {images['images']}: {images['detected']} detected, {images['rejected']} rejected, "
+        f"{images['failed']} failed\n"
+        f"{objects_line(objects)}"
+        f"rate        {tally.rate_hz:.1f} images per second in this run\n"
+    )

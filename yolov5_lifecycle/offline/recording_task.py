@@ -1,0 +1,162 @@
+"""The task of a worker: detection in one recording after the other with one model."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from yolov5_lifecycle.atomic_file import OutputError, whole_output
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
+from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
+from yolov5_lifecycle.offline.batch_plan import Plan
+from yolov5_lifecycle.offline.detect_recording import write_detections
+from yolov5_lifecycle.offline.detecting import Account, OfflineDetector
+from yolov5_lifecycle.offline.finished import (
+    Record,
+    content_sha256,
+    file_stamps,
+    finished_before,
+    read_record,
+    result_bytes,
+    skipped,
+)
+from yolov5_lifecycle.offline.recording import RecordingError, open_recording
+from yolov5_lifecycle.offline.recording_result import RecordingResult
+from yolov5_lifecycle.offline.recordings import SourceRecording
+from yolov5_lifecycle.printable import in_lines, in_one_line
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+
+OnImage = Callable[[int], object]
+"""Called after every image with the number of images of the recording so far."""
+
+
+class NoRoomError(RuntimeError):
+    """Nothing more can be written to the folder of the results."""
+
+
+class RecordingTask:
+    """Owns the model of `plan`, loaded by `prepare`, and detects in recordings.
+
+    Raises ValueError, OSError and InferenceError if the model cannot be loaded with the settings.
+    """
+
+    def __init__(self, plan: Plan, on_image: OnImage, *, prepare: Prepare = prepare_model) -> None:
+        self._plan = plan
+        self._settings = plan.model_settings
+        self._on_image = on_image
+        self._prepared = prepare(self._settings, (USUAL_SOURCE_HW,))
+        self._detector(_Watch(on_image))  # refuses classes that the model does not have
+
+    @property
+    def runtime(self) -> str:
+        return self._prepared.detector.runtime.name
+
+    def run(self, source: SourceRecording) -> RecordingResult:
+        """Write the result of `source`, unless it is there; or say why it was set aside.
+
+        Raises NoRoomError, and DeviceLostError: then no other recording would fare better.
+        """
+        begun_s = time.monotonic()
+        watch = _Watch(self._on_image)
+        try:
+            return self._result(source, watch, begun_s)
+        except Exception as error:  # one recording must not end the others
+            if isinstance(error.__cause__, DeviceLostError):
+                raise error.__cause__ from None
+            if getattr(error, "errno", None) in _NO_ROOM or type(error).__name__ == "FullError":
+                raise NoRoomError(f"{self._plan.output}: {error}") from error
+            return RecordingResult(
+                recording=source.name,
+                path=str(source.path),
+                state="set aside",
+                reason=in_lines(str(error) or type(error).__name__),
+                first_problem=watch.first_problem,
+                seconds=time.monotonic() - begun_s,
+            )
+
+    def _result(self, source: SourceRecording, watch: _Watch, begun_s: float) -> RecordingResult:
+        target = self._plan.output / source.name
+        if (finished := finished_before(source, self._plan)) is not None:  # of a worker that was killed then
+            return finished
+        files = file_stamps(source.path)
+        record = read_record(target)
+        if record is not None and record.is_of(self._plan, target):
+            if record.recording_sha256 == content_sha256(source.path):
+                record.model_copy(update={"recording_files": files}).write(target)
+                return skipped(record, source)
+        elif record is None and target.exists():
+            raise OutputError(f"{target} exists and has no record of detect_bag: move it, or remove it.")
+        with whole_output(target, replace=record is not None) as unfinished:
+            account = self._detect(source.path, unfinished, watch)
+            result = self._row(source, account, watch, time.monotonic() - begun_s)
+            self._record(source.path, unfinished, result).write(unfinished)
+            if file_stamps(source.path) != files:
+                raise RecordingError(f"{source.path}: it changed while it was read. Is it complete?")
+        return result
+
+    def _detect(self, source: Path, unfinished: Path, watch: _Watch) -> Account:
+        plan = self._plan
+        with open_recording(source) as recording:
+            return write_detections(
+                recording,
+                unfinished,
+                topic=plan.topic,
+                node=plan.node,
+                images=plan.images,
+                masks=plan.masks,
+                load=lambda: self._detector(watch),
+            )
+
+    def _detector(self, watch: _Watch) -> OfflineDetector:
+        """A detector with the same model and a tracker of its own."""
+        with_masks = self._plan.masks or self._plan.images
+        return OfflineDetector(
+            self._settings, watch, with_masks=with_masks, prepare=lambda *_: self._prepared
+        )
+
+    def _record(self, source: Path, folder: Path, result: RecordingResult) -> Record:
+        return Record(
+            weights_sha256=self._plan.weights_sha256,
+            settings_sha256=self._plan.settings_sha256,
+            recording_sha256=content_sha256(source),
+            recording_files=file_stamps(source),
+            result_bytes=result_bytes(folder),
+            result=result,
+        )
+
+    def _row(
+        self, source: SourceRecording, account: Account, watch: _Watch, seconds: float
+    ) -> RecordingResult:
+        balance = account.balance
+        return RecordingResult(
+            recording=source.name,
+            path=str(source.path),
+            state="done",
+            images=balance.received,
+            detected=balance[Outcome.DETECTED],
+            rejected=balance[Outcome.REJECTED],
+            failed=balance[Outcome.FAILED],
+            first_problem=watch.first_problem,
+            seconds=round(seconds, 3),
+            runtime=self.runtime,
+            detections={name: account.objects[name] for name in self._prepared.detector.class_names},
+        )
+
+
+class _Watch:
+    """Keeps the first problem and passes on the number of images."""
+
+    def __init__(self, on_image: OnImage) -> None:
+        self._on_image = on_image
+        self.first_problem = ""
+
+    def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
+        self.first_problem = self.first_problem or in_one_line(f"{label}: {outcome.value}: {error}")
+
+    def progress(self, account: Account) -> None:
+        self._on_image(account.balance.received)

@@ -1,0 +1,136 @@
+"""Which recordings a command is about: those that are named, that patterns match, and that lie in folders."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from yolov5_lifecycle.offline.image_files import is_image
+from yolov5_lifecycle.sources.frames import SourceError
+
+METADATA = "metadata.yaml"
+_SUFFIXES = (".mcap", ".db3")
+_WILDCARDS = "*?["
+_MAX_TOLD = 5
+
+
+@dataclass(frozen=True)
+class SourceRecording:
+    """A recording at an absolute `path`, and the name of its result."""
+
+    name: str
+    path: Path
+
+
+def is_recording(path: Path) -> bool:
+    """Whether `path` is a rosbag2 file, possibly compressed, or a folder that contains such files."""
+    if not path.is_dir():
+        return path.suffix in _SUFFIXES
+    return any(map(is_storage, path.iterdir()))
+
+
+def is_storage(path: Path) -> bool:
+    """Whether `path` has the name of a rosbag2 file, possibly compressed."""
+    return any(suffix in _SUFFIXES for suffix in path.suffixes)
+
+
+def are_many(sources: Sequence[Path]) -> bool:
+    """Whether `sources` stand for many recordings: several paths, a pattern or a folder of recordings."""
+    return len(sources) > 1 or any(_is_pattern(source) or _has_recordings(source) for source in sources)
+
+
+def recordings_of(sources: Iterable[Path], output: Path) -> list[SourceRecording]:
+    """The recordings that `sources` stand for, each once, in order; none of those in the folder `output`.
+
+    Raises SourceError for a source without any, for two of the same name, and for a name that is reserved or
+    no UTF-8.
+    """
+    paths = {Path(os.path.abspath(path)): None for source in sources for path in _expanded(source, output)}  # noqa: PTH100
+    # `**` matches a recording and its files.
+    found = [SourceRecording(_name(path), path) for path in paths if path.parent not in paths]
+    _check_names(found)
+    return found
+
+
+def _expanded(source: Path, output: Path) -> list[Path]:
+    if _is_pattern(source):
+        candidates = map(Path, sorted(glob.glob(str(source), recursive=True)))  # noqa: PTH207
+        found = [path for candidate in candidates for path in _recordings_at(candidate)]
+    elif source.exists():
+        found = list(_recordings_at(source))
+    else:
+        raise SourceError(f"{source}: there is no such file or folder")
+    own = Path(os.path.realpath(output))
+    found = [path for path in found if not Path(os.path.realpath(path)).is_relative_to(own)]
+    if not found:
+        raise SourceError(f"{source}: expected recordings of ros2 bag, found no .mcap and no .db3 file.")
+    return found
+
+
+def _recordings_at(path: Path) -> Iterator[Path]:
+    """`path`, or the recordings in that folder."""
+    if _has_recordings(path):
+        yield from _children(path)
+    elif _may_be_recording(path):
+        yield path
+
+
+def _is_pattern(path: Path) -> bool:
+    return any(wildcard in str(path) for wildcard in _WILDCARDS) and not os.path.lexists(path)
+
+
+def _has_recordings(path: Path) -> bool:
+    """Whether `path` is a folder of recordings, and neither one itself nor a folder of images."""
+    if not path.is_dir() or (path / METADATA).exists():
+        return False
+    files = list(path.iterdir())
+    if any(map(is_storage, files)):  # a single file without metadata is a damaged recording
+        return len(_children(path)) > 1
+    return not any(map(is_image, files)) and bool(_children(path))
+
+
+def _children(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.name[0] != "." and _may_be_recording(path))
+
+
+def _may_be_recording(path: Path) -> bool:
+    """`is_recording`; a folder that cannot be listed may be one, and says why when it is read."""
+    try:
+        return is_storage(path) if path.is_file() else is_recording(path)
+    except OSError:
+        return True
+
+
+def _name(path: Path) -> str:
+    """Name of the folder, or that of the file without what tells its format."""
+    if path.is_dir():
+        return path.name
+    first = min(path.name.find(suffix) for suffix in _SUFFIXES if suffix in path.name)
+    return path.name[:first] or path.name
+
+
+def _check_names(found: Sequence[SourceRecording]) -> None:
+    by_name: dict[str, list[Path]] = {}
+    for recording in found:
+        by_name.setdefault(recording.name, []).append(recording.path)
+    same = [paths for paths in by_name.values() if len(paths) > 1]
+    if same:
+        told = "".join(f"\n  {', '.join(map(str, paths[:_MAX_TOLD]))}" for paths in same[:_MAX_TOLD])
+        raise SourceError(
+            f"{len(same)} name(s) belong to several recordings, whose results would have the same name; "
+            f"give them in runs with outputs of their own, or rename them:{told}"
+        )
+    for recording in found:
+        if not _is_utf8(str(recording.path)) or recording.name.startswith("summary."):
+            raise SourceError(f"{recording.path}: its result cannot have that name; rename the recording.")
+
+
+def _is_utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
