@@ -182,7 +182,7 @@ class EvaluationResult:
             f"data    {in_one_line(str(self._source))}: {len(first.images)} images, "
             f"{self._rows[0][0].counts.objects} objects",
             f"speed   {_median_ms(first)} per image, the median of {len(first.times_ms)}",
-            f"counted at confidence_threshold {first.settings.confidence_threshold:g} and IoU {MIN_IOU}",
+            f"counted at confidence_threshold {_thresholds(first)} and IoU {MIN_IOU}",
         ]
         if self._classes.left_out:
             shown = ", ".join(in_one_line(name, 40) for name in self._classes.left_out[:_MAX_CONFUSED])
@@ -220,6 +220,13 @@ def _model(evaluation: Evaluation) -> dict[str, Any]:
             "images": len(times_ms),
         },
     }
+
+
+def _thresholds(evaluation: Evaluation) -> str:
+    """The threshold of the model, and of how many classes it is another one."""
+    usual = evaluation.settings.confidence_threshold
+    others = np.count_nonzero(evaluation.thresholds != usual)
+    return f"{usual:g}, of {others} classes their own," if others else f"{usual:g}"
 
 
 def _median_ms(evaluation: Evaluation) -> str:
