@@ -14,7 +14,6 @@ from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
 from yolov5_lifecycle.evaluation.figures import Counts, counts_at, rows, sweep
 from yolov5_lifecycle.evaluation.matching import match
 from yolov5_lifecycle.evaluation.thresholds import (
-    CLASS_THRESHOLDS,
     Goal,
     GoalError,
     chosen_thresholds,
@@ -133,7 +132,7 @@ def test_thresholds_are_parameters_of_the_node(tmp_path: Path) -> None:
     assert read_parameter_file(file) == {
         "/robot/yolov5": {
             "confidence_threshold": pytest.approx(chosen[0].value),
-            CLASS_THRESHOLDS: [f"{one.name}: {one.value:.12g}" for one in chosen[1:]],
+            "class_thresholds": [f"{one.name}: {one.value:.12g}" for one in chosen[1:]],
         }
     }
 

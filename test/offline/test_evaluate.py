@@ -26,7 +26,6 @@ from support.evaluated_offline import (
 )
 
 from yolov5_lifecycle.detection.selection import selection
-from yolov5_lifecycle.evaluation.thresholds import CLASS_THRESHOLDS
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.evaluating import MIN_CONFIDENCE
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
@@ -189,7 +188,7 @@ def test_printed_thresholds_are_parameters_that_do_what_they_say(
     file = tmp_path / "thresholds.yaml"
     file.write_text(printed[printed.index("# Chosen for") :])
     values = read_parameter_file(file)["/robot/eye"]
-    assert [str(entry).partition(":")[0] for entry in list(values[CLASS_THRESHOLDS])] == list(CLASS_NAMES)  # type: ignore[arg-type]
+    assert [str(entry).partition(":")[0] for entry in list(values["class_thresholds"])] == list(CLASS_NAMES)  # type: ignore[arg-type]
     chosen = report_of(tmp_path / "first")["thresholds"]
     assert chosen["all"]["threshold"] == values["confidence_threshold"]
     again = ["--set", f"confidence_threshold={values['confidence_threshold']}"]

@@ -219,6 +219,7 @@ def test_a_wrong_argument_ends_it_with_a_reason(
         pytest.param(["--truth-topic", "/x"], "no use for --truth-topic", id="truth topic"),
         pytest.param(["--split", "mine"], "invalid choice: 'mine'", id="split"),
         pytest.param(["--set", "weights=a.pt"], "weights has no effect: the model is WEIGHTS", id="weights"),
+        pytest.param(["--set", "max_box_size=0.5"], "max_box_size has no effect: detections", id="size"),
         pytest.param(["-p", "tracker:=bytetrack"], "tracker has no effect: images are", id="tracker"),
         pytest.param(["--track"], "unrecognized arguments: --track", id="track"),
     ],

@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.evaluation.figures import Counts, Sweep, sweep
 from yolov5_lifecycle.evaluation.matching import Matches
 
-CLASS_THRESHOLDS = "class_thresholds"
-"""The parameter of the node that has a threshold for each of its classes, as `name: threshold`."""
-
 
 class GoalError(ValueError):
     """Text that is no goal; the message has the goals that there are."""
@@ -112,7 +109,7 @@ def threshold_yaml(thresholds: Sequence[Threshold], goal: Goal, node: str) -> st
         lines.append(f"confidence_threshold: {together.value:.12g}  # {_described(together.counts)}")
     reached = [one for one in classes if one.value is not None]
     if reached:
-        lines.append(f"{CLASS_THRESHOLDS}:")
+        lines.append("class_thresholds:")
         lines += [
             f"  - {_quoted(f'{one.name}: {one.value:.12g}')}  # {_described(one.counts)}" for one in reached
         ]

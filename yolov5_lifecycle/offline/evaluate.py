@@ -34,7 +34,15 @@ from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _COMMAND = "evaluate"
-_USELESS = {"weights": "the model is WEIGHTS", "tracker": "images are evaluated one by one"}
+_EVERYWHERE = "detections count everywhere and in all sizes, as the objects of the labels do"
+_USELESS = {
+    "weights": "the model is WEIGHTS",
+    "tracker": "images are evaluated one by one",
+    "regions": _EVERYWHERE,
+    "ignore_regions": _EVERYWHERE,
+    "min_box_size": _EVERYWHERE,
+    "max_box_size": _EVERYWHERE,
+}
 """Settings without effect, which command-line arguments may not contain; a parameter file may."""
 _EPILOG = """\
 DATA is one of

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,19 +14,27 @@ from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.detection.selection import class_ids, selection
 from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses, EvaluatedImage
 from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Problems
-from yolov5_lifecycle.evaluation.thresholds import CLASS_THRESHOLDS
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detecting import OfflineDetector, Watch
 from yolov5_lifecycle.offline.labelled_images import LabelledData, LabelledImage
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
+from yolov5_lifecycle.settings.settings import Settings
 
 MIN_CONFIDENCE = 0.001
 """Detections with a lower score are not evaluated, as in YOLOv5's own validation."""
 TIMED_IMAGES = 30
 
-_WHILE_EVALUATING = {"confidence_threshold": MIN_CONFIDENCE, "tracker": "none", CLASS_THRESHOLDS: ()}
-"""Average precision needs detections below the thresholds; those above are the same with and without them."""
+_WHILE_EVALUATING = {
+    "confidence_threshold": MIN_CONFIDENCE,
+    "class_thresholds": (),
+    "regions": (),
+    "ignore_regions": (),
+    "min_box_size": 0.0,
+    "max_box_size": 0.0,
+    "tracker": "none",
+}
+"""Average precision needs detections below the thresholds; those above are the same with and without them.
+Regions and sizes would remove detections, but not the objects that the labels name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +62,8 @@ class _Model:
             self._prepared.append(prepare(wanted, sizes_hw))
             return self._prepared[-1]
 
-        changed = {name: value for name, value in _WHILE_EVALUATING.items() if name in SETTINGS_BY_NAME}
         self.offline = OfflineDetector(
-            settings.model_copy(update=changed), watch, with_masks=False, prepare=remembered
+            settings.model_copy(update=_WHILE_EVALUATING), watch, with_masks=False, prepare=remembered
         )
 
     @property
@@ -72,9 +79,7 @@ class _Model:
         """The confidence threshold of each of `classes`."""
         chosen = selection(self.settings, self.offline.class_names)
         thresholds = np.full(len(classes.names), chosen.confidence_threshold)
-        # A node without this setting has no such thresholds.
-        own: Iterable[tuple[int, float]] = getattr(chosen, CLASS_THRESHOLDS, ())
-        for class_id, threshold in own:
+        for class_id, threshold in chosen.class_thresholds:
             if class_id in classes.of_models[self.number]:
                 thresholds[classes.of_models[self.number][class_id]] = threshold
         return thresholds
