@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 import shutil
@@ -18,13 +19,16 @@ pytestmark = pytest.mark.long
 PROGRAM = SUPPORT / "watched_processes.py"
 ALONE = ["unshare", "--map-root-user", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
 COMPILED = r"cache/yolov5_lifecycle/compiled/[0-9a-f]{64}"
+CHOICE = r"cache/yolov5_lifecycle/choices/[0-9a-f]{16}\.json"
 LOG = r"log/[^/]+\.log"
 
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, list[str]]]:
     """By command, the packets that were recorded and the files that were written."""
-    pytest.importorskip("onnxruntime")
+    for runtime in ("onnxruntime", "openvino"):
+        if importlib.util.find_spec(runtime) is None:
+            pytest.skip(f"no {runtime}: make install")
     if missing := [name for name in ("unshare", "ip", "mount") if shutil.which(name) is None]:
         pytest.skip(f"needs {', '.join(missing)} (util-linux, iproute2)")
     trial = [*ALONE, "sh", "-c", "mount -t tmpfs none /dev/shm && ip link add cable type veth"]
@@ -51,6 +55,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, list[s
     [
         pytest.param("nodes", [], [COMPILED, LOG, LOG], id="detector and camera"),
         pytest.param("detect_bag", [], [COMPILED], id="detect_bag"),
+        pytest.param("openvino", [], [CHOICE, COMPILED, COMPILED], id="detect_bag in OpenVINO"),
         pytest.param("evaluate", [], [COMPILED], id="evaluate"),
         pytest.param("convert", [], [], id="convert"),
         pytest.param("fetch_weights", ["look-up of weights.test"], [], id="fetch_weights"),

@@ -161,6 +161,9 @@ def main() -> None:
         "detect_bag": run_command(
             entry_point("detect_bag"), str(image), "--set", model, "--set", "runtime=onnxruntime"
         ),
+        "openvino": run_command(
+            entry_point("detect_bag"), str(image), "--set", model, "--set", "runtime=openvino"
+        ),
         "evaluate": run_command(
             *(entry_point("evaluate"), str(MODEL), str(labelled(folder / "data", image))),
             *("--output", str(converted.parent / "evaluation"), "--set", "runtime=onnxruntime"),

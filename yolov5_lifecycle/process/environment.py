@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
@@ -45,9 +46,15 @@ def prepare_environment() -> None:
 
 
 def disable_telemetry() -> None:
-    """Set only the unset variables that disable telemetry."""
+    """Set only the unset variables that disable telemetry, and make the package that OpenVINO uses absent.
+
+    `import openvino` would send an event to a host of its vendor and write an id to the home folder, without
+    a variable that prevents it. Where openvino_telemetry cannot be imported, it does neither; see
+    https://github.com/openvinotoolkit/openvino/blob/master/tools/ovc/openvino/tools/ovc/telemetry_utils.py
+    """
     for name, value in TELEMETRY.items():
         os.environ.setdefault(name, value)
+    sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]  # Python's way to say so
 
 
 def thread_problem(count: int) -> str:

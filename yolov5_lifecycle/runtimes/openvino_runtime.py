@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 
+from yolov5_lifecycle.process.environment import disable_telemetry
+
+disable_telemetry()  # before the import below; a program that uses this package may not have done it
+
 import openvino
 import torch
 
