@@ -92,7 +92,7 @@ def test_the_recording_of_a_dead_worker_is_begun_again(tmp_path: Path) -> None:
     def begin(worker: int, source: SourceRecording) -> Event:
         if source.name in deaths:
             deaths.remove(source.name)
-            return Died(worker, "the worker died (signal 9, SIGKILL)")
+            return Died(worker, "the worker died (signal 9)")
         return done(worker, source)
 
     batch = Batch(tmp_path, on_begin=begin)

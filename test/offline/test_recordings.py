@@ -57,7 +57,10 @@ def test_sources_stand_for_recordings(sources: list[str], names: list[str], home
     ("sources", "told"),
     [
         pytest.param(["sunday"], "sunday: there is no such file or folder", id="missing"),
-        pytest.param(["sun*"], r"sun\*: expected recordings of ros2 bag, found no", id="pattern of nothing"),
+        pytest.param(["sun*"], r"sun\*: there is no such file or folder", id="pattern of nothing"),
+        pytest.param(
+            ["shots/*.png"], r"png: expected recordings of ros2 bag, found no", id="pattern of images"
+        ),
         pytest.param(["monday/notes.txt", "files"], "notes.txt: expected recordings", id="no recording"),
         pytest.param(["found"], "found: expected recordings of ros2 bag", id="results"),
         pytest.param(["*day"], r"1 name\(s\) belong to several .*\n.*monday/a, .*tuesday/a", id="same names"),
@@ -85,6 +88,7 @@ def test_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
         (["lost"], False),
         (["shots"], False),
         (["nothing"], False),
+        (["sun*"], False),
         (["monday"], True),
         (["files"], True),
         (["monday/a*"], True),

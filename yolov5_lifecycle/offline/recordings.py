@@ -39,7 +39,7 @@ def is_storage(path: Path) -> bool:
 
 def are_many(sources: Sequence[Path]) -> bool:
     """Whether `sources` stand for many recordings: several paths, a pattern or a folder of recordings."""
-    return len(sources) > 1 or any(_is_pattern(source) or _has_recordings(source) for source in sources)
+    return len(sources) > 1 or any(_matches(source) or _has_recordings(source) for source in sources)
 
 
 def recordings_of(sources: Iterable[Path], output: Path) -> list[SourceRecording]:
@@ -56,9 +56,8 @@ def recordings_of(sources: Iterable[Path], output: Path) -> list[SourceRecording
 
 
 def _expanded(source: Path, output: Path) -> list[Path]:
-    if _is_pattern(source):
-        candidates = map(Path, sorted(glob.glob(str(source), recursive=True)))  # noqa: PTH207
-        found = [path for candidate in candidates for path in _recordings_at(candidate)]
+    if matches := _matches(source):
+        found = [path for match in matches for path in _recordings_at(match)]
     elif source.exists():
         found = list(_recordings_at(source))
     else:
@@ -78,8 +77,11 @@ def _recordings_at(path: Path) -> Iterator[Path]:
         yield path
 
 
-def _is_pattern(path: Path) -> bool:
-    return any(wildcard in str(path) for wildcard in _WILDCARDS) and not os.path.lexists(path)
+def _matches(path: Path) -> list[Path]:
+    """What matches `path` as a pattern; nothing if there is a file of that name."""
+    if os.path.lexists(path) or not any(wildcard in str(path) for wildcard in _WILDCARDS):
+        return []
+    return list(map(Path, sorted(glob.glob(str(path), recursive=True))))  # noqa: PTH207
 
 
 def _has_recordings(path: Path) -> bool:

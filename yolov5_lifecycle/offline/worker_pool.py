@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import selectors
-import signal
 import socket
 import subprocess
 import sys
@@ -152,5 +151,5 @@ def _event(number: int, line: bytes) -> Event:
 
 def _reason(code: int) -> str:
     if code < 0:
-        return f"the worker died (signal {-code}, {signal.Signals(-code).name})"
+        return f"the worker died (signal {-code})"
     return f"the worker ended by itself (exit code {code})"
