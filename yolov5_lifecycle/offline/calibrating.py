@@ -35,10 +35,9 @@ Tell = Callable[[str], None]
 _PACKAGES = ("yolov5_lifecycle", "openvino", "onnxruntime", "torch")
 _ENOUGH_TO_SPLIT = 20
 _SENSITIVITY_FRAMES = 4
-_TRIAL_FRAMES = 60
-_FP32_SHARES = (0.0, 0.07, 0.14, 0.25, 0.4)
+_FP32_SHARES = (0.0, 0.07, 0.14, 0.25, 0.35, 0.5)
 """Shares of the convolutions that are tried in fp32, the most sensitive ones."""
-_GOOD_AGREEMENT = 0.985
+_GOOD_AGREEMENT = 0.99
 _WARM_UPS = 3
 
 Runtime = Literal["onnxruntime", "openvino"]
@@ -111,14 +110,13 @@ class Calibrating:
 
     def _chosen(self, read: Mapping[str, Activation], order: Sequence[str]) -> Quantization:
         """With as few layers in fp32 as agree well, else with those that agree best."""
-        images = self._learned[:_TRIAL_FRAMES]
-        truth = self._detections(self._detector("openvino", "fp32"), images)
+        truth = self._detections(self._detector("openvino", "fp32"), self._learned)
         tried = []
         for share in _FP32_SHARES:
             kept = order[: round(share * len(order))]
             self._tell(f"comparing int8 with {len(kept)} of {len(order)} layers in fp32")
             quantization = Quantization(read, frozenset(kept), self._bits)
-            found = self._detections(self._detector("openvino", "int8", quantization), images)
+            found = self._detections(self._detector("openvino", "int8", quantization), self._learned)
             tried.append((agreement(truth, found).f1, quantization))
             if tried[-1][0] >= _GOOD_AGREEMENT:
                 break
