@@ -37,7 +37,7 @@ _ENOUGH_TO_SPLIT = 20
 _SENSITIVITY_FRAMES = 4
 _FP32_SHARES = (0.0, 0.07, 0.14, 0.25, 0.35, 0.5)
 """Shares of the convolutions that are tried in fp32, the most sensitive ones."""
-_GOOD_AGREEMENT = 0.99
+_GOOD_AGREEMENT = 0.995  # on the images of the ranges; on others it is about 0.01 less
 _WARM_UPS = 3
 
 Runtime = Literal["onnxruntime", "openvino"]
