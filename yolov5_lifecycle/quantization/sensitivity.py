@@ -1,4 +1,4 @@
-"""Which convolutions lose most in int8."""
+"""Which convolutions lose most in int8, for what they would cost in fp32."""
 
 from __future__ import annotations
 
@@ -28,19 +28,43 @@ def most_sensitive(
     weight_bits: int,
     progress: Callable[[int], None],
 ) -> list[str]:
-    """Paths of all convolutions of the fused `network`: those first that change its features most.
+    """Paths of all convolutions of the fused `network`, the most sensitive one first.
+
+    Sensitive is one that changes the features much for each of its multiplications. With these in fp32
+    yolov5n agreed as well as with those that change them most, for half the multiplications in fp32.
 
     Each is computed in int8 alone, on `frames` (n, c, h, w), floats in [0, 1]. `progress` is given the number
     of convolutions done.
     """
     noise: dict[str, float] = {}
     with torch.no_grad(), denormals_as_zero():
-        exact = network.features(frames)
+        with _counted(network) as products:
+            exact = network.features(frames)
         for number, (path, module) in enumerate(convolutions(network).items()):
             with _rounded(module, activations[path], weight_bits):
                 noise[path] = _noise(network.features(frames), exact)
             progress(number + 1)
-    return sorted(noise, key=lambda path: -noise[path])
+    return sorted(noise, key=lambda path: -noise[path] / products[path])
+
+
+@contextmanager
+def _counted(network: Network) -> Iterator[dict[str, int]]:
+    """The multiplications of each convolution for one image, of what the network computes meanwhile."""
+    products: dict[str, int] = {}
+
+    def count(path: str, module: nn.Module, result: Tensor) -> None:
+        assert isinstance(module, nn.Conv2d)
+        products[path] = result[0, 0].numel() * module.weight.numel()
+
+    handles = [
+        module.register_forward_hook(lambda module, _, result, path=path: count(path, module, result))
+        for path, module in convolutions(network).items()
+    ]
+    try:
+        yield products
+    finally:
+        for handle in handles:
+            handle.remove()
 
 
 def _noise(features: list[Tensor], exact: list[Tensor]) -> float:
