@@ -76,7 +76,7 @@ help:
 	@echo '              (BENCH_FLAGS="--quick"  CAMERAS_FLAGS="--quick"  TRACKING_FLAGS="--seeds 1")'
 	@echo 'make bench-families  the forward pass of every family of models beside eager torch (FAMILIES_FLAGS="--quick")'
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
-	@echo 'make fuzz     coverage-guided fuzzing of the parsers of images, weights and settings, of depth and of the tracker'
+	@echo 'make fuzz     coverage-guided fuzzing of what reads images, weights, settings, labels and calibrations, of depth and tracks'
 	@echo 'make lint     ruff and mypy --strict'
 	@echo 'make install  the first step of the others: .venv with the pinned packages, messages and this package'
 	@echo 'make docs     regenerates what is derived from the settings: YAML file, schema, reference page'

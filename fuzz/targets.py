@@ -16,7 +16,7 @@ from support.compressed_files import KINDS, compressed
 from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 from support.small_families import EVERY_SMALL
 
-from fuzz import depth_stream, tracked_images
+from fuzz import data_files, depth_stream, tracked_images
 from fuzz.refusals import taken
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
@@ -201,6 +201,9 @@ TARGETS = {
     "families": Target(check_family, _family_pickles),
     "safetensors": Target(check_safetensors, lambda: [_header()]),
     "settings": Target(check_settings, lambda: [_defaults(), _FILTERS]),
+    "labels": Target(data_files.check_labels, data_files.label_seeds),
+    "coco-files": Target(data_files.check_coco_file, data_files.coco_seeds),
+    "calibrations": Target(data_files.check_calibration, data_files.calibration_seeds),
     "depth": Target(depth_stream.check_depth_stream, depth_stream.seeds),
     "tracker": Target(tracked_images.check_tracked_images, tracked_images.seeds),
 }

@@ -277,7 +277,10 @@ validated = SCHEMA.validated
 def _contradictions(settings: Settings) -> list[Problem]:
     """Violated rules that involve several settings."""
     problems = []
-    if rule := precision_rule(settings.precision, device=settings.device, runtime=settings.runtime):
+    device, runtime = settings.device, settings.runtime
+    if settings.precision not in ("auto", "fp32") and (
+        rule := precision_rule(settings.precision, device=device, runtime=runtime)
+    ):
         problems.append(Problem("precision", rule))
     stride = max(SIZES[settings.model_size].strides)
     if settings.image_size % stride and not settings.weights:
