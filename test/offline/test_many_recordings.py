@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from pyarrow import parquet
 from rosbags.rosbag2 import StoragePlugin
-from support.detected_offline import MODEL, SET_MODEL, prepare_once, run
+from support.detected_offline import SET_MODEL, prepare_once, run
 from support.many_recordings import (
     LONG,
     HuntedWorkers,
@@ -160,7 +160,8 @@ def test_other_settings_make_other_results(drives: Path, again: Path) -> None:
 
 
 def test_another_calibration_makes_other_results(drives: Path, tmp_path: Path) -> None:
-    weights = Path(shutil.copy(MODEL["weights"], tmp_path))
+    embedded = Path(plan_for(tmp_path).weights)
+    weights = Path(shutil.copy(embedded, tmp_path))
     calibration = path_beside(weights)
     source = SourceRecording("north", drives / "north")
 
@@ -169,7 +170,7 @@ def test_another_calibration_makes_other_results(drives: Path, tmp_path: Path) -
 
     assert states("auto") == ["done", "skipped"]
     assert states("fp32") == ["done", "skipped"]
-    shutil.copy(path_beside(Path(MODEL["weights"])), calibration)
+    shutil.copy(path_beside(embedded), calibration)
     assert states("fp32") == ["skipped", "skipped"]
     assert states("auto") == ["done", "skipped"]
     calibration.write_bytes(calibration.read_bytes() + b"\n")
