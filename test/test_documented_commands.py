@@ -243,7 +243,6 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     (tmp_path / "my_detector.yaml").write_text(blocks(TUTORIAL, "yaml")[0])
     record(tmp_path / "drive", [raw(0)], storage=StoragePlugin.MCAP)
     labelled_drive(tmp_path / "corrected_drive")
-    (tmp_path / "weights").symlink_to(REPOSITORY / "weights")
     dataset.write_dataset(tmp_path / "shapes", images=2)
     (tmp_path / "drives").mkdir()
     for name in ("drives/monday", "drives/tuesday"):

@@ -18,6 +18,7 @@ from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.agreement import agreement
 from yolov5_lifecycle.offline.calibrate import main, report, verdict
 from yolov5_lifecycle.offline.calibration_frames import (
+    ChosenImage,
     Source,
     diverse_images,
     farthest,
@@ -38,8 +39,8 @@ def plain(level: int, size_hw: tuple[int, int] = (48, 64)) -> ColourImage:
     return ColourImage(np.full((*size_hw, 3), level, np.uint8), "bgr")
 
 
-def levels_of(found: list[ColourImage]) -> list[int]:
-    return [int(image.pixels[0, 0, 0]) for image in found]
+def levels_of(found: list[ChosenImage]) -> list[int]:
+    return [int(each.image.pixels[0, 0, 0]) for each in found]
 
 
 def chosen(levels: list[int], count: int, *, claimed: int) -> list[int]:
@@ -47,6 +48,7 @@ def chosen(levels: list[int], count: int, *, claimed: int) -> list[int]:
     found = diverse_images(
         Source(frames, claimed), count, lambda image: image, lost=lambda *_: None, seen=lambda _: None
     )
+    assert [levels[each.number] for each in found] == levels_of(found)
     return levels_of(found)
 
 
@@ -132,7 +134,8 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
     told = capsys.readouterr()
     assert "broken.png: left out: " in told.err
     calibration = Calibration.model_validate_json(path.read_bytes())
-    assert told.out == report(calibration, path)
+    assert told.out == report(calibration, path, "DATA has no labels")
+    assert calibration.measurement("openvino", "int8").map_loss is None  # type: ignore[union-attr]
     assert (calibration.images, calibration.image_size) == (6, 64)
     assert {each.precision for each in calibration.measured} >= {"fp32", "int8"}
     detector = load_model(weights, precision="int8", device="cpu", image_size=64)
@@ -148,7 +151,9 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
         pytest.param(["nowhere.pt", "images"], "nowhere.pt", id="no weights"),
         pytest.param(["best.safetensors", "empty"], "empty", id="no images"),
         pytest.param(
-            ["best.safetensors", "images", "--topic", "/x"], "only those have a use", id="topic of a folder"
+            ["best.safetensors", "images", "--topic", "/x"],
+            "which has no use for --topic",
+            id="topic of a folder",
         ),
         pytest.param(
             ["best.safetensors", "images", "--image-size", "65"], "multiple of 32", id="size of no network"

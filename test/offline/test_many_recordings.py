@@ -34,6 +34,7 @@ from yolov5_lifecycle.offline.finished import RECORD_NAME
 from yolov5_lifecycle.offline.recording_task import NoRoomError, RecordingTask
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
 from yolov5_lifecycle.offline.worker_pool import ProcessWorkers
+from yolov5_lifecycle.quantization.calibration_file import path_beside
 from yolov5_lifecycle.ros.demo.child_process import entry_point
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
@@ -156,6 +157,24 @@ def test_other_settings_make_other_results(drives: Path, again: Path) -> None:
     assert task(again, classes=["star"]).run(source).state == "done"
     assert set(found_objects(again / "east")) == {"star"}
     assert not has_unfinished_outputs(again)
+
+
+def test_another_calibration_makes_other_results(drives: Path, tmp_path: Path) -> None:
+    embedded = Path(plan_for(tmp_path).weights)
+    weights = Path(shutil.copy(embedded, tmp_path))
+    calibration = path_beside(weights)
+    source = SourceRecording("north", drives / "north")
+
+    def states(precision: str) -> list[str]:
+        return [task(tmp_path, weights=str(weights), precision=precision).run(source).state for _ in range(2)]
+
+    assert states("auto") == ["done", "skipped"]
+    assert states("fp32") == ["done", "skipped"]
+    shutil.copy(path_beside(embedded), calibration)
+    assert states("fp32") == ["skipped", "skipped"]
+    assert states("auto") == ["done", "skipped"]
+    calibration.write_bytes(calibration.read_bytes() + b"\n")
+    assert states("auto") == ["done", "skipped"]
 
 
 def test_a_result_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path) -> None:

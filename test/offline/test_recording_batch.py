@@ -150,7 +150,7 @@ def test_two_batches_do_not_share_a_folder(tmp_path: Path) -> None:
     batch.output.mkdir()
     held = open_itself(batch.output)
     assert hold(held, batch.output)
-    with pytest.raises(OutputError, match="another detect_bag is at work there"):
+    with pytest.raises(OutputError, match="another detect_bag writes to it"):
         batch.run()
     assert batch.workers.runtimes == []
 

@@ -115,7 +115,7 @@ def _output_folder(folder: Path) -> Iterator[None]:
     descriptor = open_itself(os.path.realpath(folder))
     try:
         if not hold(descriptor, Path(os.path.realpath(folder))):
-            raise OutputError(f"{folder}: another detect_bag is at work there; wait for its end.")
+            raise OutputError(f"{folder}: another detect_bag writes to it; wait until that has ended.")
         remove_unfinished_outputs(folder)
         try:
             yield
@@ -185,7 +185,7 @@ class _Batch:
         elif isinstance(event, Refused):
             self._refuse(event)
         else:
-            self._bury(event)
+            self._handle_death(event)
         self._hand_out()
 
     def _hand_out(self) -> None:
@@ -209,7 +209,7 @@ class _Batch:
         self._max_count = others
         self._watch.remark(f"going on with {others} worker(s), as one more could not start: {event.reason}")
 
-    def _bury(self, event: Died) -> None:
+    def _handle_death(self, event: Died) -> None:
         self._idle.discard(event.worker)
         if event.worker in self._loading:
             self._loading.discard(event.worker)

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 
 from yolov5_lifecycle.checkpoints.locate import weights_digest
 from yolov5_lifecycle.detection.prepared_model import weights_path
+from yolov5_lifecycle.quantization.calibration_file import calibration_digest
 from yolov5_lifecycle.settings.settings import Settings, validated
 
 _PLACE_OF_WEIGHTS = {"model_size", "weights", "weights_dir", "weights_dirs", "weights_sha256"}
@@ -25,6 +26,8 @@ class Plan(BaseModel):
     output: Path
     weights: str
     weights_sha256: str
+    calibration_sha256: str | None = None
+    """Of the calibration beside the weights, if int8 may come of it."""
     settings: dict[str, object]
     runtime: str
     """The one that is set, or that the first worker has chosen."""
@@ -38,7 +41,9 @@ class Plan(BaseModel):
         """Digest of everything but model and recording that the results depend on."""
         settings = {name: value for name, value in self.settings.items() if name not in _PLACE_OF_WEIGHTS}
         options = {"topic": self.topic, "node": self.node, "images": self.images, "masks": self.masks}
-        text = json.dumps([settings, options], sort_keys=True)
+        # Without a calibration the digest is that of results which were made before there were any.
+        calibration = [self.calibration_sha256] if self.calibration_sha256 else []
+        text = json.dumps([settings, options, *calibration], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
@@ -64,6 +69,7 @@ def plan_of(
         output=output,
         weights=str(weights),
         weights_sha256=digest,
+        calibration_sha256=calibration_digest(weights, precision=settings.precision, device=settings.device),
         settings=settings.model_dump(mode="json"),
         runtime=settings.runtime,
         topic=topic,

@@ -6,38 +6,41 @@ import argparse
 import functools
 import sys
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.detection.detector import check_image_size
 from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.images.image import ColourImage, ImageError
+from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.offline.calibrating import Calibrating
-from yolov5_lifecycle.offline.calibration_frames import (
-    Source,
-    diverse_images,
-    fitted,
-    of_one_size,
-    open_bag,
-    open_files,
-)
-from yolov5_lifecycle.offline.recordings import is_recording
+from yolov5_lifecycle.offline.calibration_data import CalibrationData, read_calibration_data
+from yolov5_lifecycle.offline.calibration_frames import fitted
+from yolov5_lifecycle.offline.detecting import Account
+from yolov5_lifecycle.offline.labelled_images import DataOptions
+from yolov5_lifecycle.offline.map_loss import MapLoss
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration
 from yolov5_lifecycle.quantization.precision_choice import MIN_SPEEDUP, quality_problem
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, RuntimeAbsentError, installed_runtimes
 from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.settings.settings import Settings, validated
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _MAX_TOLD = 10
 _MAX_PATH = 4096
 _LINE = 72
 _EPILOG = """\
+DATA is one of
+  a folder of images, a video or a recording of ros2 bag
+  labelled images: a folder with images/ and labels/ in YOLO format, or its data.yaml, or a COCO file (.json)
+Labels also tell how much mAP int8 loses; that needs pycocotools.
+
 examples:
   calibrate best.pt drive.mcap
+  calibrate best.pt shots/data.yaml --split train
   calibrate best.pt images --image-size 320 --confidence-threshold 0.4
 
 The file lies beside the weights, where the setting `precision` looks for it: int8 uses it, and auto does
@@ -49,20 +52,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = command_parser().parse_args(argv)
     terminal = _Terminal()
     try:
-        calibration, path = _run(arguments, terminal)
+        text = _run(arguments, terminal)
     except (ValueError, OSError, ImportError, InferenceError) as error:
         terminal.close()
         complain("calibrate", error)
         return 1
-    return write_output("calibrate", report(calibration, path))
+    return write_output("calibrate", text)
 
 
-def report(calibration: Calibration, path: Path) -> str:
-    """What was measured, for the user."""
-    lines = [f"{'':24}{'ms per image':>14}{'agreement F1':>14}{'box IoU':>10}"]
+def report(calibration: Calibration, path: Path, unknown: str = "") -> str:
+    """What was measured, for the user; `unknown`: why the loss of mAP is not known, if it is not."""
+    lines = [f"{'':24}{'ms per image':>14}{'agreement F1':>14}{'box IoU':>10}{'mAP loss':>10}"]
     for each in calibration.measured:
         name = f"{each.precision} in {each.runtime}"
-        lines.append(f"{name:24}{each.ms_per_image:14.1f}{each.agreement_f1:14.3f}{each.box_iou:10.3f}")
+        loss = "" if each.map_loss is None else f"{each.map_loss:10.2f}"
+        lines.append(f"{name:24}{each.ms_per_image:14.1f}{each.agreement_f1:14.3f}{each.box_iou:10.3f}{loss}")
     layers, kept = len(calibration.ranges), len(calibration.fp32_layers)
     return "\n".join(
         (
@@ -70,13 +74,19 @@ def report(calibration: Calibration, path: Path) -> str:
             f"images      {calibration.images}, with {calibration.detections} detections in fp32 in those "
             "that were compared",
             f"layers      {layers - kept} in int8, {kept} and the last one in fp32",
-            f"mAP loss    unknown: {COARSE_RUNTIME} was compared with itself in fp32, not with labels",
+            f"mAP loss    {_loss(unknown)}",
             f"processor   {calibration.processor}: {', '.join(calibration.abilities)}",
             f"written     {in_one_line(str(path), _MAX_PATH)}",
             verdict(calibration),
             "",
         )
     )
+
+
+def _loss(unknown: str) -> str:
+    if unknown:
+        return f"unknown: {in_one_line(unknown, _MAX_PATH)}"
+    return f"points of mAP@50:95 that int8 loses against fp32 in {COARSE_RUNTIME}, by the labels"
 
 
 def verdict(calibration: Calibration) -> str:
@@ -92,7 +102,8 @@ def verdict(calibration: Calibration) -> str:
     return f"{told}: precision auto uses it if it is as fast when the model is loaded"
 
 
-def _run(arguments: argparse.Namespace, terminal: _Terminal) -> tuple[Calibration, Path]:
+def _run(arguments: argparse.Namespace, terminal: _Terminal) -> str:
+    """Write the calibration and return what is to be told."""
     if COARSE_RUNTIME not in installed_runtimes():
         raise RuntimeAbsentError(
             f"int8 runs in OpenVINO, which is not installed. Install it with {sys.executable} -m pip install "
@@ -104,45 +115,51 @@ def _run(arguments: argparse.Namespace, terminal: _Terminal) -> tuple[Calibratio
     path: Path = arguments.output or path_beside(weights.path)
     if not path.parent.is_dir():
         raise FileNotFoundError(f"{path.parent}: there is no such folder; make it first")
-    stride = size_multiple(weights.model.architecture)
-    check_image_size(arguments.image_size, stride)
-    fit = functools.partial(fitted, image_size=arguments.image_size, stride=stride)
-    images = _images(arguments, fit, terminal)
+    settings = _settings(arguments)
+    problems = Problems(terminal.remark)
+    data = _data(arguments, size_multiple(weights.model.architecture), problems, terminal)
+    loss = MapLoss(data.labelled, weights, settings, watch=terminal, problems=problems)
+    if data.labelled is not None and loss.unknown:
+        terminal.remark(f"the labels are not used: {loss.unknown}")
     calibration = Calibrating(
         weights,
-        images,
+        data.images,
         image_size=arguments.image_size,
         selection=Selection(
             confidence_threshold=arguments.confidence_threshold, iou_threshold=arguments.iou_threshold
         ),
         tell=terminal.tell,
+        map_loss=loss,
     ).result()
     write_calibration(path, calibration)
     terminal.close()
-    return calibration, path
+    return report(calibration, path, loss.unknown)
 
 
-def _images(
-    arguments: argparse.Namespace, fit: functools.partial[ColourImage], terminal: _Terminal
-) -> list[ColourImage]:
-    """Diverse images of the data, all of one size; raises ValueError without any."""
-    if is_recording(arguments.data):
-        opened: AbstractContextManager[Source] = open_bag(arguments.data, arguments.topic)
-    elif arguments.topic:
-        raise ValueError(f"{arguments.data} is no recording; only those have a use for --topic")
-    else:
-        opened = nullcontext(open_files(arguments.data))
-    with opened as source:
-        images = diverse_images(
-            source,
-            arguments.images,
-            fit,
-            lost=terminal.lost,
-            seen=lambda count: terminal.tell(f"reading: {count} images"),
-        )
-    if not images:
-        raise ValueError(f"{arguments.data}: not one image of it can be used")
-    return of_one_size(images)
+def _settings(arguments: argparse.Namespace) -> Settings:
+    """The settings with which labelled images are evaluated."""
+    return validated(
+        {
+            "image_size": arguments.image_size,
+            "confidence_threshold": arguments.confidence_threshold,
+            "iou_threshold": arguments.iou_threshold,
+        }
+    )
+
+
+def _data(
+    arguments: argparse.Namespace, stride: int, problems: Problems, terminal: _Terminal
+) -> CalibrationData:
+    check_image_size(arguments.image_size, stride)
+    return read_calibration_data(
+        arguments.data,
+        DataOptions(split=arguments.split, root=arguments.root, topic=arguments.topic),
+        arguments.images,
+        functools.partial(fitted, image_size=arguments.image_size, stride=stride),
+        problems=problems,
+        lost=lambda label, error: terminal.lost(label, Outcome.REJECTED, error),
+        seen=lambda count: terminal.tell(f"reading: {count} images"),
+    )
 
 
 class _Terminal:
@@ -156,11 +173,17 @@ class _Terminal:
         show_progress(f"{text:<{_LINE}}")
         self._is_line_open = True
 
-    def lost(self, label: str, error: ImageError) -> None:
+    def progress(self, account: Account) -> None:
+        self.tell(f"evaluating: {account.balance.received} of {account.expected} images")
+
+    def remark(self, text: str) -> None:
+        self.close()
+        complain("calibrate", text)
+
+    def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
         self._lost += 1
         if self._lost <= _MAX_TOLD:
-            self.close()
-            complain("calibrate", f"{label}: left out: {error}")
+            self.remark(f"{label}: left out: {error}")
         if self._lost == _MAX_TOLD:
             complain("calibrate", "further ones are only counted")
 
@@ -184,7 +207,7 @@ def command_parser() -> argparse.ArgumentParser:
         "data",
         type=Path,
         metavar="DATA",
-        help="folder of images, a video, or a recording of ros2 bag, such as the camera will see",
+        help="images such as the camera will see, see below",
     )
     parser.add_argument(
         "-o",
@@ -194,6 +217,15 @@ def command_parser() -> argparse.ArgumentParser:
         help="where to write (default: WEIGHTS with .calibration.json as its ending, which is replaced)",
     )
     parser.add_argument("--topic", help="which images of the recording (default: the only ones)")
+    parser.add_argument(
+        "--split", choices=("train", "val", "test"), help="which images of data.yaml (default: val)"
+    )
+    parser.add_argument(
+        "--root",
+        type=Path,
+        metavar="FOLDER",
+        help="folder of labelled images, as the option of `evaluate` of this name",
+    )
     parser.add_argument(
         "--images", type=_count, default=200, metavar="N", help="images at most (default: %(default)s)"
     )

@@ -22,6 +22,7 @@ from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.offline.agreement import agreement
+from yolov5_lifecycle.offline.calibration_frames import halves
 from yolov5_lifecycle.quantization.activation_ranges import activations
 from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement
 from yolov5_lifecycle.quantization.sensitivity import most_sensitive
@@ -32,8 +33,9 @@ from yolov5_lifecycle.runtimes.registry import installed_runtimes, load_runtime
 
 Tell = Callable[[str], None]
 """Shows what is being done."""
+Loss = Callable[[Detector, Detector], float | None]
+"""Points of mAP that the second detector, in int8, loses against the first in fp32; None if unknown."""
 _PACKAGES = ("yolov5_lifecycle", "openvino", "onnxruntime", "torch")
-_ENOUGH_TO_SPLIT = 20
 _SENSITIVITY_FRAMES = 4
 _FP32_SHARE = 0.5
 """Share of the convolutions that stay in fp32 if need be: those that cost least for what they save."""
@@ -48,7 +50,7 @@ class Calibrating:
     """Calibrates the model of `weights` on letterboxed `images` of one size.
 
     Every other image is used for the ranges and the choice of layers, the rest for what is measured; fewer
-    than 20 are used for both.
+    than 20 are used for both. `map_loss` is given the detectors that are measured.
     """
 
     def __init__(
@@ -59,13 +61,15 @@ class Calibrating:
         image_size: int,
         selection: Selection,
         tell: Tell,
+        map_loss: Loss = lambda *_: None,
     ) -> None:
         self._weights = weights
         self._images = images
-        self._learned, self._compared = _halves(images)
+        self._learned, self._compared = halves(images)
         self._image_size = image_size
         self._selection = selection
         self._tell = tell
+        self._map_loss = map_loss
         self._bits = weight_bits(abilities())
 
     def result(self) -> Calibration:
@@ -131,6 +135,7 @@ class Calibrating:
         detectors = {(name, kind): self._detector(name, kind, quantization) for name, kind in wanted}
         taken_ms, found = self._timed(list(detectors.values()))
         truth = found[0]
+        lost = self._map_loss(detectors["openvino", "fp32"], detectors["openvino", "int8"])
         measured = []
         for (runtime, precision), times_ms, others in zip(detectors, taken_ms, found, strict=True):
             same = agreement(truth, others)
@@ -141,6 +146,7 @@ class Calibrating:
                     ms_per_image=round(statistics.median(times_ms), 2),
                     agreement_f1=round(same.f1, 4),
                     box_iou=round(same.box_iou, 4),
+                    map_loss=lost if precision == "int8" else None,
                 )
             )
         return tuple(measured), sum(map(len, truth))
@@ -175,10 +181,6 @@ class Calibrating:
             stride=size_multiple(model.architecture),
             mask_coefficients=model.architecture.mask_coefficients,
         )
-
-
-def _halves(images: Sequence[ColourImage]) -> tuple[Sequence[ColourImage], Sequence[ColourImage]]:
-    return (images[::2], images[1::2]) if len(images) >= _ENOUGH_TO_SPLIT else (images, images)
 
 
 def _pixels(image: ColourImage, channels: int) -> torch.Tensor:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -20,6 +21,9 @@ from yolov5_lifecycle.offline.image_files import VideoFile, has_still_images, im
 
 _THUMBNAIL_WH = (16, 12)
 _CANDIDATES_PER_IMAGE = 2
+_ENOUGH_TO_SPLIT = 20
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,14 @@ class Source:
 
     images: Iterable[StoredImage]
     claimed: int
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenImage:
+    """An image and its number in the source, from 0."""
+
+    number: int
+    image: ColourImage
 
 
 def open_files(path: Path) -> Source:
@@ -56,24 +68,27 @@ def diverse_images(
     *,
     lost: Callable[[str, ImageError], None],
     seen: Callable[[int], None],
-) -> list[ColourImage]:
+) -> list[ChosenImage]:
     """At most `count` images, spread over the source, which differ from each other as much as possible.
 
     `fit` makes them as large as they are needed. Images that cannot be read are told to `lost`; `seen` is
     given the number of candidates so far.
     """
-    candidates: list[ColourImage] = []
-    for image in _spread(source, _CANDIDATES_PER_IMAGE * count, candidates, lost):
-        candidates.append(fit(image))
+    candidates: list[ChosenImage] = []
+    for number, image in _spread(source, _CANDIDATES_PER_IMAGE * count, candidates, lost):
+        candidates.append(ChosenImage(number, fit(image)))
         seen(len(candidates))
-    thumbnails = np.array([_thumbnail(image) for image in candidates])
+    thumbnails = np.array([_thumbnail(each.image) for each in candidates])
     return [candidates[index] for index in farthest(thumbnails, count)]
 
 
 def _spread(
-    source: Source, limit: int, candidates: list[ColourImage], lost: Callable[[str, ImageError], None]
-) -> Iterator[ColourImage]:
-    """Every n-th image; when there are `limit` candidates, every other one is dropped and n doubled."""
+    source: Source, limit: int, candidates: list[ChosenImage], lost: Callable[[str, ImageError], None]
+) -> Iterator[tuple[int, ColourImage]]:
+    """Every n-th image and its number.
+
+    When there are `limit` candidates, every other one is dropped and n doubled.
+    """
     stride = max(1, math.ceil(source.claimed / limit))
     for number, stored in enumerate(source.images):
         if len(candidates) >= limit:
@@ -85,7 +100,12 @@ def _spread(
             except ImageError as error:
                 lost(stored.label, error)
             else:
-                yield image
+                yield number, image
+
+
+def halves(items: Sequence[Item]) -> tuple[Sequence[Item], Sequence[Item]]:
+    """What ranges are learned from and what is compared with fp32; fewer than 20 are all used for both."""
+    return (items[::2], items[1::2]) if len(items) >= _ENOUGH_TO_SPLIT else (items, items)
 
 
 def farthest(thumbnails: NDArray[np.floating], count: int) -> list[int]:

@@ -1,4 +1,4 @@
-"""What became of one recording of a batch."""
+"""The result of one recording of a batch."""
 
 from __future__ import annotations
 

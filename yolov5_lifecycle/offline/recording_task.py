@@ -59,7 +59,7 @@ class RecordingTask:
     def run(self, source: SourceRecording) -> RecordingResult:
         """Write the result of `source`, unless it is there; or say why it was set aside.
 
-        Raises NoRoomError, and DeviceLostError: then no other recording would fare better.
+        Raises NoRoomError, and DeviceLostError: then every other recording would fail, too.
         """
         begun_s = time.monotonic()
         watch = _Watch(self._on_image)

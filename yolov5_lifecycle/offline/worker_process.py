@@ -1,4 +1,4 @@
-"""A worker as a process: reads lines of JSON from a socket, a plan and recordings, and answers with such."""
+"""A worker as a process: reads a plan and recordings as lines of JSON from a socket, and answers in JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the workers of a batch have in common, be they processes of this machine or of a cluster."""
+"""What the workers of a batch have in common, whether they are processes of this machine or of a cluster."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Ended:
-    """The worker is through with its recording."""
+    """The worker has finished its recording."""
 
     worker: int
     result: RecordingResult

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import os
@@ -169,7 +170,7 @@ def find_calibration(
     Precision int8 needs one: raises CalibrationError, and what `allowed` raises for a path outside the
     folders of the user. With auto one that cannot be used is only logged; other precisions need none.
     """
-    if precision not in ("int8", "auto") or device not in ("auto", "cpu"):
+    if not _is_considered(precision, device):
         return "int8 is not asked for"
     path = path_beside(weights.path)
     if precision == "auto" and not os.path.lexists(path):
@@ -184,6 +185,23 @@ def find_calibration(
         _log.warning("int8 is not considered: %s", error)
         return f"int8 is not considered: {error}"
     return calibration
+
+
+def calibration_digest(weights: Path, *, precision: str, device: str) -> str | None:
+    """SHA-256 of the calibration beside the file `weights`; None if there is none or none is asked for.
+
+    One that cannot be read counts as none: `find_calibration` says what is wrong with it.
+    """
+    if not _is_considered(precision, device):
+        return None
+    try:
+        return hashlib.sha256(read_regular_file(path_beside(weights), MAX_FILE_BYTES)).hexdigest()
+    except (OSError, RegularFileError):
+        return None
+
+
+def _is_considered(precision: str, device: str) -> bool:
+    return precision in ("int8", "auto") and device in ("auto", "cpu")
 
 
 def _check_network(calibration: Calibration, path: Path, weights: WeightsFile) -> None:

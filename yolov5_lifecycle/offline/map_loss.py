@@ -1,0 +1,80 @@
+"""How much average precision int8 loses on labelled images."""
+
+from __future__ import annotations
+
+import math
+
+from yolov5_lifecycle.checkpoints.locate import WeightsFile
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses
+from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
+from yolov5_lifecycle.offline.detecting import DetectingError, Watch
+from yolov5_lifecycle.offline.evaluating import evaluate_models
+from yolov5_lifecycle.offline.labelled_images import LabelledData
+from yolov5_lifecycle.process.missing_package import absence_of
+from yolov5_lifecycle.settings.settings import Settings
+
+_DIGITS = 2
+
+
+class MapLoss:
+    """Evaluates detectors of `weights` on `data` with `settings`, as the command `evaluate` does.
+
+    `unknown`: why the loss is not known, so far; "" if nothing is in the way.
+    """
+
+    def __init__(
+        self,
+        data: LabelledData | None,
+        weights: WeightsFile,
+        settings: Settings,
+        *,
+        watch: Watch,
+        problems: Problems,
+    ) -> None:
+        self._data = data
+        self._weights = weights
+        self._settings = settings
+        self._watch = watch
+        self._problems = problems
+        self.unknown = self._obstacle()
+
+    def __call__(self, fp32: Detector, int8: Detector) -> float | None:
+        """Points of mAP@50:95, in percent, that `int8` loses against `fp32`; None if that is unknown."""
+        if self._data is None or self.unknown:
+            return None
+        try:
+            return self._points(self._data, {"fp32": fp32, "int8": int8})
+        except (DataError, DetectingError) as error:
+            self.unknown = str(error)
+            return None
+
+    def _points(self, data: LabelledData, detectors: dict[str, Detector]) -> float:
+        from yolov5_lifecycle.evaluation.matching import match, mean_of_classes  # pycocotools is optional
+
+        def prepared(wanted: Settings, _: object) -> PreparedModel:
+            return PreparedModel(
+                wanted, detectors[wanted.precision], self._weights.path, self._weights.sha256
+            )
+
+        wanted = [self._settings.model_copy(update={"precision": precision}) for precision in detectors]
+        classes, evaluations = evaluate_models(
+            data, wanted, watch=self._watch, problems=self._problems, prepare=prepared
+        )
+        fp32, int8 = (mean_of_classes(match(one.images, classes.names).ap50_95) for one in evaluations)
+        if not math.isfinite(fp32):
+            raise DataError("All labels of the compared images are crowds, which do not count.")
+        return round(100 * (fp32 - int8), _DIGITS)
+
+    def _obstacle(self) -> str:
+        """What can be said before anything is evaluated."""
+        if self._data is None:
+            return "DATA has no labels"
+        if absence := absence_of("pycocotools.cocoeval"):
+            return absence
+        try:
+            EvaluatedClasses.shared(self._data.class_names, [(self._weights.model.class_names, None)])
+        except DataError as error:
+            return str(error)
+        return ""
