@@ -220,6 +220,9 @@ def test_a_wrong_argument_ends_it_with_a_reason(
         pytest.param(["--split", "mine"], "invalid choice: 'mine'", id="split"),
         pytest.param(["--set", "weights=a.pt"], "weights has no effect: the model is WEIGHTS", id="weights"),
         pytest.param(["--set", "max_box_size=0.5"], "max_box_size has no effect: detections", id="size"),
+        pytest.param(
+            ["--compare", "image_size=320,min_box_size=0.5"], "min_box_size has no effect", id="compared size"
+        ),
         pytest.param(["-p", "tracker:=bytetrack"], "tracker has no effect: images are", id="tracker"),
         pytest.param(["--track"], "unrecognized arguments: --track", id="track"),
     ],
@@ -247,6 +250,15 @@ def test_an_interrupt_leaves_nothing_half_written(data: Path, capsys: pytest.Cap
     assert main(words, prepare=prepare_raising(KeyboardInterrupt())) == 130
     assert capsys.readouterr().err == "evaluate: interrupted; what was unfinished is removed\n"
     assert list(data.parent.iterdir()) == [data]
+
+
+@pytest.mark.parametrize("name", ["best #2.safetensors", "best: 2.safetensors", "[1].safetensors"])
+def test_the_name_of_a_weights_file_is_not_interpreted(
+    name: str, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(data.parent)
+    Path(name).symlink_to(WEIGHTS)
+    assert run([name, str(data), *FAST, "--compare", name]) == 0
 
 
 def test_weights_that_do_not_exist_are_named(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
