@@ -122,6 +122,22 @@ def json_bomb(folder: Path) -> Path:
     return folder / "bomb.json"
 
 
+def crowds_only(folder: Path) -> Path:
+    source = as_coco(shapes(folder / "shapes", images=1))
+    content = json.loads(source.read_text())
+    content["annotations"] = [one | {"iscrowd": 1} for one in content["annotations"]]
+    source.write_text(json.dumps(content))
+    return source
+
+
+def absent_image(folder: Path) -> Path:
+    data = shapes(folder / "shapes", images=1)
+    (data / "list.txt").write_text("images/val/absent.jpg\n")
+    (data / "data.yaml").write_text("val: list.txt\n")
+    (data / "labels" / "val" / "absent.txt").write_text("0 0.5 0.5 0.1 0.1\n")
+    return data
+
+
 def without_detections(folder: Path) -> Path:
     return record(folder / "drive", [raw(0)], storage=StoragePlugin.MCAP)
 
@@ -152,6 +168,8 @@ def damaged(folder: Path) -> Path:
         pytest.param(all_unreadable, [], "of 2 images none could be used", id="unreadable"),
         pytest.param(other_classes, [], "Did you mean 'circle'?", id="other classes"),
         pytest.param(ids_beyond_the_model, [], "there is no object of the classes", id="unknown ids"),
+        pytest.param(crowds_only, [], "there is no object of the classes", id="crowds only"),
+        pytest.param(absent_image, [], "val/absent.jpg: there is no such file", id="absent image"),
         pytest.param(json_bomb, [], "nested too deep", id="JSON bomb"),
         pytest.param(without_detections, [], "there are no detections (", id="no detections"),
         pytest.param(two_truths, [], "say with --truth-topic which of its detection topics", id="two truths"),
