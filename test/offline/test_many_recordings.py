@@ -168,6 +168,15 @@ def test_a_result_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path)
     assert kept.read_text() == "mine"
 
 
+def test_what_somebody_adds_to_a_result_is_not_lost(drives: Path, again: Path) -> None:
+    source = SourceRecording("east", drives / "east")
+    (again / "east" / "notes.txt").write_text("mine")
+    assert task(again).run(source).state == "skipped"
+    result = task(again, classes=["star"]).run(source)
+    assert result.reason == f"{again / 'east'} is not replaced, as it also has notes.txt: move that."
+    assert (again / "east" / "notes.txt").read_text() == "mine"
+
+
 def test_a_recording_that_grows_while_it_is_read_is_set_aside(drives: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(drives / "east", tmp_path / "east"))
     plan = plan_for(tmp_path / "found")

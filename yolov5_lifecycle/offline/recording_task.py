@@ -91,6 +91,8 @@ class RecordingTask:
                 return skipped(record, source)
         elif record is None and target.exists():
             raise OutputError(f"{target} exists and has no record of detect_bag: move it, or remove it.")
+        if record is not None and (added := record.added(target)):
+            raise OutputError(f"{target} is not replaced, as it also has {', '.join(added)}: move that.")
         with whole_output(target, replace=record is not None) as unfinished:
             account = self._detect(source.path, unfinished, watch)
             result = self._row(source, account, watch, time.monotonic() - begun_s)
