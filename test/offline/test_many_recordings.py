@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -159,24 +158,6 @@ def test_other_settings_make_other_results(drives: Path, again: Path) -> None:
     assert not has_unfinished_outputs(again)
 
 
-def test_a_result_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path) -> None:
-    kept = tmp_path / "east" / "notes.txt"
-    kept.parent.mkdir()
-    kept.write_text("mine")
-    result = task(tmp_path).run(SourceRecording("east", drives / "east"))
-    assert result.reason == f"{kept.parent} exists and has no record of detect_bag: move it, or remove it."
-    assert kept.read_text() == "mine"
-
-
-def test_what_somebody_adds_to_a_result_is_not_lost(drives: Path, again: Path) -> None:
-    source = SourceRecording("east", drives / "east")
-    (again / "east" / "notes.txt").write_text("mine")
-    assert task(again).run(source).state == "skipped"
-    result = task(again, classes=["star"]).run(source)
-    assert result.reason == f"{again / 'east'} is not replaced, as it also has notes.txt: move that."
-    assert (again / "east" / "notes.txt").read_text() == "mine"
-
-
 def test_a_recording_that_grows_while_it_is_read_is_set_aside(drives: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(drives / "east", tmp_path / "east"))
     plan = plan_for(tmp_path / "found")
@@ -279,43 +260,6 @@ def test_a_model_that_cannot_be_loaded_ends_the_command_and_leaves_nothing(
     assert main(words) == 1
     assert "Did you mean 'circle'?" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-def text(path: Path) -> None:
-    path.write_text("mine")
-
-
-def link(path: Path) -> None:
-    path.symlink_to("elsewhere")
-
-
-@pytest.mark.parametrize("make", [text, os.mkfifo, link, Path.mkdir], ids=["file", "pipe", "link", "folder"])
-@pytest.mark.parametrize("name", ["summary.json", "summary.parquet"])
-def test_a_summary_of_somebody_else_is_not_replaced(
-    name: str,
-    make: Callable[[Path], None],
-    drives: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    make(tmp_path / name)
-    assert main([str(drives), "--output", str(tmp_path), *SET_MODEL]) == 1
-    told = f"{tmp_path / name} is no summary of detect_bag: move it, or choose another --output."
-    assert told in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-
-
-def test_a_folder_of_results_whose_name_is_no_text_is_refused(
-    drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([str(drives), "--output", str(tmp_path / "found\udcff"), *SET_MODEL]) == 1
-    assert "the folder of results needs a name in UTF-8" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_empty_folder_of_the_user_stays(drives: Path, tmp_path: Path) -> None:
-    assert main([str(drives), "--output", str(tmp_path), *SET_MODEL, "--set", "classes=[circel]"]) == 1
-    assert tmp_path.is_dir()
 
 
 @pytest.mark.long
