@@ -193,6 +193,7 @@ def test_a_lost_gpu_or_a_full_disk_is_no_matter_of_one_recording(drives: Path, t
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_a_killed_worker_loses_nothing_and_nothing_is_written_twice(tmp_path: Path) -> None:
     drives = record_drives(tmp_path / "drives", {"long": LONG, "short": COUNT})
     output, notes = tmp_path / "found", Notes()
