@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin
 from support.damaged_images import claiming_too_much
 from support.evaluated_offline import FAST, WEIGHTS, as_coco, evaluate, labelled_drive, report_of, run, shapes
-from support.recorded_scene import TOPIC, raw, record
+from support.recorded_scene import raw, record
 from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detector import Detector
@@ -122,6 +121,22 @@ def json_bomb(folder: Path) -> Path:
     return folder / "bomb.json"
 
 
+def crowds_only(folder: Path) -> Path:
+    source = as_coco(shapes(folder / "shapes", images=1))
+    content = json.loads(source.read_text())
+    content["annotations"] = [one | {"iscrowd": 1} for one in content["annotations"]]
+    source.write_text(json.dumps(content))
+    return source
+
+
+def absent_image(folder: Path) -> Path:
+    data = shapes(folder / "shapes", images=1)
+    (data / "list.txt").write_text("images/val/absent.jpg\n")
+    (data / "data.yaml").write_text("val: list.txt\n")
+    (data / "labels" / "val" / "absent.txt").write_text("0 0.5 0.5 0.1 0.1\n")
+    return data
+
+
 def without_detections(folder: Path) -> Path:
     return record(folder / "drive", [raw(0)], storage=StoragePlugin.MCAP)
 
@@ -152,6 +167,8 @@ def damaged(folder: Path) -> Path:
         pytest.param(all_unreadable, [], "of 2 images none could be used", id="unreadable"),
         pytest.param(other_classes, [], "Did you mean 'circle'?", id="other classes"),
         pytest.param(ids_beyond_the_model, [], "there is no object of the classes", id="unknown ids"),
+        pytest.param(crowds_only, [], "there is no object of the classes", id="crowds only"),
+        pytest.param(absent_image, [], "val/absent.jpg: there is no such file", id="absent image"),
         pytest.param(json_bomb, [], "nested too deep", id="JSON bomb"),
         pytest.param(without_detections, [], "there are no detections (", id="no detections"),
         pytest.param(two_truths, [], "say with --truth-topic which of its detection topics", id="two truths"),
@@ -220,6 +237,9 @@ def test_a_wrong_argument_ends_it_with_a_reason(
         pytest.param(["--split", "mine"], "invalid choice: 'mine'", id="split"),
         pytest.param(["--set", "weights=a.pt"], "weights has no effect: the model is WEIGHTS", id="weights"),
         pytest.param(["--set", "max_box_size=0.5"], "max_box_size has no effect: detections", id="size"),
+        pytest.param(
+            ["--compare", "image_size=320,min_box_size=0.5"], "min_box_size has no effect", id="compared size"
+        ),
         pytest.param(["-p", "tracker:=bytetrack"], "tracker has no effect: images are", id="tracker"),
         pytest.param(["--track"], "unrecognized arguments: --track", id="track"),
     ],
@@ -249,62 +269,15 @@ def test_an_interrupt_leaves_nothing_half_written(data: Path, capsys: pytest.Cap
     assert list(data.parent.iterdir()) == [data]
 
 
+@pytest.mark.parametrize("name", ["best #2.safetensors", "best: 2.safetensors", "[1].safetensors"])
+def test_the_name_of_a_weights_file_is_not_interpreted(
+    name: str, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(data.parent)
+    Path(name).symlink_to(WEIGHTS)
+    assert run([name, str(data), *FAST, "--compare", name]) == 0
+
+
 def test_weights_that_do_not_exist_are_named(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["missing.pt", str(data), *FAST]) == 1
     assert "missing.pt" in capsys.readouterr().err
-
-
-def nan_box(message: Any) -> Any:
-    message.detections[0].bbox.size_x = float("nan")
-    return message
-
-
-def no_class(message: Any) -> Any:
-    message.detections[0].results.clear()
-    return message
-
-
-def unknown_class(message: Any) -> Any:
-    message.detections[0].results[0].hypothesis.class_id = "unicorn"
-    return message
-
-
-def negative_size(message: Any) -> Any:
-    message.detections[0].bbox.size_y = -3.0
-    return message
-
-
-def no_message(_: Any) -> Any:
-    return b"\0\1\0\0\xff\xff"
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        pytest.param(nan_box, "no finite numbers", id="NaN"),
-        pytest.param(negative_size, "a size of", id="negative"),
-        pytest.param(no_class, "a detection has no class", id="no class"),
-        pytest.param(unknown_class, "the class 'unicorn' is not in its label_info", id="unknown class"),
-        pytest.param(no_message, "found other bytes", id="no message"),
-    ],
-)
-def test_broken_detections_of_a_recording_are_refused(
-    change: Callable[[Any], Any], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    drive = labelled_drive(tmp_path / "drive", change=change)
-    assert evaluate(drive) == 1
-    error = capsys.readouterr().err
-    assert reason in error
-    assert "none of 3 messages on /yolov5/detections can be used. 3 broken labels\n" in error
-
-
-def test_without_label_info_the_classes_are_those_that_occur(tmp_path: Path) -> None:
-    drive = labelled_drive(tmp_path / "drive", class_names=None, change=without_stars)
-    assert evaluate(drive, "--topic", TOPIC, "--output", str(tmp_path / "out")) == 0
-    names = [row["name"] for row in report_of(tmp_path / "out")["classes"]]
-    assert sorted(names) == ["circle", "square", "triangle"]
-
-
-def without_stars(message: Any) -> Any:
-    message.detections = [one for one in message.detections if one.results[0].hypothesis.class_id != "star"]
-    return message

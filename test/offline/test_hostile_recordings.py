@@ -69,6 +69,14 @@ def a_pipe_as_metadata(folder: Path) -> Path:
     return bag
 
 
+def a_pipe_that_metadata_names(folder: Path) -> Path:
+    bag = record(folder / "bag", [raw(0)], storage=MCAP)
+    text = (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").write_text(text.replace("bag.mcap", "pipe"))
+    os.mkfifo(bag / "pipe")
+    return bag
+
+
 def a_linked_device(folder: Path) -> Path:
     bag = record(folder / "bag", [raw(0)], storage=SQLITE)
     (bag / "bag.db3").unlink()
@@ -135,6 +143,7 @@ def giant_record(folder: Path) -> Path:
             lambda f: database(f, "UPDATE topics SET name = x'ff'"), "there are no images", id="no name"
         ),
         pytest.param(a_pipe, "bag.mcap is not a regular file", id="a pipe"),
+        pytest.param(a_pipe_that_metadata_names, "pipe is not a regular file", id="a pipe of another name"),
         pytest.param(a_pipe_as_metadata, "metadata.yaml is not a regular file", id="a pipe as metadata"),
         pytest.param(a_linked_device, "bag.db3 is not a regular file", id="a link to a device"),
         pytest.param(large_metadata, "metadata.yaml has more than", id="large metadata"),

@@ -34,7 +34,6 @@ from yolov5_lifecycle.offline.finished import RECORD_NAME
 from yolov5_lifecycle.offline.recording_task import NoRoomError, RecordingTask
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
 from yolov5_lifecycle.offline.worker_pool import ProcessWorkers
-from yolov5_lifecycle.quantization.calibration_file import path_beside
 from yolov5_lifecycle.ros.demo.child_process import entry_point
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
@@ -159,33 +158,6 @@ def test_other_settings_make_other_results(drives: Path, again: Path) -> None:
     assert not has_unfinished_outputs(again)
 
 
-def test_another_calibration_makes_other_results(drives: Path, tmp_path: Path) -> None:
-    embedded = Path(plan_for(tmp_path).weights)
-    weights = Path(shutil.copy(embedded, tmp_path))
-    calibration = path_beside(weights)
-    source = SourceRecording("north", drives / "north")
-
-    def states(precision: str) -> list[str]:
-        return [task(tmp_path, weights=str(weights), precision=precision).run(source).state for _ in range(2)]
-
-    assert states("auto") == ["done", "skipped"]
-    assert states("fp32") == ["done", "skipped"]
-    shutil.copy(path_beside(embedded), calibration)
-    assert states("fp32") == ["skipped", "skipped"]
-    assert states("auto") == ["done", "skipped"]
-    calibration.write_bytes(calibration.read_bytes() + b"\n")
-    assert states("auto") == ["done", "skipped"]
-
-
-def test_a_result_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path) -> None:
-    kept = tmp_path / "east" / "notes.txt"
-    kept.parent.mkdir()
-    kept.write_text("mine")
-    result = task(tmp_path).run(SourceRecording("east", drives / "east"))
-    assert result.reason == f"{kept.parent} exists and has no record of detect_bag: move it, or remove it."
-    assert kept.read_text() == "mine"
-
-
 def test_a_recording_that_grows_while_it_is_read_is_set_aside(drives: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(drives / "east", tmp_path / "east"))
     plan = plan_for(tmp_path / "found")
@@ -221,6 +193,7 @@ def test_a_lost_gpu_or_a_full_disk_is_no_matter_of_one_recording(drives: Path, t
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_a_killed_worker_loses_nothing_and_nothing_is_written_twice(tmp_path: Path) -> None:
     drives = record_drives(tmp_path / "drives", {"long": LONG, "short": COUNT})
     output, notes = tmp_path / "found", Notes()

@@ -26,7 +26,7 @@ SOURCES = [SourceRecording(name, Path("/drives", name)) for name in "abcd"]
 
 
 def ready(worker: int, plan: Plan) -> Event:
-    return Ready(worker, "torch")
+    return Ready(worker, "torch", "fp32")
 
 
 def done(worker: int, source: SourceRecording) -> Event:
@@ -59,16 +59,17 @@ class Batch:
         )
 
 
-def test_the_first_worker_chooses_the_runtime_of_all(tmp_path: Path) -> None:
+def test_the_first_worker_chooses_runtime_and_precision_of_all(tmp_path: Path) -> None:
     batch = Batch(tmp_path, 3)
     tally = batch.run()
     assert batch.workers.runtimes == ["auto", "torch", "torch"]
+    assert batch.workers.precisions == ["auto", "fp32", "fp32"]
     assert batch.workers.is_closed
     assert sorted(name for _, name in batch.workers.begun) == list("abcd")
     assert (tally.in_state("done"), tally.images) == (4, 8)
 
 
-def test_with_a_runtime_that_is_set_all_workers_start_at_once(tmp_path: Path) -> None:
+def test_with_runtime_and_precision_set_all_workers_start_at_once(tmp_path: Path) -> None:
     begun: list[int] = []
 
     def begin(worker: int, source: SourceRecording) -> Event:
@@ -76,7 +77,8 @@ def test_with_a_runtime_that_is_set_all_workers_start_at_once(tmp_path: Path) ->
         return done(worker, source)
 
     batch = Batch(tmp_path, 3, on_begin=begin)
-    detect_recordings(SOURCES, plan_for(batch.output), new_workers=lambda _: batch.workers, watch=batch.notes)
+    plan = plan_for(batch.output, precision="fp32")
+    detect_recordings(SOURCES, plan, new_workers=lambda _: batch.workers, watch=batch.notes)
     assert begun[0] == 3
 
 

@@ -23,7 +23,8 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         *("tuesday/a/a_0.mcap", "tuesday/a/metadata.yaml", "tuesday/c/c_0.mcap.zstd"),
         *("files/d.mcap", "files/e_0.mcap.zstd", "files/e_1.db3", "lost/one.mcap"),
         *("shots/0.png", "shots/raw/r.mcap", "found/a/a.mcap", "found/a/metadata.yaml"),
-        "summary.json/s.mcap",
+        *("summary.json/s.mcap", "dots/..mcap", "dots/a.mcap"),
+        *("checked/a.mcap", "checked/a.mcap.md5", "checked/b.db3", "checked/b.db3.part"),
     )
     for file in files:
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
@@ -42,6 +43,8 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         pytest.param(["monday/a", "monday"], ["a", "b"], id="one twice"),
         pytest.param(["monday/**"], ["a", "b"], id="recordings and their files"),
         pytest.param(["files"], ["d", "e_0", "e_1"], id="folder of files"),
+        pytest.param(["checked"], ["a", "b"], id="files and their checksums"),
+        pytest.param(["checked/*"], ["a", "b"], id="pattern of files and their checksums"),
         pytest.param(["files/*.mcap", "files/e_1.db3"], ["d", "e_1"], id="files"),
         pytest.param(["mon*"], ["a", "b"], id="pattern of a folder of them"),
         pytest.param(["[mf]o*"], ["a", "b"], id="results are no sources"),
@@ -62,7 +65,8 @@ def test_sources_stand_for_recordings(sources: list[str], names: list[str], home
             ["shots/*.png"], r"png: expected recordings of ros2 bag, found no", id="pattern of images"
         ),
         pytest.param(["monday/notes.txt", "files"], "notes.txt: expected recordings", id="no recording"),
-        pytest.param(["found"], "found: expected recordings of ros2 bag", id="results"),
+        pytest.param(["found"], "found: all recordings in it lie in the folder of results", id="results"),
+        pytest.param(["dots/..mcap"], "dots/..mcap: its result cannot have that name", id="dots"),
         pytest.param(["*day"], r"1 name\(s\) belong to several .*\n.*monday/a, .*tuesday/a", id="same names"),
         pytest.param(["summary.json"], "its result cannot have that name", id="reserved name"),
     ],

@@ -76,7 +76,9 @@ def test_the_speed_is_measured_once(tmp_path: Path) -> None:
         pytest.param({"measured": (FP32, measurement("int8", 10.0, 0.979))}, "to 0.979", id="unlike fp32"),
         pytest.param({"measured": (FP32,)}, "not measured", id="never measured"),
         pytest.param({"detections": 49}, "only 49 detections", id="too few detections"),
-        pytest.param({"image_size": 640}, "image_size 640, not 320", id="another size"),
+        pytest.param(
+            {"image_size": 640}, "image_size 640, not 320: calibrate with --image-size 320", id="another size"
+        ),
         pytest.param({"weight_bits": 15 - HERE}, f"this processor needs {HERE}", id="other weights"),
         pytest.param(
             {"measured": (FP32, INT8.model_copy(update={"map_loss": 1.1}))}, "loses 1.1 points", id="mAP loss"

@@ -122,12 +122,14 @@ class ScriptedWorkers:
         self.max_count = max_count
         self.begun: list[tuple[int, str]] = []
         self.runtimes: list[str] = []
+        self.precisions: list[str] = []
         self.is_closed = False
         self._on_start, self._on_begin = on_start, on_begin
         self._events: deque[Event] = deque()
 
     def start(self, plan: Plan) -> int:
         self.runtimes.append(plan.runtime)
+        self.precisions.append(plan.precision)
         self._events.append(self._on_start(len(self.runtimes) - 1, plan))
         return len(self.runtimes) - 1
 

@@ -16,7 +16,7 @@ from yolov5_lifecycle.offline.batch_summary import remove_summary, write_summary
 from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.finished import finished_before
 from yolov5_lifecycle.offline.recording_result import RecordingResult
-from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
+from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording, is_utf8
 from yolov5_lifecycle.offline.workers import Died, Ended, Event, Progress, Ready, Refused, Workers
 from yolov5_lifecycle.unfinished import hold, open_itself
 
@@ -104,13 +104,16 @@ def detect_recordings(
 
 @contextmanager
 def _output_folder(folder: Path) -> Iterator[None]:
-    """`folder` for this process alone; made if it is missing, and removed again if nothing came into it."""
+    """`folder` for this process alone; made if it is missing, and then removed if nothing came into it."""
+    if not is_utf8(folder):
+        raise OutputError(f"{folder}: the folder of results needs a name in UTF-8: choose another --output.")
     if not folder.parent.is_dir():
         raise OutputError(f"{folder.parent}: there is no such folder; make it first.")
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder} is no folder: many recordings need one for their results.")
     if folder.exists() and is_recording(folder):
         raise OutputError(f"{folder} is a recording: choose another folder for the results of many.")
+    is_new = not folder.exists()
     folder.mkdir(exist_ok=True)
     descriptor = open_itself(os.path.realpath(folder))
     try:
@@ -121,8 +124,9 @@ def _output_folder(folder: Path) -> Iterator[None]:
             yield
         finally:
             remove_unfinished_outputs(folder)
-            with suppress(OSError):
-                folder.rmdir()
+            if is_new:
+                with suppress(OSError):
+                    folder.rmdir()
     finally:
         os.close(descriptor)
 
@@ -159,9 +163,9 @@ class _Batch:
             self._watch.progress(self._tally)
 
     def _start(self) -> None:
-        """Start as many workers as have work; with `auto` the first one alone: it chooses the runtime."""
+        """Start as many workers as have work; the first one alone if it has to choose for all."""
         wanted = min(self._max_count, len(self._waiting) + len(self._running))
-        if self._plan.runtime == "auto":
+        if self._plan.is_open:
             wanted = 1
         while len(self._loading) + len(self._running) + len(self._idle) < wanted:
             self._loading.add(self._workers.start(self._plan))
@@ -176,7 +180,9 @@ class _Batch:
             self._was_ready = True
             self._tally.begin()
             self._deaths_while_loading = 0
-            self._plan = self._plan.model_copy(update={"runtime": event.runtime})
+            self._plan = self._plan.model_copy(
+                update={"runtime": event.runtime, "precision": event.precision}
+            )
             self._idle.add(event.worker)
         elif isinstance(event, Ended):
             self._idle.add(event.worker)

@@ -30,11 +30,17 @@ class Plan(BaseModel):
     """Of the calibration beside the weights, if int8 may come of it."""
     settings: dict[str, object]
     runtime: str
-    """The one that is set, or that the first worker has chosen."""
+    """The one that is set, or that the first worker has chosen; so is the precision."""
+    precision: str
     topic: str | None
     node: str
     images: bool
     masks: bool
+
+    @property
+    def is_open(self) -> bool:
+        """Whether runtime or precision depend on what is measured."""
+        return self.runtime == "auto" or (self.precision == "auto" and self.calibration_sha256 is not None)
 
     @property
     def settings_sha256(self) -> str:
@@ -48,8 +54,13 @@ class Plan(BaseModel):
 
     @property
     def model_settings(self) -> Settings:
-        """The settings with this model and runtime."""
-        chosen = {"weights": self.weights, "weights_sha256": self.weights_sha256, "runtime": self.runtime}
+        """The settings with this model, runtime and precision."""
+        chosen = {
+            "weights": self.weights,
+            "weights_sha256": self.weights_sha256,
+            "runtime": self.runtime,
+            "precision": self.precision,
+        }
         return validated({**self.settings, **chosen})
 
 
@@ -72,6 +83,7 @@ def plan_of(
         calibration_sha256=calibration_digest(weights, precision=settings.precision, device=settings.device),
         settings=settings.model_dump(mode="json"),
         runtime=settings.runtime,
+        precision=settings.precision,
         topic=topic,
         node=node,
         images=images,

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.atomic_file import OutputError, write_whole
 from yolov5_lifecycle.offline.batch_plan import Plan
 from yolov5_lifecycle.offline.recording_result import RecordingResult
 from yolov5_lifecycle.process.missing_package import absence_of
+from yolov5_lifecycle.unfinished import open_itself
 
 JSON_NAME, PARQUET_NAME = "summary.json", "summary.parquet"
 CLASS_COLUMN = "detections/"
 """How the columns of classes begin in the table."""
+_BEGIN = b'{\n "weights": "'
 _COUNTED = ("images", "detected", "rejected", "failed")
 _COLUMNS = {
     "recording": "string",
@@ -34,9 +37,26 @@ _COLUMNS = {
 
 
 def remove_summary(folder: Path) -> None:
-    """Remove the summary of an earlier run; raises OSError."""
-    for name in (JSON_NAME, PARQUET_NAME):
-        (folder / name).unlink(missing_ok=True)
+    """Remove the summary of an earlier run; raises OutputError for files of others, and OSError.
+
+    The table goes first and comes last: without the JSON file it is of somebody else.
+    """
+    json_file, table = folder / JSON_NAME, folder / PARQUET_NAME
+    if not _is_summary(json_file):
+        foreign = next((file for file in (json_file, table) if os.path.lexists(file)), None)
+        if foreign is not None:
+            raise OutputError(f"{foreign} is no summary of detect_bag: move it, or choose another --output.")
+    for file in (table, json_file):
+        file.unlink(missing_ok=True)
+
+
+def _is_summary(path: Path) -> bool:
+    """Whether `summary` has made the file at `path`, by how it begins."""
+    try:
+        with open(path, "rb", opener=open_itself) as file:
+            return file.read(len(_BEGIN)) == _BEGIN
+    except OSError:
+        return False
 
 
 def write_summary(plan: Plan, results: Sequence[RecordingResult]) -> list[str]:

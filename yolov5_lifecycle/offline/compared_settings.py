@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from yolov5_lifecycle.settings.parameter_file import string_assignment
+
 _BETWEEN_ASSIGNMENTS = re.compile(r",(?=[a-z_0-9]+=)")
 _ASSIGNMENT = re.compile(r"[a-z_0-9]+=")
 
@@ -15,4 +17,4 @@ def compared_settings(other: str) -> list[str]:
     """
     if _ASSIGNMENT.match(other):
         return _BETWEEN_ASSIGNMENTS.split(other)
-    return [f"weights={other}"]
+    return [string_assignment("weights", other)]

@@ -29,6 +29,7 @@ from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.process.missing_package import import_problem
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.settings.parameter_file import string_assignment
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
@@ -119,7 +120,7 @@ def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) ->
 
 def _settings(arguments: argparse.Namespace, further: Sequence[str]) -> Settings:
     """The settings of the model WEIGHTS, with the `further` assignments."""
-    weights = f"weights={arguments.weights}"
+    weights = string_assignment("weights", arguments.weights)
     return wanted_settings(arguments.params_file, [*arguments.assignments, weights, *further], arguments.node)
 
 
@@ -163,13 +164,19 @@ def _complain(problem: str) -> int:
 def _usage_problem(arguments: argparse.Namespace) -> str:
     """The conflict between command-line arguments, or ""."""
     kind = kind_of(arguments.data)
-    for name, reason in _USELESS.items():
-        if any(assignment.startswith(f"{name}=") for assignment in arguments.assignments):
-            return f"the setting {name} has no effect: {reason}"
+    compared = [] if arguments.compare is None else compared_settings(arguments.compare)
+    if name := _useless(arguments.assignments) or _useless(compared, besides="weights"):
+        return f"the setting {name} has no effect: {_USELESS[name]}"
     if useless := _data_options(arguments).useless(kind):
         option = f"--{useless[0].replace('_', '-')}"
         return f"{arguments.data} is a data set of the kind {kind}, which has no use for {option}"
     return ""
+
+
+def _useless(assignments: Sequence[str], *, besides: str = "") -> str:
+    """The first setting in `assignments` that has no effect, or ""."""
+    names = (assignment.partition("=")[0] for assignment in assignments)
+    return next((name for name in names if name in _USELESS and name != besides), "")
 
 
 def _goal(text: str) -> Goal:

@@ -112,7 +112,7 @@ def evaluate_models(
     timed: dict[int, LabelledImage] = {}
     found = [_found(data, model, classes, problems, timed) for model in models]
     common = sorted(set(found[0]).intersection(*found[1:]))
-    if not any(len(found[0][number].truth) for number in common):
+    if all(found[0][number].truth.is_crowd.all() for number in common):
         raise DataError(
             f"In {len(common)} images there is no object of the classes that data and model share: "
             f"{', '.join(classes.names[:10])}. {problems.summary}"

@@ -40,7 +40,11 @@ class Record(BaseModel):
     def is_of(self, plan: Plan, folder: Path) -> bool:
         """Whether the result in `folder` is whole and was made with the model and settings of `plan`."""
         same = (self.weights_sha256, self.settings_sha256) == (plan.weights_sha256, plan.settings_sha256)
-        return same and self.result_bytes == result_bytes(folder)
+        return same and self.result_bytes.items() <= result_bytes(folder).items()
+
+    def added(self, folder: Path) -> list[str]:
+        """Names of what somebody has put into the `folder` of the result since; raises OSError."""
+        return sorted(result_bytes(folder).keys() - self.result_bytes.keys())
 
     def write(self, folder: Path) -> None:
         """Write the record into the `folder` of its result; raises OSError."""

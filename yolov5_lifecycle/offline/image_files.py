@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +39,8 @@ class ImageFile:
         """Nobody knows how much time lies between the files of a folder, so they are not tracked."""
 
     def load(self) -> ColourImage:
+        if not os.path.lexists(self.path):
+            raise ImageError("there is no such file")
         try:
             # An absolute path is never mistaken for a camera index.
             return next(open_source(str(self.path.absolute()), loop=False).frames).image

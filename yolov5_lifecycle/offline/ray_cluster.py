@@ -70,8 +70,8 @@ class Actor:
         self._plan = plan
         self._task: RecordingTask | None = None
 
-    def load(self) -> tuple[str, str]:
-        """The runtime that the model was loaded into, and "", or why it cannot be loaded."""
+    def load(self) -> tuple[list[str], str]:
+        """Runtime and precision of the loaded model, and "", or why it cannot be loaded."""
         # Imported here: they import torch, for which the environment must be prepared.
         from yolov5_lifecycle.offline.batch_plan import Plan
         from yolov5_lifecycle.offline.recording_task import RecordingTask
@@ -80,8 +80,8 @@ class Actor:
         try:
             self._task = RecordingTask(Plan.model_validate_json(self._plan), lambda _: None)
         except (ValueError, OSError, ImportError, InferenceError) as error:
-            return "", str(error) or type(error).__name__
-        return self._task.runtime, ""
+            return [], str(error) or type(error).__name__
+        return [self._task.runtime, self._task.precision], ""
 
     def detect(self, name: str, path: str) -> tuple[dict[str, object], str]:
         """The row of the recording, and "", or why nothing more can be written."""
@@ -152,8 +152,8 @@ class RayWorkers:
         if refusal:
             ray.kill(self._actors.pop(number))
             return Refused(number, refusal)
-        if isinstance(answer, str):
-            return Ready(number, answer)
+        if isinstance(answer, list):
+            return Ready(number, *answer)
         return Ended(number, RecordingResult.model_validate(answer))
 
 

@@ -33,11 +33,12 @@ class LimitError(ValueError):
 def check_files(path: Path) -> None:
     """Raise LimitError unless the files of the recording at `path` are regular files or links to them.
 
-    Reading a pipe would block forever.
+    Reading a pipe would block forever, and metadata.yaml may name files in its folder as it likes.
     """
     for file in [path] if not path.is_dir() else sorted(path.iterdir()):
         is_storage = any(suffix in (".mcap", ".db3") for suffix in file.suffixes)
-        if (is_storage or file.name == "metadata.yaml") and file.exists() and not file.is_file():
+        is_read = is_storage or file.name == "metadata.yaml" or not file.is_dir()
+        if is_read and file.exists() and not file.is_file():
             raise LimitError(f"{file.name} is not a regular file")
     metadata = path / "metadata.yaml"
     if metadata.is_file() and metadata.stat().st_size > MAX_METADATA_BYTES:

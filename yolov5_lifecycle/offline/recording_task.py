@@ -56,6 +56,10 @@ class RecordingTask:
     def runtime(self) -> str:
         return self._prepared.detector.runtime.name
 
+    @property
+    def precision(self) -> str:
+        return self._prepared.detector.runtime.precision
+
     def run(self, source: SourceRecording) -> RecordingResult:
         """Write the result of `source`, unless it is there; or say why it was set aside.
 
@@ -91,6 +95,8 @@ class RecordingTask:
                 return skipped(record, source)
         elif record is None and target.exists():
             raise OutputError(f"{target} exists and has no record of detect_bag: move it, or remove it.")
+        if record is not None and (added := record.added(target)):
+            raise OutputError(f"{target} is not replaced, as it also has {', '.join(added)}: move that.")
         with whole_output(target, replace=record is not None) as unfinished:
             account = self._detect(source.path, unfinished, watch)
             result = self._row(source, account, watch, time.monotonic() - begun_s)

@@ -13,6 +13,7 @@ from yolov5_lifecycle.sources.frames import SourceError
 
 METADATA = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3")
+_PACKED = ".zstd"
 _WILDCARDS = "*?["
 _MAX_TOLD = 5
 
@@ -34,7 +35,7 @@ def is_recording(path: Path) -> bool:
 
 def is_storage(path: Path) -> bool:
     """Whether `path` has the name of a rosbag2 file, possibly compressed."""
-    return any(suffix in _SUFFIXES for suffix in path.suffixes)
+    return Path(path.name.removesuffix(_PACKED)).suffix in _SUFFIXES
 
 
 def are_many(sources: Sequence[Path]) -> bool:
@@ -63,10 +64,14 @@ def _expanded(source: Path, output: Path) -> list[Path]:
     else:
         raise SourceError(f"{source}: there is no such file or folder")
     own = Path(os.path.realpath(output))
-    found = [path for path in found if not Path(os.path.realpath(path)).is_relative_to(own)]
+    others = [path for path in found if not Path(os.path.realpath(path)).is_relative_to(own)]
+    if found and not others:
+        raise SourceError(
+            f"{source}: all recordings in it lie in the folder of results, {output}: choose another --output."
+        )
     if not found:
         raise SourceError(f"{source}: expected recordings of ros2 bag, found no .mcap and no .db3 file.")
-    return found
+    return others
 
 
 def _recordings_at(path: Path) -> Iterator[Path]:
@@ -110,8 +115,8 @@ def _name(path: Path) -> str:
     """Name of the folder, or that of the file without what tells its format."""
     if path.is_dir():
         return path.name
-    first = min(path.name.find(suffix) for suffix in _SUFFIXES if suffix in path.name)
-    return path.name[:first] or path.name
+    name = path.name.removesuffix(_PACKED)
+    return name[: -len(Path(name).suffix)] or path.name
 
 
 def _check_names(found: Sequence[SourceRecording]) -> None:
@@ -126,13 +131,15 @@ def _check_names(found: Sequence[SourceRecording]) -> None:
             f"give them in runs with outputs of their own, or rename them:{told}"
         )
     for recording in found:
-        if not _is_utf8(str(recording.path)) or recording.name.startswith("summary."):
+        is_reserved = recording.name.startswith("summary.") or not recording.name.strip(".")
+        if is_reserved or not is_utf8(recording.path):
             raise SourceError(f"{recording.path}: its result cannot have that name; rename the recording.")
 
 
-def _is_utf8(text: str) -> bool:
+def is_utf8(path: Path) -> bool:
+    """Whether the name of `path` is a text, which can be sent as JSON."""
     try:
-        text.encode()
+        str(path).encode()
     except UnicodeEncodeError:
         return False
     return True

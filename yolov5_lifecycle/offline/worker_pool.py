@@ -141,7 +141,7 @@ class ProcessWorkers:
 def _event(number: int, line: bytes) -> Event:
     ((kind, value),) = json.loads(line).items()
     if kind == "ready":
-        return Ready(number, value)
+        return Ready(number, *value)
     if kind == "refused":
         return Refused(number, value)
     if kind == "progress":

@@ -62,7 +62,7 @@ def _answered(requests: Iterable[str], send: Send) -> int:
     except (ValueError, OSError, ImportError, InferenceError) as error:
         send({"refused": str(error)})
         return 0
-    send({"ready": task.runtime})
+    send({"ready": [task.runtime, task.precision]})
     for line in lines:
         request = json.loads(line)
         try:

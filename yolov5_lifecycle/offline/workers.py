@@ -13,10 +13,11 @@ from yolov5_lifecycle.offline.recordings import SourceRecording
 
 @dataclass(frozen=True)
 class Ready:
-    """The worker has loaded the model into `runtime`."""
+    """The worker has loaded the model into `runtime`, in `precision`."""
 
     worker: int
     runtime: str
+    precision: str
 
 
 @dataclass(frozen=True)

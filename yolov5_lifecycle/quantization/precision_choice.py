@@ -131,7 +131,10 @@ def quality_problem(calibration: Calibration, *, image_size: int) -> str:
     if measured is None:
         return "int8 was not measured when the weights were calibrated"
     if calibration.image_size != image_size:
-        return f"int8 was measured at image_size {calibration.image_size}, not {image_size}: calibrate again"
+        return (
+            f"int8 was measured at image_size {calibration.image_size}, not {image_size}: calibrate with "
+            f"--image-size {image_size}"
+        )
     if calibration.weight_bits != bits:
         return (
             f"int8 was measured with weights of {calibration.weight_bits} bits, this processor needs {bits}: "

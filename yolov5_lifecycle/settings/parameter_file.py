@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -96,6 +97,11 @@ def assigned_value(assignment: str) -> tuple[str, object]:
         return name, _coerced(name, parameter_value(text) if text else "")
     except ParameterYamlError as error:
         raise ParameterFileError(f"{assignment!r}: its value is no YAML that ROS reads: {error}.") from None
+
+
+def string_assignment(name: str, value: str) -> str:
+    """The assignment that `assigned_value` reads as the string `value`, whatever characters it has."""
+    return f"{name}={json.dumps(value, ensure_ascii=False)}"
 
 
 def _coerced(name: str, value: object) -> object:

@@ -123,3 +123,16 @@ def test_several_reload_settings_at_once_load_one_model(served: ServedNode, prep
     served.bring_to("active")
     assert served.set(image_size=320, weights="/other.pt", confidence_threshold=0.5) == (True, "")
     assert len(prepare.runtimes) == 2
+
+
+def test_new_weights_without_the_class_of_a_threshold_are_refused_with_the_parameter_to_change(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+    assert served.set(class_thresholds=["cat: 0.5"]) == (True, "")
+    prepare.class_names = ("star", "circle")
+    done, reason = served.set(weights="/other.pt")
+    assert not done
+    assert "class_thresholds: 'cat' is not a class of the model" in reason
+    assert "`class_thresholds` still names classes of the running model" in reason
+    assert class_ids_of(served.detect()) == ["cat"]

@@ -29,7 +29,7 @@ _TOGETHER = (
     "or set them in another order."
 )
 _OLD_CLASSES = (
-    " `classes` still names those of the running model: set it together with the new weights through "
+    " {names} still names classes of the running model: set it together with the new weights through "
     "set_parameters_atomically, or set it to [] before. The running model stays."
 )
 _NEW_CLASSES = (
@@ -144,7 +144,7 @@ class Reconfiguration:
         try:
             if problems := _broken_by(proposal, new):
                 result = refusal(problems)
-                result.reason += _OLD_CLASSES
+                result.reason += _OLD_CLASSES.format(names=_listed(problems))
                 return result
             return self._commit(proposal, preparation)
         finally:
@@ -211,6 +211,11 @@ def _broken_by(proposal: Proposal, model: PreparedModel) -> list[Problem]:
     if settings is None or proposal.after is proposal.base:
         return []
     return model_problems(settings, model.detector.class_names)
+
+
+def _listed(problems: Sequence[Problem]) -> str:
+    """The names of the settings."""
+    return ", ".join(f"`{problem.setting}`" for problem in problems)
 
 
 class _Pause:

@@ -1,0 +1,67 @@
+"""What `evaluate` says of recordings whose corrected detections cannot be used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.evaluated_offline import evaluate, labelled_drive, report_of
+from support.recorded_scene import TOPIC
+
+
+def nan_box(message: Any) -> Any:
+    message.detections[0].bbox.size_x = float("nan")
+    return message
+
+
+def no_class(message: Any) -> Any:
+    message.detections[0].results.clear()
+    return message
+
+
+def unknown_class(message: Any) -> Any:
+    message.detections[0].results[0].hypothesis.class_id = "unicorn"
+    return message
+
+
+def negative_size(message: Any) -> Any:
+    message.detections[0].bbox.size_y = -3.0
+    return message
+
+
+def no_message(_: Any) -> Any:
+    return b"\0\1\0\0\xff\xff"
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        pytest.param(nan_box, "no finite numbers", id="NaN"),
+        pytest.param(negative_size, "a size of", id="negative"),
+        pytest.param(no_class, "a detection has no class", id="no class"),
+        pytest.param(unknown_class, "the class 'unicorn' is not in its label_info", id="unknown class"),
+        pytest.param(no_message, "found other bytes", id="no message"),
+    ],
+)
+def test_broken_detections_of_a_recording_are_refused(
+    change: Callable[[Any], Any], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = labelled_drive(tmp_path / "drive", change=change)
+    assert evaluate(drive) == 1
+    error = capsys.readouterr().err
+    assert reason in error
+    assert "none of 3 messages on /yolov5/detections can be used. 3 broken labels\n" in error
+
+
+def test_without_label_info_the_classes_are_those_that_occur(tmp_path: Path) -> None:
+    drive = labelled_drive(tmp_path / "drive", class_names=None, change=without_stars)
+    assert evaluate(drive, "--topic", TOPIC, "--output", str(tmp_path / "out")) == 0
+    names = [row["name"] for row in report_of(tmp_path / "out")["classes"]]
+    assert sorted(names) == ["circle", "square", "triangle"]
+
+
+def without_stars(message: Any) -> Any:
+    message.detections = [one for one in message.detections if one.results[0].hypothesis.class_id != "star"]
+    return message

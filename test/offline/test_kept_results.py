@@ -1,0 +1,108 @@
+"""`detect_bag` over many recordings: which results are kept, and that what is not its own is."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from support.detected_offline import SET_MODEL, prepare_once
+from support.many_recordings import Notes, plan_for, record_drives
+
+from yolov5_lifecycle.offline.batch import detect_recordings
+from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.offline.recording_task import RecordingTask
+from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
+from yolov5_lifecycle.offline.worker_pool import ProcessWorkers
+from yolov5_lifecycle.quantization.calibration_file import path_beside
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record_drives(tmp_path_factory.mktemp("recorded") / "drives", {"east": 2, "west": 2})
+
+
+def task(output: Path, **settings: object) -> RecordingTask:
+    """What a worker does, in this process."""
+    return RecordingTask(plan_for(output, **settings), lambda _: None, prepare=prepare_once)
+
+
+def test_a_result_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "east" / "notes.txt"
+    kept.parent.mkdir()
+    kept.write_text("mine")
+    result = task(tmp_path).run(SourceRecording("east", drives / "east"))
+    assert result.reason == f"{kept.parent} exists and has no record of detect_bag: move it, or remove it."
+    assert kept.read_text() == "mine"
+
+
+def test_what_somebody_adds_to_a_result_is_not_lost(drives: Path, tmp_path: Path) -> None:
+    source = SourceRecording("east", drives / "east")
+    assert task(tmp_path).run(source).state == "done"
+    (tmp_path / "east" / "notes.txt").write_text("mine")
+    assert task(tmp_path).run(source).state == "skipped"
+    result = task(tmp_path, classes=["star"]).run(source)
+    assert result.reason == f"{tmp_path / 'east'} is not replaced, as it also has notes.txt: move that."
+    assert (tmp_path / "east" / "notes.txt").read_text() == "mine"
+
+
+def text(path: Path) -> None:
+    path.write_text("mine")
+
+
+def link(path: Path) -> None:
+    path.symlink_to("elsewhere")
+
+
+@pytest.mark.parametrize("make", [text, os.mkfifo, link, Path.mkdir], ids=["file", "pipe", "link", "folder"])
+@pytest.mark.parametrize("name", ["summary.json", "summary.parquet"])
+def test_a_summary_of_somebody_else_is_not_replaced(
+    name: str,
+    make: Callable[[Path], None],
+    drives: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    make(tmp_path / name)
+    assert main([str(drives), "--output", str(tmp_path), *SET_MODEL]) == 1
+    told = f"{tmp_path / name} is no summary of detect_bag: move it, or choose another --output."
+    assert told in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_folder_of_results_whose_name_is_no_text_is_refused(
+    drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(drives), "--output", str(tmp_path / "found\udcff"), *SET_MODEL]) == 1
+    assert "the folder of results needs a name in UTF-8" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_folder_of_the_user_stays(drives: Path, tmp_path: Path) -> None:
+    def no_workers(_: int) -> ProcessWorkers:
+        raise OSError("no process can be started")
+
+    sources = recordings_of([drives], tmp_path)
+    with pytest.raises(OSError, match="no process can be started"):
+        detect_recordings(sources, plan_for(tmp_path), new_workers=no_workers, watch=Notes())
+    assert tmp_path.is_dir()
+
+
+def test_another_calibration_makes_other_results(drives: Path, tmp_path: Path) -> None:
+    embedded = Path(plan_for(tmp_path).weights)
+    weights = Path(shutil.copy(embedded, tmp_path))
+    calibration = path_beside(weights)
+    source = SourceRecording("east", drives / "east")
+
+    def states(precision: str) -> list[str]:
+        return [task(tmp_path, weights=str(weights), precision=precision).run(source).state for _ in range(2)]
+
+    assert states("auto") == ["done", "skipped"]
+    assert states("fp32") == ["done", "skipped"]
+    shutil.copy(path_beside(embedded), calibration)
+    assert states("fp32") == ["skipped", "skipped"]
+    assert states("auto") == ["done", "skipped"]
+    calibration.write_bytes(calibration.read_bytes() + b"\n")
+    assert states("auto") == ["done", "skipped"]
