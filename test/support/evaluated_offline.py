@@ -16,7 +16,7 @@ from tools.shapes.dataset import write_dataset
 from yolov5_lifecycle.detection.detections import FoundObject
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.offline.detect_recording import detection_array
-from yolov5_lifecycle.offline.evaluate import main
+from yolov5_lifecycle.offline.evaluate.command import main
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 

@@ -26,11 +26,11 @@ from yolov5_lifecycle.process.termination import end_at_once, on_termination
 
 MODULES: Mapping[str, str] = MappingProxyType(
     {
-        "calibrate": "yolov5_lifecycle.offline.calibrate",
+        "calibrate": "yolov5_lifecycle.offline.calibrate.command",
         "convert": "yolov5_lifecycle.commands.convert",
         "demo": "yolov5_lifecycle.ros.demo.command",
         "detect_bag": "yolov5_lifecycle.offline.detect_bag",
-        "evaluate": "yolov5_lifecycle.offline.evaluate",
+        "evaluate": "yolov5_lifecycle.offline.evaluate.command",
         "fetch_weights": "yolov5_lifecycle.commands.fetch_weights",
     }
 )

@@ -12,9 +12,11 @@ from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
-from yolov5_lifecycle.offline.batch import detect_recordings
-from yolov5_lifecycle.offline.batch_plan import plan_of
-from yolov5_lifecycle.offline.batch_terminal import BatchTerminal, batch_report
+from yolov5_lifecycle.offline.batch.plan import plan_of
+from yolov5_lifecycle.offline.batch.supervisor import detect_recordings
+from yolov5_lifecycle.offline.batch.terminal import BatchTerminal, batch_report
+from yolov5_lifecycle.offline.batch.worker_pool import ProcessWorkers, suitable_count
+from yolov5_lifecycle.offline.batch.workers import Workers
 from yolov5_lifecycle.offline.detect_files import detect_files
 from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineDetector
 from yolov5_lifecycle.offline.detector_options import (
@@ -25,8 +27,6 @@ from yolov5_lifecycle.offline.detector_options import (
 from yolov5_lifecycle.offline.image_files import has_still_images
 from yolov5_lifecycle.offline.recordings import are_many, is_recording, recordings_of
 from yolov5_lifecycle.offline.terminal import Terminal, report
-from yolov5_lifecycle.offline.worker_pool import ProcessWorkers, suitable_count
-from yolov5_lifecycle.offline.workers import Workers
 from yolov5_lifecycle.process.standard_streams import complain
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
@@ -147,7 +147,7 @@ def _workers(jobs: int | None, ray: str | None, recordings: int) -> Workers:
     """`jobs` workers, or as many as are suitable for `recordings`, on the cluster `ray` or this machine."""
     if ray is None:
         return ProcessWorkers(min(jobs, recordings) if jobs else suitable_count(recordings))
-    from yolov5_lifecycle.offline.ray_cluster import ray_workers
+    from yolov5_lifecycle.offline.batch.ray_cluster import ray_workers
 
     return ray_workers(ray, jobs, recordings)
 

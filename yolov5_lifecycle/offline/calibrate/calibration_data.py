@@ -9,7 +9,7 @@ from pathlib import Path
 
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.offline.calibration_frames import (
+from yolov5_lifecycle.offline.calibrate.calibration_frames import (
     ChosenImage,
     Source,
     diverse_images,
@@ -18,8 +18,8 @@ from yolov5_lifecycle.offline.calibration_frames import (
     open_bag,
     open_files,
 )
-from yolov5_lifecycle.offline.labelled_data import has_labels, kind_of, labelled_data
-from yolov5_lifecycle.offline.labelled_images import DataOptions, LabelledData
+from yolov5_lifecycle.offline.evaluate.labelled_data import has_labels, kind_of, labelled_data
+from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, LabelledData
 from yolov5_lifecycle.offline.recordings import is_recording
 
 

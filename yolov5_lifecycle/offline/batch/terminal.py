@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import get_args
 
-from yolov5_lifecycle.offline.batch import Tally
-from yolov5_lifecycle.offline.recording_result import RecordingResult, State
+from yolov5_lifecycle.offline.batch.recording_result import RecordingResult, State
+from yolov5_lifecycle.offline.batch.supervisor import Tally
 from yolov5_lifecycle.offline.terminal import ProgressLine, objects_line
 from yolov5_lifecycle.process.standard_streams import complain
 

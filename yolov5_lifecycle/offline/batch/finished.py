@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from yolov5_lifecycle.atomic_file import write_whole
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
-from yolov5_lifecycle.offline.batch_plan import Plan
-from yolov5_lifecycle.offline.recording_result import RecordingResult
+from yolov5_lifecycle.offline.batch.plan import Plan
+from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import METADATA, SourceRecording, is_storage
 
 RECORD_NAME = "detect_bag.json"

@@ -13,18 +13,18 @@ from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.evaluation.curves import matplotlib_problem
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.thresholds import Goal, GoalError
-from yolov5_lifecycle.offline.compared_settings import compared_settings
 from yolov5_lifecycle.offline.detecting import Account, DetectingError
 from yolov5_lifecycle.offline.detector_options import (
     add_detector_options,
     unwound_by_sigterm,
     wanted_settings,
 )
-from yolov5_lifecycle.offline.evaluating import evaluate_models
-from yolov5_lifecycle.offline.evaluation_files import write_files
-from yolov5_lifecycle.offline.evaluation_result import EvaluationResult
-from yolov5_lifecycle.offline.labelled_data import kind_of, labelled_data
-from yolov5_lifecycle.offline.labelled_images import DataOptions
+from yolov5_lifecycle.offline.evaluate.compared_settings import compared_settings
+from yolov5_lifecycle.offline.evaluate.evaluating import evaluate_models
+from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of, labelled_data
+from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions
+from yolov5_lifecycle.offline.evaluate.output_files import write_files
+from yolov5_lifecycle.offline.evaluate.result import EvaluationResult
 from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.process.missing_package import import_problem
 from yolov5_lifecycle.process.standard_streams import complain, write_output

@@ -19,7 +19,7 @@ from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
-from yolov5_lifecycle.offline.evaluate import main
+from yolov5_lifecycle.offline.evaluate.command import main
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 

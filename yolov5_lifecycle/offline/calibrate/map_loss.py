@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
 from yolov5_lifecycle.offline.detecting import DetectingError, Watch
-from yolov5_lifecycle.offline.evaluating import evaluate_models
-from yolov5_lifecycle.offline.labelled_images import LabelledData
+from yolov5_lifecycle.offline.evaluate.evaluating import evaluate_models
+from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.settings import Settings
 
@@ -63,8 +61,6 @@ class MapLoss:
             data, wanted, watch=self._watch, problems=self._problems, prepare=prepared
         )
         fp32, int8 = (mean_of_classes(match(one.images, classes.names).ap50_95) for one in evaluations)
-        if not math.isfinite(fp32):
-            raise DataError("All labels of the compared images are crowds, which do not count.")
         return round(100 * (fp32 - int8), _DIGITS)
 
     def _obstacle(self) -> str:

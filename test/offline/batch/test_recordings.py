@@ -8,9 +8,16 @@ from pathlib import Path
 import pytest
 from support.many_recordings import plan_for
 
-from yolov5_lifecycle.offline.finished import RECORD_NAME, Record, file_stamps, finished_before, read_record
-from yolov5_lifecycle.offline.recording_result import RecordingResult
+from yolov5_lifecycle.offline.batch.finished import (
+    RECORD_NAME,
+    Record,
+    file_stamps,
+    finished_before,
+    read_record,
+)
+from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import SourceRecording, are_many, recordings_of
+from yolov5_lifecycle.quantization.calibration_file import path_beside
 from yolov5_lifecycle.sources.frames import SourceError
 
 
@@ -165,9 +172,10 @@ def test_what_has_changed_is_not_finished(
 def test_where_the_weights_lie_makes_no_difference(
     source: SourceRecording, result: Path, tmp_path: Path
 ) -> None:
-    plan = plan_for(result.parent)
+    weights = Path(plan_for(result.parent).weights)
     moved = tmp_path / "moved.safetensors"
-    moved.write_bytes(Path(plan.weights).read_bytes())
+    moved.write_bytes(weights.read_bytes())
+    path_beside(moved).write_bytes(path_beside(weights).read_bytes())
     assert finished_before(source, plan_for(result.parent, weights=str(moved))) is not None
 
 

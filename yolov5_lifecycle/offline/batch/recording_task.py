@@ -10,10 +10,7 @@ from pathlib import Path
 from yolov5_lifecycle.atomic_file import OutputError, whole_output
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
-from yolov5_lifecycle.offline.batch_plan import Plan
-from yolov5_lifecycle.offline.detect_recording import write_detections
-from yolov5_lifecycle.offline.detecting import Account, OfflineDetector
-from yolov5_lifecycle.offline.finished import (
+from yolov5_lifecycle.offline.batch.finished import (
     Record,
     content_sha256,
     file_stamps,
@@ -22,8 +19,11 @@ from yolov5_lifecycle.offline.finished import (
     result_bytes,
     skipped,
 )
+from yolov5_lifecycle.offline.batch.plan import Plan
+from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
+from yolov5_lifecycle.offline.detect_recording import write_detections
+from yolov5_lifecycle.offline.detecting import Account, OfflineDetector
 from yolov5_lifecycle.offline.recording import RecordingError, open_recording
-from yolov5_lifecycle.offline.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.printable import in_lines, in_one_line
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError

@@ -19,7 +19,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     Problems,
 )
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.offline.labelled_images import DataOptions, LabelledData
+from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, LabelledData
 from yolov5_lifecycle.offline.recording import (
     RecordedImage,
     RecordedTopic,

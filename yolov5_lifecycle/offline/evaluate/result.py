@@ -33,7 +33,7 @@ from yolov5_lifecycle.evaluation.report import (
     threshold_as_json,
 )
 from yolov5_lifecycle.evaluation.thresholds import Goal, Threshold, chosen_thresholds, threshold_yaml
-from yolov5_lifecycle.offline.evaluating import MIN_CONFIDENCE, Evaluation
+from yolov5_lifecycle.offline.evaluate.evaluating import MIN_CONFIDENCE, Evaluation
 from yolov5_lifecycle.printable import in_one_line
 
 FORMAT = 1

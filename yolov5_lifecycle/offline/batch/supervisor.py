@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Protocol
 
 from yolov5_lifecycle.atomic_file import OutputError, remove_unfinished_outputs
-from yolov5_lifecycle.offline.batch_plan import Plan
-from yolov5_lifecycle.offline.batch_summary import remove_summary, write_summary
+from yolov5_lifecycle.offline.batch.finished import finished_before
+from yolov5_lifecycle.offline.batch.plan import Plan
+from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
+from yolov5_lifecycle.offline.batch.summary import remove_summary, write_summary
+from yolov5_lifecycle.offline.batch.workers import Died, Ended, Event, Progress, Ready, Refused, Workers
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.finished import finished_before
-from yolov5_lifecycle.offline.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording, is_utf8
-from yolov5_lifecycle.offline.workers import Died, Ended, Event, Progress, Ready, Refused, Workers
 from yolov5_lifecycle.unfinished import hold, open_itself
 
 MAX_DEATHS = 2

@@ -11,14 +11,14 @@ import pytest
 from support.many_recordings import Notes, ScriptedWorkers, plan_for
 
 from yolov5_lifecycle.atomic_file import OutputError
-from yolov5_lifecycle.offline.batch import MAX_DEATHS, Tally, detect_recordings
-from yolov5_lifecycle.offline.batch_plan import Plan
+from yolov5_lifecycle.offline.batch.plan import Plan
+from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
+from yolov5_lifecycle.offline.batch.supervisor import MAX_DEATHS, Tally, detect_recordings
+from yolov5_lifecycle.offline.batch.worker_pool import ProcessWorkers, suitable_count
+from yolov5_lifecycle.offline.batch.workers import Died, Ended, Event, Ready, Refused
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import SourceRecording
-from yolov5_lifecycle.offline.worker_pool import ProcessWorkers, suitable_count
-from yolov5_lifecycle.offline.workers import Died, Ended, Event, Ready, Refused
 from yolov5_lifecycle.process.environment import compute_threads
 from yolov5_lifecycle.unfinished import hold, open_itself
 

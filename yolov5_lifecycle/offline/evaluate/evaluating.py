@@ -16,7 +16,7 @@ from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses, EvaluatedIma
 from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Problems
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detecting import OfflineDetector, Watch
-from yolov5_lifecycle.offline.labelled_images import LabelledData, LabelledImage
+from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData, LabelledImage
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.settings import Settings
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from yolov5_lifecycle.atomic_file import OutputError, write_whole
-from yolov5_lifecycle.offline.batch_plan import Plan
-from yolov5_lifecycle.offline.recording_result import RecordingResult
+from yolov5_lifecycle.offline.batch.plan import Plan
+from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.unfinished import open_itself
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Labels, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import YAML_SUFFIXES, read_yolo_folder
+from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, LabelledData
 from yolov5_lifecycle.offline.image_files import ImageFile
-from yolov5_lifecycle.offline.labelled_images import DataOptions, LabelledData
 from yolov5_lifecycle.offline.recordings import is_recording
 
 
@@ -55,7 +55,7 @@ def labelled_data(source: Path, options: DataOptions, problems: Problems) -> Ite
     kind = kind_of(source)
     if kind == "recording":
         # rosbags is an extra.
-        from yolov5_lifecycle.offline.labelled_recording import labelled_recording
+        from yolov5_lifecycle.offline.evaluate.labelled_recording import labelled_recording
 
         with labelled_recording(source, options, problems) as data:
             yield data

@@ -14,12 +14,12 @@ from yolov5_lifecycle.detection.detector import check_image_size
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.models.geometry import size_multiple
-from yolov5_lifecycle.offline.calibrating import Calibrating
-from yolov5_lifecycle.offline.calibration_data import CalibrationData, read_calibration_data
-from yolov5_lifecycle.offline.calibration_frames import fitted
+from yolov5_lifecycle.offline.calibrate.calibrating import Calibrating
+from yolov5_lifecycle.offline.calibrate.calibration_data import CalibrationData, read_calibration_data
+from yolov5_lifecycle.offline.calibrate.calibration_frames import fitted
+from yolov5_lifecycle.offline.calibrate.map_loss import MapLoss
 from yolov5_lifecycle.offline.detecting import Account
-from yolov5_lifecycle.offline.labelled_images import DataOptions
-from yolov5_lifecycle.offline.map_loss import MapLoss
+from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration

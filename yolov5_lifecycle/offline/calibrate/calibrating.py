@@ -21,8 +21,8 @@ from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
-from yolov5_lifecycle.offline.agreement import agreement
-from yolov5_lifecycle.offline.calibration_frames import halves
+from yolov5_lifecycle.offline.calibrate.agreement import agreement
+from yolov5_lifecycle.offline.calibrate.calibration_frames import halves
 from yolov5_lifecycle.quantization.activation_ranges import activations
 from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement
 from yolov5_lifecycle.quantization.sensitivity import most_sensitive

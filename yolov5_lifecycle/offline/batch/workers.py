@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from yolov5_lifecycle.offline.batch_plan import Plan
-from yolov5_lifecycle.offline.recording_result import RecordingResult
+from yolov5_lifecycle.offline.batch.plan import Plan
+from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import SourceRecording
 
 

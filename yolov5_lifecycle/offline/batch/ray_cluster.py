@@ -14,10 +14,10 @@ from yolov5_lifecycle.process.environment import prepare_environment
 from yolov5_lifecycle.process.missing_package import absence_of
 
 if TYPE_CHECKING:
-    from yolov5_lifecycle.offline.batch_plan import Plan
-    from yolov5_lifecycle.offline.recording_task import RecordingTask
+    from yolov5_lifecycle.offline.batch.plan import Plan
+    from yolov5_lifecycle.offline.batch.recording_task import RecordingTask
+    from yolov5_lifecycle.offline.batch.workers import Event
     from yolov5_lifecycle.offline.recordings import SourceRecording
-    from yolov5_lifecycle.offline.workers import Event
 
 _ANSWER_S = 10.0
 _END_S = 10.0
@@ -73,8 +73,8 @@ class Actor:
     def load(self) -> tuple[list[str], str]:
         """Runtime and precision of the loaded model, and "", or why it cannot be loaded."""
         # Imported here: they import torch, for which the environment must be prepared.
-        from yolov5_lifecycle.offline.batch_plan import Plan
-        from yolov5_lifecycle.offline.recording_task import RecordingTask
+        from yolov5_lifecycle.offline.batch.plan import Plan
+        from yolov5_lifecycle.offline.batch.recording_task import RecordingTask
         from yolov5_lifecycle.runtimes.runtime import InferenceError
 
         try:
@@ -85,7 +85,7 @@ class Actor:
 
     def detect(self, name: str, path: str) -> tuple[dict[str, object], str]:
         """The row of the recording, and "", or why nothing more can be written."""
-        from yolov5_lifecycle.offline.recording_task import NoRoomError
+        from yolov5_lifecycle.offline.batch.recording_task import NoRoomError
         from yolov5_lifecycle.offline.recordings import SourceRecording
 
         assert self._task is not None
@@ -139,8 +139,8 @@ class RayWorkers:
     def _event(self, call: Any) -> Event:
         import ray
 
-        from yolov5_lifecycle.offline.recording_result import RecordingResult
-        from yolov5_lifecycle.offline.workers import Died, Ended, Ready, Refused
+        from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
+        from yolov5_lifecycle.offline.batch.workers import Died, Ended, Ready, Refused
 
         number = self._pending.pop(call)
         try:

@@ -51,8 +51,8 @@ def _served(connection: socket.socket) -> int:
 
 def _answered(requests: Iterable[str], send: Send) -> int:
     # Imported here: they import numpy and torch, for which the environment must be prepared.
-    from yolov5_lifecycle.offline.batch_plan import Plan
-    from yolov5_lifecycle.offline.recording_task import NoRoomError, RecordingTask
+    from yolov5_lifecycle.offline.batch.plan import Plan
+    from yolov5_lifecycle.offline.batch.recording_task import NoRoomError, RecordingTask
     from yolov5_lifecycle.offline.recordings import SourceRecording
     from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 

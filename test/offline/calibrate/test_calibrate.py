@@ -15,9 +15,8 @@ from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.prepared_model import load_model
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.agreement import agreement
-from yolov5_lifecycle.offline.calibrate import main, report, verdict
-from yolov5_lifecycle.offline.calibration_frames import (
+from yolov5_lifecycle.offline.calibrate.agreement import agreement
+from yolov5_lifecycle.offline.calibrate.calibration_frames import (
     ChosenImage,
     Source,
     diverse_images,
@@ -25,6 +24,7 @@ from yolov5_lifecycle.offline.calibration_frames import (
     fitted,
     of_one_size,
 )
+from yolov5_lifecycle.offline.calibrate.command import main, report, verdict
 from yolov5_lifecycle.offline.image_files import VideoFrame
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits

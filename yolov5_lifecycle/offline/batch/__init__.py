@@ -1,0 +1,1 @@
+"""Detection in many recordings: what is done, by whom, and what became of it."""

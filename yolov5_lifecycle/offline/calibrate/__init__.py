@@ -1,0 +1,1 @@
+"""Command `calibrate`: activation ranges for int8, and what int8 is worth."""

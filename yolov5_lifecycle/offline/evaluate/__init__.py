@@ -1,0 +1,1 @@
+"""Command `evaluate`: a model on labelled images and recordings."""
