@@ -1,6 +1,6 @@
 """How much figures would vary with other images: a paired bootstrap over the images.
 
-1,000 times as many images as there are, drawn with replacement, are evaluated anew. An image that is drawn
+1,000 times as many images as there are, drawn with replacement, are evaluated again. An image that is drawn
 twice counts twice. Detections are matched within their image, so this needs no new matching: the right and
 wrong detections of an image are weighted with how often it was drawn. The result is that of pycocotools for
 the drawn images, to rounding. Two models are evaluated on the same draws: what an image contributes to both,

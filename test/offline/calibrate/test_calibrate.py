@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import os
+import signal
 from pathlib import Path
 
 import cv2
@@ -27,6 +29,7 @@ from yolov5_lifecycle.offline.calibrate.calibration_frames import (
 from yolov5_lifecycle.offline.calibrate.command import main, report, verdict
 from yolov5_lifecycle.offline.image_files import VideoFrame
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 
@@ -159,6 +162,7 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
             ["best.safetensors", "images", "--image-size", "65"], "multiple of 32", id="size of no network"
         ),
         pytest.param(["best.safetensors", "images", "-o", "gone/a.json"], "make it first", id="no folder"),
+        pytest.param(["best.safetensors", "images", "-o", "empty"], "found a folder", id="folder"),
         pytest.param(["best.safetensors", "best.safetensors"], "best.safetensors", id="weights as data"),
     ],
 )
@@ -177,6 +181,19 @@ def test_what_cannot_be_calibrated_is_refused_and_nothing_is_written(
     assert told.err.startswith("calibrate: ")
     assert problem in told.err
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+@pytest.mark.long
+@needs_openvino
+def test_an_interrupted_calibration_writes_nothing(folder: Path, tmp_path: Path) -> None:
+    output = tmp_path / "best.calibration.json"
+    paths = [str(folder / "best.safetensors"), str(folder / "images"), "-o", str(output)]
+    with ChildProcess("calibrate", [entry_point("calibrate"), *paths], os.environ) as process:
+        process.wait_for_output("broken.png: left out", 60)
+        assert process.stop(signal.SIGINT, timeout_s=60) == 130
+    assert "interrupted; nothing was written" in process.output
+    assert "Traceback" not in process.output
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("value", ["0", "2001", "-1", "many"])

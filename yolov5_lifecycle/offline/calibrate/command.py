@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +20,7 @@ from yolov5_lifecycle.offline.calibrate.calibration_data import CalibrationData,
 from yolov5_lifecycle.offline.calibrate.calibration_frames import fitted
 from yolov5_lifecycle.offline.calibrate.map_loss import MapLoss
 from yolov5_lifecycle.offline.detecting import Account
-from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions
+from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, add_data_options
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration
@@ -57,6 +58,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         terminal.close()
         complain("calibrate", error)
         return 1
+    except KeyboardInterrupt:
+        terminal.close()
+        complain("calibrate", "interrupted; nothing was written")
+        return 130
     return write_output("calibrate", text)
 
 
@@ -115,6 +120,10 @@ def _run(arguments: argparse.Namespace, terminal: _Terminal) -> str:
     path: Path = arguments.output or path_beside(weights.path)
     if not path.parent.is_dir():
         raise FileNotFoundError(f"{path.parent}: there is no such folder; make it first")
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: expected a file to write, found a folder")
+    if not os.access(path.parent, os.W_OK):
+        raise PermissionError(f"{path.parent}: nothing may be written there; choose another place with -o")
     settings = _settings(arguments)
     problems = Problems(terminal.remark)
     data = _data(arguments, size_multiple(weights.model.architecture), problems, terminal)
@@ -216,16 +225,7 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="where to write (default: WEIGHTS with .calibration.json as its ending, which is replaced)",
     )
-    parser.add_argument("--topic", help="which images of the recording (default: the only ones)")
-    parser.add_argument(
-        "--split", choices=("train", "val", "test"), help="which images of data.yaml (default: val)"
-    )
-    parser.add_argument(
-        "--root",
-        type=Path,
-        metavar="FOLDER",
-        help="folder of labelled images, as the option of `evaluate` of this name",
-    )
+    add_data_options(parser)
     parser.add_argument(
         "--images", type=_count, default=200, metavar="N", help="images at most (default: %(default)s)"
     )

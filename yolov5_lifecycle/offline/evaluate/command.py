@@ -22,7 +22,7 @@ from yolov5_lifecycle.offline.detector_options import (
 from yolov5_lifecycle.offline.evaluate.compared_settings import compared_settings
 from yolov5_lifecycle.offline.evaluate.evaluating import evaluate_models
 from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of, labelled_data
-from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions
+from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, add_data_options
 from yolov5_lifecycle.offline.evaluate.output_files import write_files
 from yolov5_lifecycle.offline.evaluate.result import EvaluationResult
 from yolov5_lifecycle.offline.terminal import Terminal
@@ -215,16 +215,7 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="GOAL",
         help="f1, recall=0.9 or precision=0.95: print the parameters of the thresholds that reach it",
     )
-    parser.add_argument(
-        "--split", choices=("train", "val", "test"), help="which images of data.yaml (default: val)"
-    )
-    parser.add_argument(
-        "--root",
-        type=Path,
-        metavar="FOLDER",
-        help="folder of the images, beyond which nothing is read (default: that of data.yaml or of the JSON)",
-    )
-    parser.add_argument("--topic", help="which images of a recording (default: the only ones)")
+    add_data_options(parser)
     parser.add_argument(
         "--truth-topic",
         metavar="TOPIC",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ class LabelledImage(StoredImage, Protocol):
 class LabelledData:
     """An open data set.
 
-    `images` begins anew with each call. `class_names` None: class ids are those of the model.
+    `images` begins again with each call. `class_names` None: class ids are those of the model.
     """
 
     kind: str
@@ -36,7 +37,7 @@ class LabelledData:
 
 @dataclass(frozen=True, kw_only=True)
 class DataOptions:
-    """How to read a data set: see the options of `evaluate` of the same names."""
+    """How to read a data set: see `add_data_options`; `truth_topic` is the topic of corrected detections."""
 
     split: str | None = None
     root: Path | None = None
@@ -47,3 +48,17 @@ class DataOptions:
         """The options that are given although the data set is of another `kind`."""
         of_kind = {"YOLO": ("split", "root"), "COCO": ("root",), "recording": ("topic", "truth_topic")}[kind]
         return [name for name, value in vars(self).items() if value is not None and name not in of_kind]
+
+
+def add_data_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options split, root and topic."""
+    parser.add_argument(
+        "--split", choices=("train", "val", "test"), help="which images of data.yaml (default: val)"
+    )
+    parser.add_argument(
+        "--root",
+        type=Path,
+        metavar="FOLDER",
+        help="folder of labelled images, beyond which nothing is read (default: that of data.yaml or JSON)",
+    )
+    parser.add_argument("--topic", help="which images of a recording (default: the only ones)")
