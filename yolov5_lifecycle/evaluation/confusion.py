@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from pycocotools import mask as coco
 
 from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
 from yolov5_lifecycle.evaluation.matching import MAX_DETECTIONS, Matches
@@ -86,6 +85,8 @@ def _overlapping(boxes_xyxy: NDArray[np.float64], others_xyxy: NDArray[np.float6
     """Pairs of rows with an IoU of at least MIN_IOU, the highest first."""
     if not len(boxes_xyxy) or not len(others_xyxy):
         return []
+    from pycocotools import mask as coco
+
     iou = np.asarray(coco.iou(_xywh(boxes_xyxy), _xywh(others_xyxy), [0] * len(others_xyxy)))
     rows, targets = np.nonzero(iou >= MIN_IOU)
     order = np.argsort(-iou[rows, targets], kind="stable")

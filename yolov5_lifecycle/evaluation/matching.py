@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pycocotools.coco import COCO
-from pycocotools.cocoeval import COCOeval
 
 from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
 
@@ -80,6 +78,8 @@ def match(images: Sequence[EvaluatedImage], class_names: Sequence[str]) -> Match
 
 def evaluated_by_coco(truth: dict[str, Any], found: list[dict[str, Any]]) -> Any:
     """COCOeval of the data set `truth` with the detections `found`, accumulated."""
+    from pycocotools.cocoeval import COCOeval
+
     with contextlib.redirect_stdout(io.StringIO()):
         evaluation = COCOeval(_indexed(truth), _indexed({**truth, "annotations": found}), "bbox")
         evaluation.params.areaRng, evaluation.params.areaRngLbl = [_ANY_AREA], ["all"]
@@ -153,6 +153,8 @@ def _rows(annotations: Sequence[dict[str, Any]]) -> NDArray[np.int64]:
 
 
 def _indexed(dataset: dict[str, Any]) -> Any:
+    from pycocotools.coco import COCO
+
     coco = COCO()
     coco.dataset = dataset
     coco.createIndex()

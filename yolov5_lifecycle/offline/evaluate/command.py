@@ -26,7 +26,7 @@ from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, add_d
 from yolov5_lifecycle.offline.evaluate.output_files import write_files
 from yolov5_lifecycle.offline.evaluate.result import EvaluationResult
 from yolov5_lifecycle.offline.terminal import Terminal
-from yolov5_lifecycle.process.missing_package import import_problem
+from yolov5_lifecycle.process.missing_package import absence_of, import_problem
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.parameter_file import string_assignment
@@ -88,7 +88,7 @@ def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) ->
     wanted = [settings]
     if arguments.compare is not None:
         wanted.append(_settings(arguments, compared_settings(arguments.compare)))
-    if arguments.output is not None and (problem := matplotlib_problem()):
+    if problem := absence_of("pycocotools.cocoeval") or (arguments.output and matplotlib_problem()):
         return _complain(problem)
     watch = _Watch(terminal)
     with ExitStack() as stack:
