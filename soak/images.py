@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass
 
 from soak.finding import Finding, number_of
@@ -105,17 +106,16 @@ def _fates(transport: str, make: MakeImage, subject: Subject, count: int, seed: 
     subject.reset()
     assert subject.node.set_parameters(image_transport=transport) == ""
     subject.bring_to("active")
-    sender, fuzz = Sender(subject, transport), Fuzz(seed)
-    sender.send_whole()  # from here on lost images are counted
-    before, hostile, sender.whole = _counts(subject), 0, 0
-    counts: Counter[str] = Counter()
-    while counts["rejected"] + counts["detected"] - sender.whole < count:
-        for _ in range(_BATCH):
-            sender.send(make(fuzz))
-        hostile += _BATCH
-        sender.send_whole()
-        counts = _counts(subject) - before
-    sender.close()
+    fuzz, hostile, counts = Fuzz(seed), 0, Counter[str]()
+    with closing(Sender(subject, transport)) as sender:
+        sender.send_whole()  # from here on lost images are counted
+        before, sender.whole = _counts(subject), 0
+        while counts["rejected"] + counts["detected"] - sender.whole < count:
+            for _ in range(_BATCH):
+                sender.send(make(fuzz))
+            hostile += _BATCH
+            sender.send_whole()
+            counts = _counts(subject) - before
     subject.reset()
     return _Fates(hostile, sender.whole, counts, subject.escaped)
 

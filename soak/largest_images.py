@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from array import array
+from contextlib import closing
 from pathlib import Path
 
 from sensor_msgs.msg import CompressedImage
@@ -13,6 +14,7 @@ from soak.finding import Finding
 from soak.sender import Sender
 from soak.subject import Subject
 from yolov5_lifecycle.images.jpeg_structure import MAX_SCANNED_PX, MAX_SCANS
+from yolov5_lifecycle.ros.demo.observer import NoAnswerError
 
 LARGEST_SIDE_PX = 8192
 _MB_PER_MPX = 13  # coefficients of four components, the image and a copy of it
@@ -27,13 +29,12 @@ def bounded_decoding(subject: Subject, side_px: int, *, is_timed: bool = True) -
     subject.reset()
     assert subject.node.set_parameters(image_transport="compressed") == ""
     subject.bring_to("active")
-    sender = Sender(subject, "compressed")
-    sender.send_whole()
-    before_mb, longest_s, files = _peak_mb(subject), 0.0, _largest_files(side_px)
-    for data in files:
-        longest_s = max(longest_s, _detect(subject, sender, data))
-    grown_mb = _peak_mb(subject) - before_mb
-    sender.close()
+    with closing(Sender(subject, "compressed")) as sender:
+        sender.send_whole()
+        before_mb, longest_s, files = _peak_mb(subject), 0.0, _largest_files(side_px)
+        for data in files:
+            longest_s = max(longest_s, _detect(subject, sender, data))
+        grown_mb = _peak_mb(subject) - before_mb
     subject.reset()
     limit_mb = _MB_PER_MPX * side_px**2 / 1e6 + _SPARE_MB
     is_bounded = grown_mb < limit_mb and longest_s < _LIMIT_S
@@ -62,7 +63,13 @@ def _detect(subject: Subject, sender: Sender, data: bytes) -> float:
     """Send the file until it is detected; returns how long that took, in seconds."""
     detected, begun_s = int(subject.status()["frames detected"]), time.monotonic()
     sender.send(CompressedImage(format="jpeg", data=array("B", data)))
-    subject.observer.wait_for(lambda: int(subject.status()["frames detected"]) > detected, "its detection")
+    try:
+        subject.observer.wait_for(
+            lambda: int(subject.status()["frames detected"]) > detected, "its detection"
+        )
+    except NoAnswerError as error:
+        frames = {name: value for name, value in subject.status().items() if name.startswith("frames")}
+        raise NoAnswerError(f"{error}, after {detected} others; {frames}") from error
     return time.monotonic() - begun_s
 
 
