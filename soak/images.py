@@ -108,6 +108,7 @@ def _fates(transport: str, make: MakeImage, subject: Subject, count: int, seed: 
     subject.bring_to("active")
     fuzz, hostile, counts = Fuzz(seed), 0, Counter[str]()
     with closing(Sender(subject, transport)) as sender:
+        sender.wait_until_reliable()
         sender.send_whole()  # from here on lost images are counted
         before, sender.whole = _counts(subject), 0
         while counts["rejected"] + counts["detected"] - sender.whole < count:

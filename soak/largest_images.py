@@ -30,6 +30,7 @@ def bounded_decoding(subject: Subject, side_px: int, *, is_timed: bool = True) -
     assert subject.node.set_parameters(image_transport="compressed") == ""
     subject.bring_to("active")
     with closing(Sender(subject, "compressed")) as sender:
+        sender.wait_until_reliable()
         sender.send_whole()
         before_mb, longest_s, files = _peak_mb(subject), 0.0, _largest_files(side_px)
         for data in files:

@@ -37,6 +37,17 @@ class Sender:
             lambda: self._publisher.get_subscription_count() > 0, "the node to subscribe"
         )
 
+    def wait_until_reliable(self) -> None:
+        """Wait for the node to subscribe reliably, as this publisher offers.
+
+        It subscribes as best effort while there is no publisher, and again once it has seen this one. Images
+        between the two subscriptions are lost, and counted by neither.
+        """
+        self._subject.observer.wait_for(
+            lambda: self._subject.status().get("image reliability") == "reliable",
+            "the node to subscribe reliably",
+        )
+
     def send(self, message: Any) -> None:
         self._publisher.publish(message)
         time.sleep(_PACE_S)
