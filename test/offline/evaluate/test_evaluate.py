@@ -132,7 +132,8 @@ def test_detections_above_the_threshold_are_those_of_the_node(evaluated: Path, d
     for number, path in enumerate(sorted((data / "images" / "val").iterdir()), start=1):
         found = detector.detect(ColourImage(cv2.imread(str(path)), "bgr"), chosen)
         scores = [one["score"] for one in written if one["image_id"] == number and one["score"] > 0.25]
-        assert sorted(scores) == sorted(found.scores.astype(float).tolist())
+        # The last layer computes other cells at once, which changes the last digit of a sum.
+        assert sorted(scores) == pytest.approx(sorted(found.scores.tolist()), rel=1e-5)
 
 
 def test_coco_and_yolo_give_the_same_figures(evaluated: Path, data: Path, tmp_path: Path) -> None:
