@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Final
 
 import torch
 
@@ -23,7 +24,7 @@ REQUIREMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Packages that each runtime imports; all but torch have a pip extra of the same name."""
 
 
-COARSE_RUNTIME = "openvino"
+COARSE_RUNTIME: Final = "openvino"
 """The one that computes COARSE; ONNX Runtime takes longer in int8 than in fp32."""
 COARSE = ("int8", "bf16")
 """Precisions of a CPU that are faster than fp32."""

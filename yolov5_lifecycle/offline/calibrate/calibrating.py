@@ -29,7 +29,7 @@ from yolov5_lifecycle.quantization.sensitivity import most_sensitive
 from yolov5_lifecycle.runtimes.cache import processor
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
 from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
-from yolov5_lifecycle.runtimes.registry import installed_runtimes, load_runtime
+from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes, load_runtime
 
 Tell = Callable[[str], None]
 """Shows what is being done."""
@@ -117,25 +117,25 @@ class Calibrating:
 
         What lies between was tried: a few hundred detections do not tell it apart.
         """
-        truth = self._detections(self._detector("openvino", "fp32"), self._learned)
+        truth = self._detections(self._detector(COARSE_RUNTIME, "fp32"), self._learned)
         self._tell("comparing int8 with fp32")
         whole = Quantization(read, frozenset(), self._bits)
-        found = self._detections(self._detector("openvino", "int8", whole), self._learned)
+        found = self._detections(self._detector(COARSE_RUNTIME, "int8", whole), self._learned)
         if agreement(truth, found).f1 >= _GOOD_AGREEMENT:
             return whole
         return Quantization(read, frozenset(order[: round(_FP32_SHARE * len(order))]), self._bits)
 
     def _measured(self, quantization: Quantization) -> tuple[tuple[Measurement, ...], int]:
         """What is measured, and the number of detections in fp32."""
-        wanted: list[tuple[Runtime, Precision]] = [("openvino", "fp32"), ("openvino", "int8")]
+        wanted: list[tuple[Runtime, Precision]] = [(COARSE_RUNTIME, "fp32"), (COARSE_RUNTIME, "int8")]
         if "onnxruntime" in installed_runtimes():
             wanted.append(("onnxruntime", "fp32"))
         if has_bf16(abilities()):
-            wanted.append(("openvino", "bf16"))
+            wanted.append((COARSE_RUNTIME, "bf16"))
         detectors = {(name, kind): self._detector(name, kind, quantization) for name, kind in wanted}
         taken_ms, found = self._timed(list(detectors.values()))
         truth = found[0]
-        lost = self._map_loss(detectors["openvino", "fp32"], detectors["openvino", "int8"])
+        lost = self._map_loss(detectors[COARSE_RUNTIME, "fp32"], detectors[COARSE_RUNTIME, "int8"])
         measured = []
         for (runtime, precision), times_ms, others in zip(detectors, taken_ms, found, strict=True):
             same = agreement(truth, others)

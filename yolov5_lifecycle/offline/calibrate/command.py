@@ -27,13 +27,13 @@ from yolov5_lifecycle.quantization.calibration_file import Calibration, path_bes
 from yolov5_lifecycle.quantization.precision_choice import MIN_SPEEDUP, quality_problem
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, RuntimeAbsentError, installed_runtimes
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.settings.settings import Settings, validated
+from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _MAX_TOLD = 10
 _MAX_PATH = 4096
 _LINE = 72
-_EPILOG = """\
+_EPILOG = f"""\
 DATA is one of
   a folder of images, a video or a recording of ros2 bag
   labelled images: a folder with images/ and labels/ in YOLO format, or its data.yaml, or a COCO file (.json)
@@ -45,7 +45,8 @@ examples:
   calibrate best.pt images --image-size 320 --confidence-threshold 0.4
 
 The file lies beside the weights, where the setting `precision` looks for it: int8 uses it, and auto does
-if int8 agrees with fp32 and is at least 1.15 times as fast on the computer at hand. See docs/int8.md.
+if int8 agrees with fp32 and is at least {MIN_SPEEDUP:g} times as fast on the computer at hand.
+See docs/int8.md.
 """
 
 
@@ -232,15 +233,15 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--image-size",
         type=int,
-        default=640,
+        default=SETTINGS_BY_NAME["image_size"].default,
         metavar="PIXELS",
         help="longer side of the network input, as in the setting image_size (default: %(default)s)",
     )
-    for name, default in (("confidence", 0.25), ("iou", 0.45)):
+    for name in ("confidence_threshold", "iou_threshold"):
         parser.add_argument(
-            f"--{name}-threshold",
+            f"--{name.replace('_', '-')}",
             type=_share,
-            default=default,
+            default=SETTINGS_BY_NAME[name].default,
             metavar="SHARE",
             help="as the setting of this name (default: %(default)s)",
         )

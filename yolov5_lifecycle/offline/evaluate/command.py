@@ -20,7 +20,7 @@ from yolov5_lifecycle.offline.detector_options import (
     wanted_settings,
 )
 from yolov5_lifecycle.offline.evaluate.compared_settings import compared_settings
-from yolov5_lifecycle.offline.evaluate.evaluating import evaluate_models
+from yolov5_lifecycle.offline.evaluate.evaluating import NOT_APPLIED, evaluate_models
 from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of, labelled_data
 from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, add_data_options
 from yolov5_lifecycle.offline.evaluate.output_files import write_files
@@ -37,12 +37,9 @@ from yolov5_lifecycle.streaming.frame_statistics import Outcome
 _COMMAND = "evaluate"
 _EVERYWHERE = "detections count everywhere and in all sizes, as the objects of the labels do"
 _USELESS = {
-    "weights": "the model is WEIGHTS",
+    **dict.fromkeys(NOT_APPLIED, _EVERYWHERE),
     "tracker": "images are evaluated one by one",
-    "regions": _EVERYWHERE,
-    "ignore_regions": _EVERYWHERE,
-    "min_box_size": _EVERYWHERE,
-    "max_box_size": _EVERYWHERE,
+    "weights": "the model is WEIGHTS",
 }
 """Settings without effect, which command-line arguments may not contain; a parameter file may."""
 _EPILOG = """\

@@ -18,23 +18,19 @@ from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detecting import OfflineDetector, Watch
 from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData, LabelledImage
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
 MIN_CONFIDENCE = 0.001
 """Detections with a lower score are not evaluated, as in YOLOv5's own validation."""
 TIMED_IMAGES = 30
 
+NOT_APPLIED = ("regions", "ignore_regions", "min_box_size", "max_box_size", "tracker")
+"""Settings that stay at their defaults: regions and sizes would remove detections, but not labels."""
 _WHILE_EVALUATING = {
     "confidence_threshold": MIN_CONFIDENCE,
-    "class_thresholds": (),
-    "regions": (),
-    "ignore_regions": (),
-    "min_box_size": 0.0,
-    "max_box_size": 0.0,
-    "tracker": "none",
+    **{name: SETTINGS_BY_NAME[name].default for name in ("class_thresholds", *NOT_APPLIED)},
 }
-"""Average precision needs detections below the thresholds; those above are the same with and without them.
-Regions and sizes would remove detections, but not the objects that the labels name."""
+"""Average precision needs detections below the thresholds; those above are the same with and without them."""
 
 
 @dataclass(frozen=True, eq=False)
