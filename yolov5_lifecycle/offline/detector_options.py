@@ -14,6 +14,7 @@ from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
 from yolov5_lifecycle.settings.schema import Problem, SettingsError
 from yolov5_lifecycle.settings.settings import Settings, validated
 
+_TERMINATED = 128 + signal.SIGTERM
 _OF_THE_NODE = ("autostart", "bond_timeout", "image_reliability", "image_transport", "lazy", "max_rate")
 """Settings without effect offline; a parameter file may contain them, command-line arguments may not."""
 
@@ -72,9 +73,20 @@ def _node_name(text: str) -> str:
 
 @contextmanager
 def unwound_by_sigterm() -> Iterator[None]:
-    """Unwind on SIGTERM, so that unfinished output is removed."""
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    """Unwind on SIGTERM, so that unfinished output is removed, and exit with code 143."""
+    is_terminated = False
+
+    def terminate(*_: object) -> None:
+        nonlocal is_terminated
+        is_terminated = True
+        sys.exit(_TERMINATED)
+
+    before = signal.signal(signal.SIGTERM, terminate)
     try:
         yield
+    except SystemExit:
+        if is_terminated:  # ray.wait replaces the exit code of a signal handler by 1 (check_status, _raylet.pyx)
+            sys.exit(_TERMINATED)
+        raise
     finally:
         signal.signal(signal.SIGTERM, before)

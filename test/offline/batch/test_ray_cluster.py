@@ -92,12 +92,15 @@ def test_a_killed_actor_loses_nothing(head: RayHead, tmp_path: Path) -> None:
     assert not has_unfinished_outputs(output)
 
 
-def test_a_signal_ends_the_actors_and_removes_what_is_unfinished(head: RayHead, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_actors_and_removes_what_is_unfinished(
+    number: signal.Signals, head: RayHead, tmp_path: Path
+) -> None:
     drives = record_drives(tmp_path / "drives", {"a": 20 * LONG, "b": 20 * LONG})
     output = tmp_path / "found"
     process = started(head, drives, output)
     wait_for_output(process, output)
-    process.terminate()
+    process.send_signal(number)
     code, told = ended(process)
-    assert code == 128 + signal.SIGTERM, told
+    assert code == 128 + number, told
     assert not output.exists()
