@@ -101,16 +101,15 @@ class Fleet:
     def wait_for(self, names: Sequence[str]) -> None:
         """Wait until images of all cameras in `names` are detected."""
         self._arrivals.clear()
-        self._observer.wait_for(
-            lambda: {arrival.camera for arrival in self._arrivals} >= {*names}, f"detections of {names}"
-        )
+        self._wait_for_arrivals(names)
         self._observer.work_for(_SETTLING_S)
 
-    def watch(self, duration_s: float) -> Passage:
-        """Everything that arrives in `duration_s`."""
+    def watch(self, names: Sequence[str], duration_s: float) -> Passage:
+        """Everything that arrives in `duration_s`, or until an image of each of `names` was detected."""
         begun_s, cpu_begun_s = time.monotonic(), self._cpu_s()
         self._arrivals.clear()
         self._observer.work_for(duration_s)
+        self._wait_for_arrivals(names)
         arrivals = tuple(self._arrivals)
         return Passage(
             arrivals=arrivals,
@@ -118,6 +117,11 @@ class Fleet:
             cpu_s=self._cpu_s() - cpu_begun_s,
             proportional_mb=sum(proportional_mb(process.process_id) for process in self._processes),
             resident_mb=sum(resident_mb(process.process_id) for process in self._processes),
+        )
+
+    def _wait_for_arrivals(self, names: Sequence[str]) -> None:
+        self._observer.wait_for(
+            lambda: {arrival.camera for arrival in self._arrivals} >= {*names}, f"detections of {names}"
         )
 
     def _cpu_s(self) -> float:

@@ -109,7 +109,7 @@ class CameraBench:
             for name in names:
                 stack.enter_context(fleet.camera(name, self._image, rate_hz=rate_hz))
             fleet.wait_for(names)
-            return fleet.watch(self._plan.passage_s)
+            return fleet.watch(names, self._plan.passage_s)
 
 
 def layout_rows(layout: Layout, count: int, passages: Sequence[Passage]) -> list[Row]:

@@ -46,11 +46,12 @@ def equal_shares(
         for name in names:
             stack.enter_context(fleet.camera(name, image, rate_hz=rate_hz))
         fleet.wait_for(names)
-        passage = fleet.watch(duration_s)
+        passage = fleet.watch(names, duration_s)
     counts = [passage.counts[name] for name in names]
     deviation = share_deviation_percent(counts)
     what = f"{len(names)} cameras of {rate_hz:g} Hz, share"
-    rows = [row("fairness", what, 0, [float(count) for count in counts], unit=f"images in {duration_s:g} s")]
+    unit = f"images in {passage.duration_s:.0f} s"
+    rows = [row("fairness", what, 0, [float(count) for count in counts], unit=unit)]
     return passage.rate_hz, rows, [_deviation_goal("shares differ by [%]", deviation)]
 
 
@@ -71,10 +72,10 @@ def slow_beside_fast(
     with fleet.camera(slow, image, rate_hz=slow_hz):
         for duration_s in passages:
             fleet.wait_for([slow])
-            alone_ms += fleet.watch(duration_s).latencies_ms
+            alone_ms += fleet.watch([slow], duration_s).latencies_ms
             with fleet.camera(fast, image, rate_hz=fast_hz):
                 fleet.wait_for([slow, fast])
-                arrivals = fleet.watch(duration_s).arrivals
+                arrivals = fleet.watch([slow, fast], duration_s).arrivals
             beside_ms += [arrival.latency_ms for arrival in arrivals if arrival.camera == slow]
             gaps_ms += _gaps_ms(arrivals)
             overtaken += overtaking(arrivals, slow)
@@ -111,8 +112,9 @@ def others_rates(
             for manner in manners:
                 with _behaving(fleet, last, image, manner, rate_hz):
                     fleet.wait_for(others)
-                    counts = fleet.watch(duration_s).counts
-                rates_hz[manner].append(sum(counts[name] for name in others) / duration_s)
+                    passage = fleet.watch(others, duration_s)
+                detected = sum(passage.counts[name] for name in others)
+                rates_hz[manner].append(detected / passage.duration_s)
     rows = [row("others", f"beside one {manner}", 0, hz, unit="Hz") for manner, hz in rates_hz.items()]
     changes = {manner: _change_percent(hz, rates_hz[_WELL]) for manner, hz in rates_hz.items()}
     return rows, [

@@ -51,7 +51,7 @@ def test_every_camera_of_a_layout_is_watched(layout: Layout, tmp_path: Path) -> 
         for name in CAMERAS:
             stack.enter_context(fleet.camera(name, image, rate_hz=10.0))
         fleet.wait_for(CAMERAS)
-        passage = fleet.watch(2.0)
+        passage = fleet.watch(CAMERAS, 2.0)
     assert passage.counts.keys() == {*CAMERAS}
     assert min(passage.latencies_ms) > 0
     assert passage.cpu_s > 0

@@ -85,8 +85,8 @@ def unwound_by_sigterm() -> Iterator[None]:
     try:
         yield
     except SystemExit:
-        if is_terminated:  # ray.wait replaces the exit code of a signal handler by 1 (check_status, _raylet.pyx)
-            sys.exit(_TERMINATED)
+        if is_terminated:
+            sys.exit(_TERMINATED)  # ray.wait had replaced it by 1, in check_status of _raylet.pyx
         raise
     finally:
         signal.signal(signal.SIGTERM, before)
