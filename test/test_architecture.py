@@ -42,6 +42,7 @@ RANKS = (
     ("ros",),
 )
 RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders}
+ROS_RANK = {"": 0, "parameters": 1, "camera": 2, "console": 2, "detector": 2, "demo": 3}
 # What a user starts, and what makes a detector, a selection or a tracker from settings.
 EDGE = (
     *("settings.", "commands.", "offline.", "ros."),
@@ -89,6 +90,12 @@ def folder_of(module: str) -> str:
     return module.partition(".")[0]
 
 
+def ros_folder_of(module: str) -> str:
+    """The folder in `ros/` that `module` lies in; "" for modules beside those folders, and outside."""
+    ros, _, rest = module.partition(".")
+    return rest.partition(".")[0] if ros == "ros" and "." in rest else ""
+
+
 @every_module
 def test_a_folder_imports_lower_folders_only(module: str) -> None:
     rank = RANK[folder_of(module)]
@@ -98,6 +105,14 @@ def test_a_folder_imports_lower_folders_only(module: str) -> None:
 
 def test_every_folder_has_a_rank() -> None:
     assert set(map(folder_of, MODULES)) == set(RANK)
+
+
+@every_module
+def test_a_folder_in_ros_imports_lower_ones_only(module: str) -> None:
+    folder = ros_folder_of(module)
+    others = {ros_folder_of(other) for other in imported_modules(module)} - {folder}
+    if module != "ros.entry_points":  # it starts every node
+        assert {other for other in others if ROS_RANK[other] >= ROS_RANK[folder]} == set()
 
 
 def test_no_module_imports_itself_in_a_circle() -> None:

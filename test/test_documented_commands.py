@@ -44,7 +44,7 @@ from yolov5_lifecycle.commands import convert
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.observer import Observer
-from yolov5_lifecycle.ros.parameter_values import coerced
+from yolov5_lifecycle.ros.parameters.values import coerced
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validated
 
 NOT_RUN = {

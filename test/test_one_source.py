@@ -21,9 +21,9 @@ SOURCES = sorted(
 # What carries settings from the user to their use knows none of them by name.
 CARRIERS = {
     "yolov5_lifecycle/settings/schema.py",
-    "yolov5_lifecycle/ros/declaration.py",
-    "yolov5_lifecycle/ros/parameter_values.py",
-    "yolov5_lifecycle/ros/parameters.py",
+    "yolov5_lifecycle/ros/parameters/declaration.py",
+    "yolov5_lifecycle/ros/parameters/values.py",
+    "yolov5_lifecycle/ros/parameters/settings_parameters.py",
     "yolov5_lifecycle/ros/detector/reconfiguration.py",
     "yolov5_lifecycle/ros/services.py",
     "yolov5_lifecycle/ros/detector/status.py",

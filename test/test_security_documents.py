@@ -18,9 +18,9 @@ from yolov5_lifecycle.checkpoints.pickle_safety import MAX_CALLS
 from yolov5_lifecycle.checkpoints.safetensors_file import MAX_HEADER_BYTES
 from yolov5_lifecycle.models.model import MAX_CLASSES, MAX_NAME_LENGTH
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
-from yolov5_lifecycle.ros.parameter_values import MAX_ENTRIES
-from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS
-from yolov5_lifecycle.ros.proposal import MAX_REASON_LENGTH
+from yolov5_lifecycle.ros.parameters.proposal import MAX_REASON_LENGTH
+from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_SUGGESTIONS
+from yolov5_lifecycle.ros.parameters.values import MAX_ENTRIES
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.ros.topics import LABEL_INFO, published, subscribed
 from yolov5_lifecycle.runtimes.cache import MAX_BYTES

@@ -32,7 +32,7 @@ from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.ros.detector.node import DetectorNode
-from yolov5_lifecycle.ros.parameters import Validate
+from yolov5_lifecycle.ros.parameters.settings_parameters import Validate
 from yolov5_lifecycle.settings.settings import validated
 
 PATIENCE_S = 60.0

@@ -19,7 +19,7 @@ from yolov5_lifecycle.ros.console.parameter_view import (
     parameter_message,
     plain_value,
 )
-from yolov5_lifecycle.ros.declaration import unset_descriptor
+from yolov5_lifecycle.ros.parameters.declaration import unset_descriptor
 from yolov5_lifecycle.settings.schema import Setting
 from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME
 

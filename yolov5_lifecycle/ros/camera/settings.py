@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.declaration import declare
+from yolov5_lifecycle.ros.parameters.declaration import declare
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, SettingsError, contradiction
 from yolov5_lifecycle.settings.suggestion import did_you_mean

@@ -33,7 +33,7 @@ _CONSTRAINTS = re.compile(
     r"(?P<allowed>.*); default (?P<default>.*); (?P<change>live|reload|cameras|resubscribe|read-only): .*",
     re.DOTALL,
 )
-"""What `ros/declaration.py` writes into the additional constraints of a descriptor."""
+"""What `ros/parameters/declaration.py` writes into the additional constraints of a descriptor."""
 _CHOICES = "one of "
 
 

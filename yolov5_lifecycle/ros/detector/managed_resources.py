@@ -18,7 +18,7 @@ from yolov5_lifecycle.ros.detector.outputs import label_info_publisher
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.detector.status import Status
-from yolov5_lifecycle.ros.parameters import SettingsParameters
+from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.topics import impossible_names
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.worker import Worker

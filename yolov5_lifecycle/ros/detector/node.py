@@ -23,7 +23,7 @@ from yolov5_lifecycle.ros.detector.transitions import (
     refused_transition,
     requested_label,
 )
-from yolov5_lifecycle.ros.parameters import SettingsParameters, Validate
+from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters, Validate
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
 from yolov5_lifecycle.ros.qos_overrides import qos_problems, qos_rules
 from yolov5_lifecycle.ros.rclpy_internals import (

@@ -14,9 +14,9 @@ from yolov5_lifecycle.detection.selection import depends_on_model, model_problem
 from yolov5_lifecycle.ros.detector.background import ReloadTurns
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.session import Detection
-from yolov5_lifecycle.ros.parameter_values import read_parameters
-from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters
-from yolov5_lifecycle.ros.proposal import Proposal, refusal
+from yolov5_lifecycle.ros.parameters.proposal import Proposal, refusal
+from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_SUGGESTIONS, SettingsParameters
+from yolov5_lifecycle.ros.parameters.values import read_parameters
 from yolov5_lifecycle.ros.services import Handler
 from yolov5_lifecycle.ros.topics import remapping_problems
 from yolov5_lifecycle.settings.schema import Change, Problem

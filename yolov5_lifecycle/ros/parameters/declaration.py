@@ -13,7 +13,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.parameter_values import TYPES, coerced, plain_values, ros_value
+from yolov5_lifecycle.ros.parameters.values import TYPES, coerced, plain_values, ros_value
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, Setting
 from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES

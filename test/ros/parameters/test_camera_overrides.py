@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from support.preparations import CLASS_NAMES, Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.ros.parameters import SettingsParameters
+from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.schema import Change

@@ -21,8 +21,8 @@ from support.preparations import CLASS_NAMES, Preparations
 from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
-from yolov5_lifecycle.ros.parameters import MAX_SUGGESTIONS, SettingsParameters
-from yolov5_lifecycle.ros.proposal import MAX_REASON_LENGTH
+from yolov5_lifecycle.ros.parameters.proposal import MAX_REASON_LENGTH
+from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_SUGGESTIONS, SettingsParameters
 from yolov5_lifecycle.ros.services import MAX_ITEMS, MAX_RESULTS
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
 

@@ -9,7 +9,7 @@ from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.declaration import declare_unset, unset_descriptor
+from yolov5_lifecycle.ros.parameters.declaration import declare_unset, unset_descriptor
 from yolov5_lifecycle.settings.schema import SEPARATOR
 from yolov5_lifecycle.settings.settings import SCHEMA
 

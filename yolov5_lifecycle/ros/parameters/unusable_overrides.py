@@ -8,7 +8,7 @@ from itertools import islice
 
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.parameter_values import coerced
+from yolov5_lifecycle.ros.parameters.values import coerced
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem
 from yolov5_lifecycle.settings.settings import SCHEMA

@@ -11,7 +11,7 @@ from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.camera_overrides import (
+from yolov5_lifecycle.ros.parameters.camera_overrides import (
     declare_missing,
     deletion,
     describe,
@@ -19,10 +19,10 @@ from yolov5_lifecycle.ros.camera_overrides import (
     undeclare_unset,
     without_deleted,
 )
-from yolov5_lifecycle.ros.declaration import Source, declare
-from yolov5_lifecycle.ros.parameter_values import coerced, plain_values, ros_value
-from yolov5_lifecycle.ros.proposal import Configuration, Proposal, refusal
-from yolov5_lifecycle.ros.unusable_overrides import UnusableOverrides
+from yolov5_lifecycle.ros.parameters.declaration import Source, declare
+from yolov5_lifecycle.ros.parameters.proposal import Configuration, Proposal, refusal
+from yolov5_lifecycle.ros.parameters.unusable_overrides import UnusableOverrides
+from yolov5_lifecycle.ros.parameters.values import coerced, plain_values, ros_value
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, Settings, validated
 

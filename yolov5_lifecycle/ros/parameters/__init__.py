@@ -1,0 +1,1 @@
+"""Parameters of a node: declared, read from a request, validated once, stored."""
