@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
 
 def _run(source: Path, arguments: argparse.Namespace, load: Callable[[Settings], OfflineDetector]) -> Account:
     output = arguments.output
-    settings = wanted_settings(arguments.params_file, arguments.assignments, arguments.node)
+    settings = _settings(arguments)
     if not is_recording(source):
         return detect_files(
             source,
@@ -118,13 +118,17 @@ def _rosbags() -> Iterator[None]:
         ) from None
 
 
+def _settings(arguments: argparse.Namespace) -> Settings:
+    return wanted_settings(arguments.params_file, arguments.assignments, arguments.node, arguments.camera)
+
+
 def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.output is None:
         parser.error("give --output, the folder of the results of many recordings")
     if arguments.annotated:
         parser.error("recordings have no use for --annotated; give --images")
     output = Path(os.path.abspath(arguments.output))  # noqa: PTH100
-    settings = wanted_settings(arguments.params_file, arguments.assignments, arguments.node)
+    settings = _settings(arguments)
     sources = recordings_of(arguments.sources, output)
     with _rosbags():
         import yolov5_lifecycle.offline.recording  # noqa: F401

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
-from yolov5_lifecycle.settings.schema import Problem, SettingsError
+from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import Settings, validated
 
 _TERMINATED = 128 + signal.SIGTERM
@@ -19,10 +19,13 @@ _OF_THE_NODE = ("autostart", "bond_timeout", "image_reliability", "image_transpo
 """Settings without effect offline; a parameter file may contain them, command-line arguments may not."""
 
 
-def wanted_settings(parameter_file: Path | None, assignments: Sequence[str], node: str) -> Settings:
+def wanted_settings(
+    parameter_file: Path | None, assignments: Sequence[str], node: str, camera: str | None = None
+) -> Settings:
     """Settings of the node named `node`: the parameter file, overridden by `name=value` assignments.
 
-    Raises ParameterFileError, SettingsError and OSError.
+    `camera`: the one of its `cameras` whose settings are wanted. Raises ParameterFileError, SettingsError and
+    OSError.
     """
     values = file_values(parameter_file, node) if parameter_file else {}
     assigned = dict(assigned_value(assignment) for assignment in assignments)
@@ -33,11 +36,32 @@ def wanted_settings(parameter_file: Path | None, assignments: Sequence[str], nod
     ]
     if useless:
         raise SettingsError(useless)
-    return validated(values | assigned)
+    settings = validated(values | assigned)
+    return _without_overrides(settings) if camera is None else _of_camera(settings, camera)
+
+
+def _of_camera(settings: Settings, camera: str) -> Settings:
+    if camera not in settings.cameras:
+        expected = f"expected one of {', '.join(settings.cameras)}" if settings.cameras else "there are none"
+        raise SettingsError([Problem("cameras", f"{expected}, but --camera is {camera!r}.")])
+    return settings.for_camera(camera)
+
+
+def _without_overrides(settings: Settings) -> Settings:
+    """`settings` if they are the same for all cameras; raises SettingsError."""
+    choices = " or ".join(f"--camera {name}" for name in settings.cameras)
+    problems = [
+        Problem(name, f"it is for one camera only: say which one has taken the images, {choices}.")
+        for name in settings.overrides
+        if name.rpartition(SEPARATOR)[2] not in _OF_THE_NODE
+    ]
+    if problems:
+        raise SettingsError(problems)
+    return settings
 
 
 def add_detector_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options from which `wanted_settings` makes settings: params_file, assignments and node."""
+    """Add the options from which `wanted_settings` makes settings."""
     parser.add_argument(
         "--params-file", type=Path, metavar="FILE.yaml", help="parameters as the detector is given them"
     )
@@ -56,6 +80,9 @@ def add_detector_options(parser: argparse.ArgumentParser) -> None:
         type=_node_name,
         default="/yolov5",
         help="name of the detector in the file and in topics (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--camera", metavar="NAME", help="the one of the parameter `cameras` that has taken the images"
     )
 
 

@@ -118,7 +118,8 @@ def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) ->
 def _settings(arguments: argparse.Namespace, further: Sequence[str]) -> Settings:
     """The settings of the model WEIGHTS, with the `further` assignments."""
     weights = string_assignment("weights", arguments.weights)
-    return wanted_settings(arguments.params_file, [*arguments.assignments, weights, *further], arguments.node)
+    assignments = [*arguments.assignments, weights, *further]
+    return wanted_settings(arguments.params_file, assignments, arguments.node, arguments.camera)
 
 
 def _data_options(arguments: argparse.Namespace) -> DataOptions:
