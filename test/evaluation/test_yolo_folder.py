@@ -55,6 +55,7 @@ class Told:
             None, ["images/1", "images/a/2"], None, ["images/1.jpg", "images/a/2.jpg"], id="no yaml"
         ),
         pytest.param(NAMES, ["images/1"], None, ["images/1.jpg"], id="no entries"),
+        pytest.param(None, ["1", "a/2"], None, ["1.jpg", "a/2.jpg"], id="no yaml, labels beside images"),
         pytest.param(
             f"val: images/val\n{NAMES}",
             ["images/val/1", "images/train/2"],
@@ -68,6 +69,13 @@ class Told:
             None,
             ["images/train/2.jpg"],
             id="val empty",
+        ),
+        pytest.param(
+            f"path: ~\ntrain: images/train\nval: null\n{NAMES}",
+            ["images/val/1", "images/train/2"],
+            None,
+            ["images/train/2.jpg"],
+            id="val null",
         ),
         pytest.param(
             f"val: images/val\ntrain: images/train\n{NAMES}",
@@ -121,6 +129,26 @@ def test_the_images_are_those_of_the_entry(
     assert told.names(data, split) == found
     if description is not None:
         assert Told().names(data / "data.yaml", split) == found
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        pytest.param("images", ["train/1.jpg", "val/2.jpg"], id="images"),
+        pytest.param("images/val", ["2.jpg"], id="images of one kind"),
+    ],
+)
+def test_a_folder_of_images_has_its_labels_where_yolov5_looks_for_them(
+    given: str, found: list[str], tmp_path: Path
+) -> None:
+    data = data_set(tmp_path / "data", None, "images/train/1", "images/val/2")
+    assert Told().names(data / given) == found
+
+
+def test_labels_lie_beside_images_also_below_another_folder_called_images(tmp_path: Path) -> None:
+    data = data_set(tmp_path, None, "images/shots/1")
+    (data / "labels" / "shots" / "1.txt").rename(data / "images" / "shots" / "1.txt")
+    assert Told().names(data / "images" / "shots") == ["1.jpg"]
 
 
 def test_a_list_names_images_relative_to_itself(tmp_path: Path) -> None:

@@ -18,6 +18,8 @@ from yolov5_lifecycle.settings.parameter_yaml import (
 )
 
 _MAX_NAME = 200
+_NO_PATH = ("", "~", "null", "Null", "NULL")
+"""An entry without a value, as YAML writes it."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ def read_description(path: Path) -> DataDescription:
         raise DataError(f"{path}: {error}.") from None
     folder = content.get("path")
     return DataDescription(
-        folder if isinstance(folder, str) else "",
+        folder if isinstance(folder, str) and folder not in _NO_PATH else "",
         {name: entries for name, entries in splits.items() if entries},
         names,
     )
@@ -80,11 +82,11 @@ def _until(events: Iterator[yaml.Event], end: type[yaml.Event]) -> Iterator[yaml
 
 
 def _texts(value: object) -> tuple[str, ...]:
-    """One text or a list of them; without empty ones."""
+    """One text or a list of them; without those that are no paths."""
     texts = value if isinstance(value, list) else [value]
     if any(isinstance(text, (list, dict)) for text in texts):
         raise ValueError("train, val and test must be paths or lists of paths")
-    return tuple(text for text in texts if isinstance(text, str) and text)
+    return tuple(text for text in texts if isinstance(text, str) and text not in _NO_PATH)
 
 
 def _class_names(names: object) -> tuple[str, ...] | None:

@@ -85,7 +85,8 @@ def _entries(description: DataDescription, data: Path, split: str | None) -> tup
     """What holds the images: paths of folders and of lists."""
     splits = description.splits
     if split is None:
-        return next((splits[name] for name in SPLITS if name in splits), ("images",))
+        usual = "images" if (data if data.is_dir() else data.parent).joinpath("images").is_dir() else "."
+        return next((splits[name] for name in SPLITS if name in splits), (usual,))
     if split not in splits:
         raise DataError(f"{data}: there is no entry {split!r}, only: {', '.join(splits) or 'none'}.")
     return splits[split]
@@ -187,10 +188,16 @@ def _images_below(folder: Path) -> list[Path]:
 
 
 def _label_path(path: Path, root: Path) -> Path:
-    """Where the labels of an image lie: in `labels/` instead of the last `images/`, else beside it."""
-    below = list(path.relative_to(root).parts[:-1])
-    if "images" in below:
-        below[len(below) - 1 - below[::-1].index("images")] = "labels"
-    elif root.name == "images":
-        return root.parent.joinpath("labels", *below, path.stem + ".txt")
-    return root.joinpath(*below, path.stem + ".txt")
+    """Where the labels of an image lie: in `labels/` instead of the last `images/`, else beside it.
+
+    Above `root`, `images/` only counts if the labels are there: `images/val` may be given as the folder.
+    """
+    beside = path.with_suffix(".txt")
+    parts = list(beside.parts)
+    if "images" not in parts[:-1]:
+        return beside
+    last = len(parts) - 2 - parts[-2::-1].index("images")
+    parts[last] = "labels"
+    is_below = last >= len(root.parts)
+    instead = Path(*parts)
+    return instead if is_below or os.path.exists(instead) else beside  # noqa: PTH110 - see _located
