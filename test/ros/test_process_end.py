@@ -23,7 +23,7 @@ from yolov5_lifecycle.ros.demo.observer import PATIENCE_S, Observer, RemoteLifec
 from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 
 TOO_MANY_ABANDONED = "1 inference threads hang and keep their memory, more than 0: this process ends"
-DEVICE_LOST = "the device is lost to this process, which ends: DeviceLostError: the GPU fell off the bus"
+DEVICE_LOST = "the device is lost, so this process exits: DeviceLostError: the GPU fell off the bus"
 SCRIPT = SUPPORT / "scripted_detector.py"
 
 

@@ -21,7 +21,7 @@ from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
         pytest.param(
             ["--device", "cpu", "--ros-args", "--params-file", "/nowhere.yaml"],
             2,
-            ["not understood: --device cpu. Parameters are given as `detector --ros-args -p device:=VALUE`"],
+            ["not understood: --device cpu. Pass parameters as `detector --ros-args -p device:=VALUE`"],
             id="stray words",
         ),
         pytest.param(

@@ -103,7 +103,7 @@ def _unknown(name: str, known: dict[str, str]) -> str:
     hint = did_you_mean(name, known)
     if not hint:
         endpoints = dict.fromkeys(other.removeprefix(QOS_PREFIX).rpartition(".")[0] for other in known)
-        hint = f" There are {', '.join(endpoints)}, each with {', '.join(_POLICIES)}."
+        hint = f" Expected one of {', '.join(endpoints)}, each with {', '.join(_POLICIES)}."
     return f"this node has no such topic or policy.{hint} {_REMEDY}"
 
 

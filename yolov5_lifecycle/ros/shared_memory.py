@@ -49,7 +49,7 @@ def shared_memory_problems(
         return []
     return [
         f"{folder} has {found >> 10} KiB free and Fast DDS needs {needed >> 10} KiB for this process: "
-        f"it uses only UDP, where large images get lost. {_remedy(folder)}"
+        f"it will use only UDP, which loses large images. {_remedy(folder)}"
     ]
 
 
@@ -68,7 +68,7 @@ def warn_before_import(
     if not is_safe:
         complain(
             command,
-            f"{folder} is full: ROS's tracer, LTTng, may end this process with a bus error now. "
+            f"{folder} is full: ROS's tracer, LTTng, may crash this process with a bus error now. "
             f"{_remedy(folder)}",
         )
 

@@ -97,7 +97,7 @@ def misaddressed_files(files: Iterable[ParameterFile], node_name: str) -> Iterat
             others = ", ".join(names[:_MAX_NAMES]) + more
             yield (
                 f"the parameter file {file.path} has no effect: it is for {others}, but this node is "
-                f"{node_name}. Use that name, or /**, as its top-level key."
+                f"{node_name}. Use {node_name} or /** as its top-level key."
             )
 
 
@@ -124,7 +124,7 @@ def _clashes(words: Sequence[str], files: Mapping[str, ParameterFile]) -> Iterat
         before, where = first.setdefault((node, name), (value, place))
         if type(value) is not type(before):
             yield in_one_line(
-                f"{name}: {before!r} in {where} and {value!r} in {place} are of two types, and ROS may use "
+                f"{name}: {before!r} in {where} and {value!r} in {place} differ in type, and ROS may use "
                 "either: give both the same type, or remove one, and restart the node."
             )
 
@@ -204,6 +204,6 @@ def _unknown(command: str, words: Sequence[str], parameters: Sequence[str]) -> s
     names = [word.lstrip("-").partition("=")[0].replace("-", "_") for word in words]
     name = next((name for name in names if name in parameters), parameters[0])
     return (
-        f"arguments not understood: {in_one_line(' '.join(words))}. Parameters are given as "
+        f"arguments not understood: {in_one_line(' '.join(words))}. Pass parameters as "
         f"`{command} --ros-args -p {name}:=VALUE`; `{command} --help` lists them."
     )

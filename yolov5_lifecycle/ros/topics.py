@@ -68,8 +68,8 @@ def _naming_problem(node: Node, topic: str) -> str:
     except RuntimeError as error:
         reason = str(error).partition(", at /")[0]
         return (
-            f"{topic} cannot have its full name: {reason}: use a shorter name for the camera, or restart the "
-            "node with a shorter namespace or other remappings"
+            f"ROS refuses the full name of {topic}: {reason}: use a shorter name for the camera, or restart "
+            "the node with a shorter namespace or other remappings"
         )
     return ""
 

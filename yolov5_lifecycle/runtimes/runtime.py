@@ -17,7 +17,7 @@ class InferenceError(RuntimeError):
 
 
 class DeviceLostError(InferenceError):
-    """The device is lost to this process; only a new process can use it again."""
+    """The device is lost: only a new process can use it again."""
 
 
 @dataclass(frozen=True, eq=False)

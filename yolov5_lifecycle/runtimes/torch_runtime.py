@@ -263,7 +263,7 @@ def _is_lost(device: torch.device) -> bool:
 
 
 def _lost(device: torch.device, problem: str) -> str:
-    return f"torch failed on {device}: {problem} The device is lost to this process; start it again."
+    return f"torch failed on {device}: {problem} The device is lost; restart this process."
 
 
 def _first_line(error: BaseException) -> str:

@@ -83,7 +83,7 @@ def test_a_port_in_use_is_explained() -> None:
     assert ended.returncode == 1
     assert ended.stderr.splitlines()[-1] == (
         f"console: port {port} of 127.0.0.1 is in use, perhaps by another console: "
-        "choose another with --port, or end that one"
+        "choose another with --port, or stop that one"
     )
 
 
@@ -91,7 +91,7 @@ def test_a_port_in_use_is_explained() -> None:
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        pytest.param(["--host", "192.0.2.1"], "no address of this machine", id="address"),
+        pytest.param(["--host", "192.0.2.1"], "not an address of this machine", id="address"),
         pytest.param(["--host", "no.such.name.invalid"], "expected an address or name", id="name"),
         pytest.param(["--cert", "/none.pem", "--key", "/none.pem"], "expected a certificate", id="no files"),
         pytest.param(["--public-url", "http://a", "--token-file", "/dev/null"], "regular file", id="token"),

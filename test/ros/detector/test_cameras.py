@@ -239,7 +239,7 @@ def test_a_camera_whose_topics_would_have_too_long_names_fails_configure_until_i
     with ServedNode(prepare, parameters=[f"cameras:=[{LONG}]"], arguments=LONG_NAMESPACE) as served:
         served.wait_for(lambda: bool(served.diagnostics), "diagnostics")
         assert served.node.trigger_configure() is TransitionCallbackReturn.FAILURE
-        told = f"~/{LONG}/detections cannot have its full name"
+        told = f"ROS refuses the full name of ~/{LONG}/detections"
         served.wait_for(lambda: told in served.diagnostics[-1].status[0].message, "the reason")
         (result,) = served.node.set_parameters([Parameter("cameras", value=["front"])])
         assert result.successful

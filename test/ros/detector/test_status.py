@@ -128,8 +128,9 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
         ),
         pytest.param(
             _with_camera(empty=dataclasses.replace(BLIND_RUN, best_filtered=0.956)),
-            "what was found in the last 152 frames, the best 0.96, is outside regions, in ignore_regions, "
-            "smaller than min_box_size or larger than max_box_size: if it was to count, change these",
+            "everything found in the last 152 frames, the best 0.96, is outside regions, in ignore_regions, "
+            "smaller than min_box_size or larger than max_box_size: if it should count, "
+            "change these settings",
             id="all-filtered",
         ),
         pytest.param(

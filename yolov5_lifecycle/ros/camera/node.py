@@ -28,9 +28,9 @@ from yolov5_lifecycle.sources.source import open_source
 _DELIVERY_S = 1.0
 _END_S = 2.0  # longer than the delivery of the current frame may take
 _USAGE = """\
-camera: publishes images on image_raw or image_raw/compressed, their size on camera_info beside it, and
-what the synthetic scene shows on ~/truth and ~/ground_truth_masks.
-Parameters are given as in `camera --ros-args -p source:=video.mp4 -r image_raw:=/yolov5/image_raw`:"""
+camera: publishes images on image_raw or image_raw/compressed, their size on camera_info in the same
+namespace, and the ground truth of the synthetic scene on ~/truth and ~/ground_truth_masks.
+Pass parameters as in `camera --ros-args -p source:=video.mp4 -r image_raw:=/yolov5/image_raw`:"""
 
 
 class CameraNode(PrintableNode):

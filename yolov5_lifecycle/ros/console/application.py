@@ -74,7 +74,7 @@ class WebApplication:
     def _file(self, name: str) -> Response:
         file = self._files.get(name)
         if file is None:
-            raise HTTPException(404, "there is no such page")
+            raise HTTPException(404, "page not found")
         return Response(file.content, media_type=file.media_type)
 
     async def _login_page(self, _: Request) -> Response:
@@ -87,7 +87,7 @@ class WebApplication:
             token = await asyncio.wait_for(_token(request), _FORM_S)
             is_right = self._sessions.knows_token(token, address_of(request.scope))
         except asyncio.TimeoutError:
-            return PlainTextResponse("the form did not arrive\n", status_code=408)
+            return PlainTextResponse("the form did not arrive in time\n", status_code=408)
         except TooManyTriesError:
             text = "too many wrong tokens: wait a minute\n"
             return PlainTextResponse(text, status_code=429, headers={"Retry-After": "60"})

@@ -53,15 +53,15 @@ class Gate:
         if not self._requests.of(address_of(scope)).spend():
             return _text(429, "too many requests: wait a second", {"Retry-After": "1"})
         if _header_bytes(scope) > MAX_HEADER_BYTES:
-            return _text(431, f"address and headers of a request have at most {MAX_HEADER_BYTES} bytes")
+            return _text(431, f"address and headers of a request may have at most {MAX_HEADER_BYTES} bytes")
         hosts = headers.getlist("host")
         server = scope.get("server") or ("", 0)
         scheme = self._addresses.scheme_of(hosts[0], tuple(server)) if len(hosts) == 1 else ""
         if not scheme:
             return _text(
                 403,
-                "this console is not known under the name or address in the request: use the one that it "
-                "printed, or start it with --public-url",
+                "unknown host name or address: open the address that the console printed, or start it with "
+                "--public-url",
             )
         scope["state"]["is_secure"] = scheme == "https"
         if problem := self._origin_problem(scope, headers, hosts[0], scheme):
@@ -72,9 +72,9 @@ class Gate:
         origins = headers.getlist("origin")
         needs_origin = scope["type"] == "websocket" or scope["method"] not in _SAFE
         if not origins:
-            return "there is no Origin: only the page of this console may do that" if needs_origin else ""
+            return "no Origin header: only this console's own page may do that" if needs_origin else ""
         if len(origins) > 1 or not self._addresses.is_own_origin(origins[0], host, scheme):
-            return "the Origin is another page: only that of this console may do that"
+            return "the Origin is another page: only this console's own page may do that"
         return ""
 
     def _session_refusal(self, scope: Scope, headers: Headers) -> Response | None:

@@ -34,9 +34,11 @@ class Viewers:
         await websocket.accept()
         detector = self._find(node)
         if detector is None or camera not in (detector.camera_names or [""]):
-            await websocket.close(_UNKNOWN, "there is no such camera")
+            await websocket.close(_UNKNOWN, "camera not found")
         elif self._feeds.viewers >= MAX_VIEWERS:
-            await websocket.close(CloseCode.TRY_AGAIN_LATER, f"{MAX_VIEWERS} images are shown: close a page")
+            await websocket.close(
+                CloseCode.TRY_AGAIN_LATER, f"{MAX_VIEWERS} images are being shown: close a page"
+            )
         else:
             await _Viewer(websocket, self._feeds.of(node, camera)).serve()
 

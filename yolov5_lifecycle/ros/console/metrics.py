@@ -19,7 +19,7 @@ _PREFIX = "yolov5"
 _OF_CAMERA = {
     "rate Hz": ("rate_hertz", "Frames with detections per second"),
     "latency median ms": ("latency_median_milliseconds", "Median time from an image's arrival to its result"),
-    "latency p95 ms": ("latency_p95_milliseconds", "95th percentile of that time"),
+    "latency p95 ms": ("latency_p95_milliseconds", "95th percentile of the same time"),
     "frames lost": ("images_lost", "Images lost before they were received, since activation"),
     "frames overtaken": ("images_overtaken", "Images replaced by newer ones before that, since activation"),
 }
@@ -39,7 +39,7 @@ class _DetectorCollector(Collector):
         yield _states(detectors)
         yield from _node_gauges(detectors)
         yield from _camera_metrics(detectors)
-        yield GaugeMetricFamily(f"{_PREFIX}_console_viewers", "Images that are shown", self._viewers())
+        yield GaugeMetricFamily(f"{_PREFIX}_console_viewers", "Images being shown", self._viewers())
 
 
 def figures(detectors: Callable[[], Iterable[Detector]], viewers: Callable[[], int]) -> Callable[[], bytes]:
@@ -50,7 +50,9 @@ def figures(detectors: Callable[[], Iterable[Detector]], viewers: Callable[[], i
 
 
 def _states(detectors: Iterable[Detector]) -> Metric:
-    metric = GaugeMetricFamily(f"{_PREFIX}_state", "1 for the lifecycle state", labels=["node", "state"])
+    metric = GaugeMetricFamily(
+        f"{_PREFIX}_state", "1 for the current lifecycle state", labels=["node", "state"]
+    )
     for detector in detectors:
         for state in STATES:
             metric.add_metric([detector.name, state], float(detector.state == state))
@@ -79,9 +81,7 @@ def _camera_metrics(detectors: Iterable[Detector]) -> Iterator[Metric]:
     level = GaugeMetricFamily(
         f"{_PREFIX}_status_level", "Diagnostics: 0 OK, 1 WARN, 2 ERROR, 3 STALE", labels=labels
     )
-    frames = CounterMetricFamily(
-        f"{_PREFIX}_frames", "Frames by what became of them", labels=[*labels, "outcome"]
-    )
+    frames = CounterMetricFamily(f"{_PREFIX}_frames", "Frames by outcome", labels=[*labels, "outcome"])
     for node, camera in cameras:
         if camera.status is not None:
             level.add_metric([node, camera.name], camera.status.level)

@@ -63,7 +63,7 @@ def parsed(words: Sequence[str]) -> ConsoleOptions:
     if not 0 <= given.port <= _MAX_PORT:
         parser.error(f"--port: expected a number from 0 to {_MAX_PORT}, found {given.port}")
     if (given.cert is None) != (given.key is None):
-        parser.error("--cert and --key: expected both or none, found one")
+        parser.error("--cert and --key: expected both or neither, found one")
     for name in given.node:
         if not name.startswith("/"):
             parser.error(f"--node: expected a full name such as /yolov5, found '{name}'")
@@ -87,15 +87,15 @@ def _parser() -> argparse.ArgumentParser:
     parser = CommandParser(
         "console",
         description="Shows detectors in a web browser: images, state, parameters, diagnostics. "
-        "Ends on Ctrl-C. `console --help` works without ROS's own arguments; those follow `--ros-args`.",
+        "Stop it with Ctrl-C. ROS arguments follow `--ros-args`; this help does not list them.",
     )
     add = parser.add_argument
     add(
         "--host",
         default=DEFAULT_HOST,
-        help="address to listen on (default %(default)s: this machine only); any other demands a token",
+        help="address to listen on (default %(default)s: this machine only); any other requires a token",
     )
-    add("--port", type=int, default=DEFAULT_PORT, help="port (default %(default)s); 0: any free one")
+    add("--port", type=int, default=DEFAULT_PORT, help="port (default %(default)s); 0: any free port")
     add(
         "--node",
         action="append",
@@ -103,21 +103,21 @@ def _parser() -> argparse.ArgumentParser:
         metavar="/NAME",
         help="full name of a detector to show; may be repeated (default: all that are found)",
     )
-    add("--view-only", action="store_true", help="nobody can change anything")
-    add("--metrics", action="store_true", help="serve figures for Prometheus on /metrics")
+    add("--view-only", action="store_true", help="disable all changes from the page")
+    add("--metrics", action="store_true", help="serve metrics for Prometheus on /metrics")
     add(
         "--public-url",
         action="append",
         default=[],
         metavar="URL",
-        help="address under which a reverse proxy shows the page, such as https://robot.example; demands a "
+        help="address under which a reverse proxy shows the page, such as https://robot.example; requires a "
         "token; may be repeated",
     )
     add(
         "--token-file",
         type=Path,
         metavar="FILE",
-        help="file that keeps the token (default: yolov5_console/token in $XDG_STATE_HOME or ~/.ros)",
+        help="file that stores the token (default: yolov5_console/token in $XDG_STATE_HOME or ~/.ros)",
     )
     add("--cert", type=Path, metavar="FILE", help="certificate chain (PEM) for TLS; requires --key")
     add("--key", type=Path, metavar="FILE", help="private key (PEM) of the certificate, without a password")

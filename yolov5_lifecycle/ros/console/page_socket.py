@@ -193,4 +193,4 @@ def _request(text: str | None) -> tuple[dict[str, Any], str]:
 
 
 def _refuse_constant(name: str) -> object:
-    raise ValueError(f"{name} is no JSON")
+    raise ValueError(f"{name} is not JSON")

@@ -85,7 +85,7 @@ def _token(options: ConsoleOptions) -> str:
         return ""
     path = options.token_file or usual_path(os.environ)
     token, is_new = kept_token(path)
-    _say(f"token: {token}\n(shown once; kept in {path})" if is_new else f"the token is in {path}")
+    _say(f"token: {token}\n(shown once; stored in {path})" if is_new else f"the token is in {path}")
     return token
 
 
@@ -94,7 +94,7 @@ def _announce(options: ConsoleOptions, sock: socket.socket) -> None:
     _say(f"{_NAME}: {url_of(sock, scheme)}")
     if not options.is_loopback and not options.certificate:
         _say(
-            "Everybody on the network can read what is sent, the token too: give --cert and --key, or put a "
+            "Anyone on the network can read the traffic, including the token: use --cert and --key, or put a "
             "reverse proxy with TLS in front (docs/console.md)."
         )
 

@@ -76,7 +76,7 @@ class RosThread:
 
         def send() -> Any:
             if not client.service_is_ready():
-                raise NotReachedError(f"there is no service {client.srv_name}")
+                raise NotReachedError(f"service {client.srv_name} not found")
             future = client.call_async(request)
             future.add_done_callback(lambda done: self.post(_resolve, answer, done.result()))
             return future

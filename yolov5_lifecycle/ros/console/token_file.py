@@ -37,7 +37,7 @@ def kept_token(path: Path) -> tuple[str, bool]:
             return _read(path), False
     except OSError as error:
         raise TokenFileError(
-            f"the token cannot be kept in {path}: {error.strerror}. Name another file with --token-file."
+            f"the token cannot be stored in {path}: {error.strerror}. Choose another file with --token-file."
         ) from error
 
 
@@ -55,15 +55,17 @@ def _read(path: Path) -> str:
     with os.fdopen(descriptor, "rb") as file:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
-            raise TokenFileError(f"{path} is no regular file: remove it, or name another with --token-file.")
+            raise TokenFileError(
+                f"{path} is not a regular file: remove it, or choose another with --token-file."
+            )
         if status.st_uid != os.geteuid() or status.st_mode & 0o077:
             raise TokenFileError(
-                f"others may have read the token in {path}: remove the file, and a new one is made."
+                f"others may have read the token in {path}: remove the file to get a new token."
             )
         token = file.read(_MAX_BYTES).decode("ascii", "replace").strip()
     if len(token) < MIN_LENGTH or not token.isprintable() or " " in token:
         raise TokenFileError(
             f"{path}: expected one token of at least {MIN_LENGTH} letters and digits, found {len(token)} "
-            "characters: remove the file, and a new one is made."
+            "characters: remove the file to get a new token."
         )
     return token

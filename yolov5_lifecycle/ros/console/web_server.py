@@ -164,11 +164,11 @@ def listening_socket(options: ConsoleOptions) -> socket.socket:
 def _listen_problem(options: ConsoleOptions, error: OSError) -> str:
     place = f"port {options.port} of {options.host}"
     if error.errno == errno.EADDRINUSE:
-        return f"{place} is in use, perhaps by another console: choose another with --port, or end that one"
+        return f"{place} is in use, perhaps by another console: choose another with --port, or stop that one"
     if error.errno == errno.EACCES:
-        return f"{place} is not for ordinary users: choose one above 1023 with --port"
+        return f"{place} requires root: choose one above 1023 with --port"
     if error.errno == errno.EADDRNOTAVAIL:
-        return f"--host {options.host} is no address of this machine; 0.0.0.0 stands for all of them"
+        return f"--host {options.host} is not an address of this machine; 0.0.0.0 stands for all of them"
     return f"{place} cannot be used: {error.strerror}"
 
 

@@ -68,7 +68,7 @@ class CameraStatus:
         if self.busy_s > SLOW_S:
             return (
                 f"inference of one image takes more than {SLOW_S:g} s: the model is too slow for this "
-                "machine, or it hangs; deactivate ends that, then activate again"
+                "machine, or it hangs; deactivate the node, then activate it again"
             )
         if self.topic.publishers == 0:
             return _missing(self.topic) if self.topic.missing_s > DISCOVERY_S else ""
@@ -140,9 +140,9 @@ def _emptiness(empty: EmptyRun) -> str:
         return ""
     if empty.best_filtered:
         return (
-            f"what was found in the last {empty.frames} frames, the best {empty.best_filtered:.2g}, is "
+            f"everything found in the last {empty.frames} frames, the best {empty.best_filtered:.2g}, is "
             "outside regions, in ignore_regions, smaller than min_box_size or larger than max_box_size: if "
-            "it was to count, change these"
+            "it should count, change these settings"
         )
     missed = empty.best_missed
     best = f"the best {missed:.2g}" if missed else f"nothing even above {WORTH_TELLING:g}"
@@ -183,7 +183,7 @@ def _losses(recent: RecentImages) -> str:
     )
     if recent.max_bytes <= DEFAULT_SEGMENT_BYTES:
         return (
-            lost + "the machine or the link is overloaded, lower the camera's rate or send compressed images"
+            lost + "the machine or the link is overloaded; lower the camera's rate or send compressed images"
         )
     return lost + (
         f"images of {recent.max_bytes / 1e6:.1f} MB do not fit into the shared memory that Fast DDS reserves "

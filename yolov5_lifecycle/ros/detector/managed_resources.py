@@ -87,7 +87,7 @@ class ManagedResources:
             self._loading_for = None
         if preparation is None or label_info is None:
             self._node.get_logger().warning(
-                "activate canceled: another transition came while the model was loading"
+                "activate canceled: another transition was requested while the model was loading"
             )
             return False
         self.detection = self._new_detection(label_info, preparation)

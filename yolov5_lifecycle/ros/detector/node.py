@@ -236,6 +236,6 @@ class DetectorNode(PrintableNode, LifecycleNode):
             self.report(f"deactivated after {reason}")
 
     def _lose_device(self, reason: str) -> None:
-        self.report(f"the device is lost to this process, which ends: {reason}")
+        self.report(f"the device is lost, so this process exits: {reason}")
         self._diagnostics.publish()
         self.device_lost = True

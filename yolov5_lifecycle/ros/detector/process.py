@@ -33,14 +33,14 @@ FINALIZED_S = 5.0
 """Longer than a lifecycle manager waits for get_state; Nav2's waits up to 2 s."""
 _USAGE = """\
 detector: finds objects in the images on ~/image_raw and publishes them on ~/detections.
-Parameters are given as in `detector --ros-args -p device:=cpu --params-file config/yolov5.yaml`:"""
+Pass parameters as in `detector --ros-args -p device:=cpu --params-file config/yolov5.yaml`:"""
 
 # Max time the inference thread waits for the GIL while an image is taken; docs/performance.md has the cost
 # of Python's default of 5 ms.
 _SWITCH_S = 0.0002
 
 EXIT_DEVICE_LOST = 3
-"""The GPU is lost to this process; restart it."""
+"""The GPU is lost; restart the process."""
 
 EXIT_ABANDONED_THREADS = 4
 """Too many inference threads hang; restart the process, which frees their memory."""

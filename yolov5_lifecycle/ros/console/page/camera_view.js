@@ -90,7 +90,7 @@ class CameraView {
   sample() {
     const count = this.#image.takeCount();
     this.#silentS = count > 0 ? 0 : this.#silentS + 1;
-    setText(this.#shownRate, count > 0 ? `${count} shown a second` : "");
+    setText(this.#shownRate, count > 0 ? `${count} shown per second` : "");
     if (this.#silentS >= SILENT_AFTER_S) {
       this.element.classList.add("silent");
       const ever = this.#canvas.dataset.stampS !== undefined;

@@ -38,7 +38,7 @@ export class Chips {
     const names = [...new Set([...known, ...this.#value])];
     const chips = names.map((name) => ({ name, isOn: this.#value.includes(name) }));
     this.#chips.update(chips, (chip) => chip.name);
-    const whenEmpty = this.#options.hasClassNames ? "none chosen: all classes" : "empty";
+    const whenEmpty = this.#options.hasClassNames ? "none selected: all classes" : "empty";
     setText(this.#note, value === null ? "not set" : this.#value.length === 0 ? whenEmpty : "");
   }
 

@@ -48,7 +48,7 @@ export class FrameBalance {
   #build(cameras, kinds) {
     const titles = cameras.map((camera) => element("th", { scope: "col", class: "number" }, camera.name || "frames"));
     this.#head.replaceChildren(
-      element("th", { scope: "col" }, "ended as"),
+      element("th", { scope: "col" }, "outcome"),
       ...titles,
       element("th", { scope: "col", class: "meaning" }, "meaning"),
     );

@@ -1,11 +1,11 @@
-/** Recent lines of the node's log, the newest first. */
+/** Recent lines of the node's log, newest first. */
 
 import { element, setText } from "./element.js";
 import { timeOfDay } from "./figures.js";
 
 export class LogView {
-  #list = element("ol", { class: "lines", tabindex: "0", "aria-label": "Recent lines, the newest first" });
-  #none = element("p", { class: "hint" }, "Nothing since the console started.");
+  #list = element("ol", { class: "lines", tabindex: "0", "aria-label": "Recent lines, newest first" });
+  #none = element("p", { class: "hint" }, "No lines since the console started.");
   #shown = "";
 
   constructor() {

@@ -70,7 +70,7 @@ class Page {
     byId("connection").dataset.state = isOpen ? "open" : "lost";
     setText(byId("connection"), isOpen ? "connected" : "connection lost");
     byId("lost").hidden = isOpen;
-    const lost = "The connection to the console is lost: what is shown is old. Trying again by itself.";
+    const lost = "The connection to the console is lost: the values shown are old. Reconnecting automatically.";
     setText(byId("lost"), isOpen ? "" : lost);
   }
 }

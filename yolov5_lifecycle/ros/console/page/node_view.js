@@ -74,8 +74,8 @@ export class NodeView {
     this.element.classList.toggle("gone", isGone);
     this.#gone.hidden = !isGone;
     const gone =
-      `${this.name} is lost: its process has ended, or cannot be reached. What is shown is old; ` +
-      "the page goes on by itself when the detector is back.";
+      `${this.name} is lost: its process has ended, or cannot be reached. The values shown are old; ` +
+      "the page continues automatically when the detector is back.";
     setText(this.#gone, isGone ? gone : "");
   }
 }

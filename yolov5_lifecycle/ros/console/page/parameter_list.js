@@ -6,10 +6,10 @@ import { YamlCopy } from "./yaml_copy.js";
 
 const GROUPS = [
   ["live", "Live", "takes effect with the next frame"],
-  ["reload", "Reload", "the new model is loaded beside the running one, which goes on meanwhile"],
-  ["resubscribe", "Resubscribe", "the image subscription is made anew"],
-  ["cameras", "Cameras", "added cameras start, removed ones end, the others go on"],
-  ["read only", "Read only", "set when the node starts"],
+  ["reload", "Reload", "loads the new model while the running one keeps detecting"],
+  ["resubscribe", "Resubscribe", "recreates the image subscription"],
+  ["cameras", "Cameras", "starts added cameras and stops removed ones; the others keep running"],
+  ["read only", "Read only", "needs a restart of the node"],
 ];
 const OPEN = ["live"];
 
@@ -44,7 +44,7 @@ export class ParameterList {
   #applyFilter() {
     const words = this.#filter.value.trim().toLowerCase();
     const counts = this.#groups.map((group) => group.applyFilter(words));
-    setText(this.#none, words && !counts.some(Boolean) ? "No parameter has this in its name or meaning." : "");
+    setText(this.#none, words && !counts.some(Boolean) ? "No parameter matches in name or description." : "");
   }
 }
 
@@ -68,7 +68,7 @@ class ParameterGroup {
       "details",
       { class: "group", open: OPEN.includes(change), "data-group": change },
       element("summary", {}, element("h3", {}, title), " ", this.#count),
-      element("p", { class: "hint" }, `A change ${change === "read only" ? "needs a restart: " : ""}${meaning}.`),
+      element("p", { class: "hint" }, `A change ${meaning}.`),
       list,
     );
   }

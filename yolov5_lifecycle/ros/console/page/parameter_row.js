@@ -7,9 +7,9 @@ import { isChanged, isOverride, isSame } from "./yaml_text.js";
 const SETTLED_MS = 2000;
 const BETWEEN_MS = 120;
 const WAITING = {
-  reload: "loading the new model; the old one goes on",
+  reload: "loading the new model; the old one keeps detecting",
   resubscribe: "recreating the subscription",
-  cameras: "starting and ending cameras",
+  cameras: "starting and stopping cameras",
 };
 
 export class ParameterRow {

@@ -5,7 +5,7 @@ import { element, setText } from "./element.js";
 export const LEVELS = ["ok", "warning", "error", "stale"];
 const OF_NODE = "detection";
 const SYMBOLS = ["✓", "!", "✕", "?"];
-const STALE = "No diagnostics arrive any more: the detector's process hangs, has ended, or cannot be reached.";
+const STALE = "Diagnostics have stopped: the detector's process hangs, has ended, or cannot be reached.";
 
 export class ReasonView {
   #symbol = element("span", { class: "symbol", "aria-hidden": "true" });
@@ -27,7 +27,7 @@ export class ReasonView {
     const status = node.diagnostics.find(({ name }) => name === OF_NODE) ?? node.diagnostics[0];
     const level = status?.level ?? 3;
     const message = status === undefined ? "no diagnostics received yet" : status.message;
-    const text = level === 3 && status !== undefined ? `${STALE} The last: ${message}` : message;
+    const text = level === 3 && status !== undefined ? `${STALE} Last message: ${message}` : message;
     for (const [number, name] of LEVELS.entries()) {
       this.element.classList.toggle(name, number === level);
     }

@@ -33,8 +33,8 @@ export class YamlCopy {
 
   async #copy() {
     const copied = (await copiedByClipboard(this.#text.value)) || this.#copiedBySelection();
-    const what = "What differs from the defaults, for --params-file.";
-    setText(this.#said, copied ? `${what} Copied.` : `${what} This browser does not copy it: select and copy it.`);
+    const what = "Every value that differs from its default, for --params-file.";
+    setText(this.#said, copied ? `${what} Copied.` : `${what} This browser cannot copy it: select and copy the text.`);
   }
 
   /** Browsers offer the clipboard on loopback and with TLS only; this older way works everywhere. */
