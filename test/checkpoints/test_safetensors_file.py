@@ -147,12 +147,12 @@ def _reinterpreted(parts: Parts) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        pytest.param(_metadata(format="another 1"), "was not made by this package", id="another format"),
+        pytest.param(_metadata(format="another 1"), "was not written by this package", id="another format"),
         pytest.param(
-            lambda parts: parts.header.pop("__metadata__"), "was not made by this", id="no metadata"
+            lambda parts: parts.header.pop("__metadata__"), "was not written by this", id="no metadata"
         ),
         pytest.param(
-            lambda parts: parts.header.update(__metadata__=[1]), "was not made by", id="a list of it"
+            lambda parts: parts.header.update(__metadata__=[1]), "was not written by", id="a list of it"
         ),
         pytest.param(_metadata(architecture="{"), "entry architecture is missing or damaged", id="no json"),
         pytest.param(_metadata(architecture=["x"]), "entry architecture is missing or damaged", id="no text"),
@@ -214,7 +214,7 @@ def _reinterpreted(parts: Parts) -> None:
         pytest.param(_layer(0, [[-1], 1, "Conv", [64, 6, 2, 99]]), "the padding of layer 0", id="padding"),
         pytest.param(_layer(0, [[-1], 1, "Conv", []]), "the channels of layer 0", id="no arguments"),
         pytest.param(_layer(0, [[-1], 1, "Conv", [10**9, 6, 2]]), "the channels of layer 0", id="channels"),
-        pytest.param(_layer(0, [[-1], 9, "Conv", [64, 6, 2]]), "but its layers make", id="repeats"),
+        pytest.param(_layer(0, [[-1], 9, "Conv", [64, 6, 2]]), "but its layers produce", id="repeats"),
         pytest.param(_layer(5, [[-1], 9, "Upsample", []]), "is repeated 3 times", id="repeated upsampling"),
         pytest.param(_architecture(image_channels=2), "reads images of 2 channels", id="channels of images"),
         pytest.param(_architecture(channel_multiple=0), "the channel_multiple", id="channel multiple"),
@@ -287,14 +287,14 @@ def test_a_tensor_of_no_layer_is_refused_before_any_tensor_is_loaded(written: by
     [
         pytest.param(b"", "found 0 bytes", id="empty"),
         pytest.param(b"\0" * 7, "found 7 bytes", id="shorter than its length"),
-        pytest.param(b"\0" * 4096, "its header is no JSON", id="zeros"),
+        pytest.param(b"\0" * 4096, "its header is not JSON", id="zeros"),
         pytest.param(struct.pack("<Q", 1 << 62) + b"{}", "its header does not fit", id="endless header"),
         pytest.param(struct.pack("<Q", MAX_HEADER_BYTES + 1), "its header does not fit", id="large header"),
         pytest.param(struct.pack("<Q", 4) + b"[[]]", "its header is [a list]", id="header a list"),
-        pytest.param(struct.pack("<Q", 10**5) + b"[" * 10**5, "its header is no JSON", id="header nested"),
+        pytest.param(struct.pack("<Q", 10**5) + b"[" * 10**5, "its header is not JSON", id="header nested"),
         pytest.param(b"<!DOCTYPE html><html></html>", "its header does not fit", id="html"),
         pytest.param(b"PK\x03\x04" + b"\0" * 100, "its header", id="zip"),
-        pytest.param(save({"a": torch.zeros(3)}), "was not made by this package", id="another program's"),
+        pytest.param(save({"a": torch.zeros(3)}), "was not written by this package", id="another program's"),
         pytest.param(
             save({"a": torch.zeros(3)}, metadata={"format": FORMAT}), "architecture is missing", id="forged"
         ),

@@ -20,7 +20,7 @@ from yolov5_lifecycle.process.missing_package import import_problem
         ),
         pytest.param(
             ModuleNotFoundError("No module named 'cv2'", name="cv2"),
-            "opencv-python-headless, or beside a ROS of apt with sudo apt install python3-opencv",
+            "opencv-python-headless, or for a ROS from apt with sudo apt install python3-opencv",
             id="from apt or pip",
         ),
         pytest.param(

@@ -109,7 +109,7 @@ def test_ranges_of_another_network_leave_it_at_fp32(tmp_path: Path) -> None:
         folder=tmp_path,
     )
     assert choice.precision == "fp32"
-    assert choice.reason.startswith("int8 cannot be used: the ranges are not those of this network's")
+    assert choice.reason.startswith("int8 cannot be used: the ranges do not match this network's")
 
 
 @pytest.mark.parametrize(

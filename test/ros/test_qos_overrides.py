@@ -101,7 +101,9 @@ def test_qos_overrides_of_a_parameter_file_apply_in_every_cycle_of_a_process(
         pytest.param(
             f"{CAMERA}.publisher.depth", 2, f"Did you mean 'qos_overrides.{CAMERA}", id="other side"
         ),
-        pytest.param("x.y", 2, f"Expected one of .*, {CAMERA}.subscription, .*each with history", id="nonsense"),
+        pytest.param(
+            "x.y", 2, f"Expected one of .*, {CAMERA}.subscription, .*each with history", id="nonsense"
+        ),
         pytest.param("/yolov5/image_raw.subscription.depth", 2, "no such topic", id="remapped"),
     ],
 )

@@ -142,7 +142,7 @@ def test_what_is_no_record_is_replaced(
 @needs_choice
 def test_a_record_that_is_a_folder_stays_and_costs_the_memory_only(tmp_path: Path, record_name: str) -> None:
     (tmp_path / record_name).mkdir()
-    assert "; measured now, not remembered: " in chosen(tmp_path).reason
+    assert "; measured now, not cached: " in chosen(tmp_path).reason
     assert [path.name for path in tmp_path.iterdir()] == [record_name]
 
 
@@ -151,7 +151,7 @@ def test_a_folder_that_cannot_be_written_costs_the_memory_only(tmp_path: Path) -
     (tmp_path / "file").touch()
     choice = chosen(tmp_path / "file" / "folder")
     assert choice.runtime in INSTALLED
-    assert "; measured now, not remembered: " in choice.reason
+    assert "; measured now, not cached: " in choice.reason
 
 
 @needs_choice
@@ -168,7 +168,7 @@ def test_a_user_without_a_home_folder_lacks_the_memory_only(monkeypatch: pytest.
         random_model(), device="cpu", precision="auto", frame_hw=(64, 96), measure=measured
     )
     assert choice.runtime == INSTALLED[-1]
-    assert choice.reason.endswith("; measured now, not remembered: Could not determine home directory.")
+    assert choice.reason.endswith("; measured now, not cached: Could not determine home directory.")
 
 
 @needs_choice
@@ -196,7 +196,7 @@ def test_auto_loads_what_was_chosen_and_says_why() -> None:
 def test_a_runtime_that_cannot_be_loaded_is_left_out_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     figures_ms = measure_ms(random_model(), ["torch", "tensorrt"], precision="fp32", frame_hw=(64, 64))
     assert list(figures_ms) == ["torch"]
-    assert "'tensorrt' is left out: Runtime must be one of auto, torch" in caplog.text
+    assert "'tensorrt' is skipped: Runtime must be one of auto, torch" in caplog.text
 
 
 def test_figures_are_read_as_they_were_written(tmp_path: Path) -> None:

@@ -114,7 +114,7 @@ def test_a_place_that_cannot_be_written_costs_the_memory_only(
     with caplog.at_level(logging.INFO):
         store.keep(ONE, b"compiled")
     assert store.read(ONE) is None
-    assert "The compiled model is not kept: " in caplog.text
+    assert "The compiled model is not cached: " in caplog.text
 
 
 def test_what_was_not_used_for_longest_is_cleared_away(tmp_path: Path) -> None:

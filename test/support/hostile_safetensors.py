@@ -116,8 +116,11 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "first half": (lambda: valid()[: len(valid()) // 2], "cut short"),
     "only the header": (lambda: joined(parted(valid())[0], b""), "damaged, or cut short"),
     "trailing bytes": (lambda: valid() + b"more", "damaged, or cut short"),
-    "JSON, 100,000 deep": (deep_json, "its header is no JSON"),
-    "foreign file": (lambda: save({"weight": torch.ones(3)}, {"format": "pt"}), "not made by this package"),
+    "JSON, 100,000 deep": (deep_json, "its header is not JSON"),
+    "foreign file": (
+        lambda: save({"weight": torch.ones(3)}, {"format": "pt"}),
+        "not written by this package",
+    ),
     "overlapping tensors": (header(overlapping), "damaged, or cut short"),
     "tensor beyond the end": (first_tensor(data_offsets=[0, 1 << 40]), "damaged, or cut short"),
     "tensor that ends before it begins": (first_tensor(data_offsets=[100, 0]), "damaged, or cut short"),

@@ -16,7 +16,7 @@ _DIRECTORY_ENTRY = b"PK\x01\x02"
 _FOREIGN_FILES = {
     b"version https://git-lfs": "a Git LFS pointer; run `git lfs pull`",
     b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19": "a checkpoint saved by torch before 1.6; save it again",
-    b"\x80": "a bare pickle, which could run anything; do not trust it",
+    b"\x80": "a bare pickle, which could run any code; do not trust it",
     b"\x08": "what looks like an ONNX model; use the .pt that it was exported from",
     b"\x1f\x8b": "a gzip file; unpack it first",
     b"Rar!": "a RAR archive; unpack it first",
@@ -90,8 +90,8 @@ def _foreign(data: bytes) -> str:
         if data.startswith(signature):
             return f"found {kind}"
     if data[257:262] == b"ustar":
-        return "found a tar archive, as torch before 1.6 wrote; save the model again with a newer torch"
-    return f"found something that begins with {data[:4]!r}"
+        return "found a tar archive, written by torch before 1.6; save the model again with a newer torch"
+    return f"found a file that begins with {data[:4]!r}"
 
 
 def _check_records(records: list[zipfile.ZipInfo], file_bytes: int) -> str:
@@ -122,6 +122,6 @@ def _check_record(record: zipfile.ZipInfo) -> None:
     if record.filename.startswith("/") or {"..", "."} & set(record.filename.replace("\\", "/").split("/")):
         raise WeightsError(f"the record name {name} leaves the archive")
     if record.flag_bits & 1:
-        raise WeightsError(f"the record {name} is encrypted, as torch never does")
+        raise WeightsError(f"the record {name} is encrypted, which torch.save never does")
     if record.compress_type != zipfile.ZIP_STORED or record.file_size != record.compress_size:
-        raise WeightsError(f"the record {name} is compressed, as torch.save never does")
+        raise WeightsError(f"the record {name} is compressed, which torch.save never does")

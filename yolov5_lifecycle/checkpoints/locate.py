@@ -139,7 +139,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
 
 def _reader(path: Path) -> Callable[[bytes], Model]:
     if "\0" in str(path):
-        raise WeightsError("a path holds no NUL character: correct it")
+        raise WeightsError("a path cannot contain a NUL character: correct it")
     if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises if a parent folder cannot be read
         raise WeightsError(f"{_IRREGULAR}: name the file itself")
     suffix = path.suffix.lower()
@@ -181,7 +181,7 @@ def _checked_digest(data: bytes, sha256: str) -> str:
     if digest != sha256.lower():
         raise WeightsError(
             f"its sha256 is {digest}, expected {sha256.lower()}: this is another file; "
-            "get the one that is meant, or correct the digest"
+            "get the right one, or correct the digest"
         )
     return digest
 

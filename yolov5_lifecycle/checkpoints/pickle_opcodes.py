@@ -64,7 +64,7 @@ def _operation(code: int, stream: io.BytesIO) -> Operation:
         )
     if name == "GLOBAL":
         return Operation(name, text=f"{_line(stream)}.{_line(stream)}")
-    raise WeightsError(f"its pickle uses {name}, as torch never does: do not trust it")
+    raise WeightsError(f"its pickle uses {name}, which torch never does: do not trust it")
 
 
 def _exactly(stream: io.BytesIO, size: int) -> bytes:

@@ -127,7 +127,7 @@ class _Program:
     def _top(self, *kinds: str) -> _Thing:
         top = self._stack[-1]
         if not isinstance(top, _Thing) or top.kind not in kinds:
-            raise WeightsError(f"its pickle changes a {_kind(top)}, as torch.save never does")
+            raise WeightsError(f"its pickle changes a {_kind(top)}, which torch.save never does")
         return top
 
     def _fill_list(self, items: Sequence[_Value]) -> None:
@@ -141,7 +141,7 @@ class _Program:
     def _new(self) -> None:
         cls, _ = self._called()
         if cls not in self._stubs:
-            raise WeightsError(f"its pickle makes a new {shown(cls)}, as torch.save never does")
+            raise WeightsError(f"its pickle creates a {shown(cls)}, which torch.save never does")
         self._push(_Thing("object"))
 
     def _call(self) -> None:
@@ -156,10 +156,10 @@ class _Program:
     def _called(self) -> tuple[str, tuple[_Value, ...]]:
         self._calls += 1
         if self._calls > MAX_CALLS:
-            raise WeightsError(f"its pickle makes more than {MAX_CALLS} objects")
+            raise WeightsError(f"its pickle creates more than {MAX_CALLS} objects")
         function, arguments = self._pop(2)
         if not isinstance(function, _Thing) or not isinstance(arguments, tuple):
-            raise WeightsError("its pickle calls something that is no function")
+            raise WeightsError("its pickle calls something that is not a function")
         return function.kind, arguments
 
     def _result(self, name: str, arguments: tuple[_Value, ...]) -> str | None:
@@ -183,7 +183,7 @@ class _Program:
         target = self._top("object", "dict")
         # torch copies this state, so it must be as small as the `_metadata` of a state dict.
         if target.kind == "dict" and not (isinstance(state, _Thing) and state.size <= _MAX_ITEMS):
-            raise WeightsError("its pickle gives a dict attributes, as torch.save never does")
+            raise WeightsError("its pickle gives a dict attributes, which torch.save never does")
 
     def _storage(self) -> None:
         (pid,) = self._pop(1)

@@ -78,7 +78,7 @@ def _version(modules: Mapping[str, Stub], tensors: Mapping[str, StoredTensor]) -
 def _training(checkpoint: object, tensors: Mapping[str, StoredTensor], archive: Archive) -> str:
     counters = [tensor for key, tensor in tensors.items() if key.endswith(_COUNTER)]
     if not counters:
-        return "cannot be told, the normalisation was merged into the convolutions"
+        return "unknown: the normalisation was merged into the convolutions"
     try:
         has_seen_images = any(bool(_read(counter, archive).any()) for counter in counters[:_MAX_COUNTERS])
     except (WeightsError, RuntimeError):

@@ -124,7 +124,7 @@ def classes_of(head: Stub) -> int:
     outputs, expected = head.get("no"), classes + 5 + coefficients
     if not isinstance(outputs, int) or outputs != expected:
         raise WeightsError(
-            f"the last layer gives {shown(outputs)} numbers a box, expected {expected} for {classes} "
+            f"the last layer gives {shown(outputs)} numbers per box, expected {expected} for {classes} "
             "classes: the head of another kind of model, or a damaged file"
         )
     return classes

@@ -88,7 +88,7 @@ def _check_sizes(tensors: Mapping[str, StoredTensor], file_bytes: int) -> None:
     surplus_bytes = file_bytes - total_bytes
     if surplus_bytes > MAX_SURPLUS * total_bytes + MAX_SURPLUS_BYTES:
         raise WeightsError(
-            f"the file has {surplus_bytes} bytes that belong to no layer, beside {total_bytes} that do: more "
+            f"the file has {surplus_bytes} bytes that belong to no layer, and {total_bytes} that do: more "
             "than any training leaves behind; get the original file, or convert that"
         )
 

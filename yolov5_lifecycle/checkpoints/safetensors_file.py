@@ -90,7 +90,7 @@ def read_safetensors(data: bytes) -> Model:
     metadata = header.pop("__metadata__", None)
     if not isinstance(metadata, dict) or metadata.get("format") != FORMAT:
         raise WeightsError(
-            "this .safetensors file was not made by this package, so it does not tell the architecture: "
+            "this .safetensors file was not written by this package, so it lacks the architecture: "
             "convert the original .pt with `convert IN.pt OUT.safetensors`"
         )
     architecture = _architecture(_json(metadata, "architecture"))
@@ -104,13 +104,13 @@ def _header(data: bytes) -> dict[str, Any]:
         raise WeightsError(f"expected a .safetensors file, found {len(data)} bytes")
     (header_bytes,) = struct.unpack("<Q", data[:8])
     if header_bytes > min(MAX_HEADER_BYTES, len(data) - 8):
-        raise WeightsError("this is no .safetensors file, or it is cut short: its header does not fit")
+        raise WeightsError("this is not a .safetensors file, or it is cut short: its header does not fit")
     try:
         header = json.loads(data[8 : 8 + header_bytes])
     except (ValueError, RecursionError):
-        raise WeightsError("this is no .safetensors file: its header is no JSON") from None
+        raise WeightsError("this is not a .safetensors file: its header is not JSON") from None
     if not isinstance(header, dict):
-        raise WeightsError(f"this is no .safetensors file: its header is {shown(header)}")
+        raise WeightsError(f"this is not a .safetensors file: its header is {shown(header)}")
     return header
 
 

@@ -128,7 +128,7 @@ def _check_strides(architecture: Architecture) -> None:
     if found != [Cells(Fraction(stride)) for stride in architecture.strides]:
         made = [str(level.pixels) if level.surplus == 0 else f"{level.pixels}, not whole" for level in found]
         raise WeightsError(
-            f"the strides are {shown(architecture.strides)}, but its layers make {shown(made)}"
+            f"the strides are {shown(architecture.strides)}, but its layers produce {shown(made)}"
         )
     if multiple > MAX_STRIDE:
         raise WeightsError(f"its layers have strides up to {multiple}, at most {MAX_STRIDE} are supported")

@@ -14,7 +14,7 @@ class TransformerLayer(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         if channels % _HEADS:
-            raise ValueError(f"{channels} channels cannot be shared among {_HEADS} heads of attention")
+            raise ValueError(f"{channels} channels cannot be divided among {_HEADS} attention heads")
         self.q = nn.Linear(channels, channels, bias=False)
         self.k = nn.Linear(channels, channels, bias=False)
         self.v = nn.Linear(channels, channels, bias=False)

@@ -29,7 +29,7 @@ class Cells(NamedTuple):
     def contracted(self, gain: int) -> Cells:
         """After squares of `gain` x `gain` cells have become one; raises ValueError for parts of squares."""
         if self.surplus % gain:
-            raise ValueError(f"squares of {gain} x {gain} cells do not divide what comes in")
+            raise ValueError(f"the input cannot be divided into squares of {gain} x {gain} cells")
         return Cells(self.pixels * gain, self.surplus // gain)
 
     def expanded(self, gain: int) -> Cells:

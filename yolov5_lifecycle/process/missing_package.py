@@ -61,5 +61,5 @@ def _remedy(error: ImportError) -> str:
         return f"If '{module}' belongs to ROS, source ROS first: source /opt/ros/jazzy/setup.bash"
     remedy = f"Install it with {sys.executable} -m pip install {PIP_PACKAGES[module]}"
     if module in _APT_PACKAGES:
-        remedy += f", or beside a ROS of apt with sudo apt install {_APT_PACKAGES[module]}"
+        remedy += f", or for a ROS from apt with sudo apt install {_APT_PACKAGES[module]}"
     return remedy

@@ -115,7 +115,7 @@ def write_figures(path: Path, figures_ms: Mapping[str, float]) -> str:
     try:
         write_cache(path, json.dumps(figures_ms).encode() + b"\n")
     except NO_PLACE as error:
-        return f"measured now, not remembered: {error}"
+        return f"measured now, not cached: {error}"
     return ""
 
 

@@ -86,12 +86,12 @@ class CompiledStore:
     def keep(self, key: str, content: bytes) -> None:
         """Cache `content` under `key`; a failure is only logged."""
         if _DIGEST_BYTES + len(content) > self._max_bytes:
-            _log.warning("The compiled model is not kept: %d bytes are too many", len(content))
+            _log.warning("The compiled model is not cached: %d bytes are too many", len(content))
             return
         try:
             write_cache(self._folder / key, hashlib.sha256(content).digest(), content)
         except NO_PLACE as error:
-            _log.warning("The compiled model is not kept: %s", error)
+            _log.warning("The compiled model is not cached: %s", error)
             return
         with suppress(*NO_PLACE):  # another process may evict at the same time
             self._evict(self._folder.expanduser() / key)

@@ -79,7 +79,7 @@ class Quantization:
         ]
         if problems:
             raise QuantizationError(
-                f"the ranges are not those of this network's {len(found)} convolutions: {'; '.join(problems)}"
+                f"the ranges do not match this network's {len(found)} convolutions: {'; '.join(problems)}"
             )
 
 

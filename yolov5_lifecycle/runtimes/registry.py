@@ -78,8 +78,8 @@ def _check_coarse(runtime: str, precision: str, quantization: Quantization | Non
     """Raise DeviceError or QuantizationError unless `runtime` computes `precision` here."""
     if runtime != COARSE_RUNTIME:
         raise DeviceError(
-            f"Precision '{precision}' needs runtime '{COARSE_RUNTIME}', found {runtime[:40]!r}. Use that one "
-            "or 'auto', or precision 'fp32'."
+            f"Precision '{precision}' needs runtime '{COARSE_RUNTIME}', found {runtime[:40]!r}. Use that "
+            "runtime or 'auto', or precision 'fp32'."
         )
     if precision == "bf16" and not has_bf16(found := abilities()):
         raise DeviceError(
@@ -88,7 +88,7 @@ def _check_coarse(runtime: str, precision: str, quantization: Quantization | Non
         )
     if precision == "int8" and quantization is None:
         raise QuantizationError(
-            "Precision 'int8' needs the calibration of the weights; see `calibrate --help`."
+            "Precision 'int8' needs a calibration of these weights; see `calibrate --help`."
         )
 
 
@@ -104,7 +104,7 @@ def _load_compiled(
     """Load an ONNX engine, imported here because its packages are optional. Raises ImportError."""
     for package in REQUIREMENTS[runtime]:
         if installed_build(package) is None:  # importing an unrelated folder of that name would succeed
-            raise ImportError(f"there is no package {package}")
+            raise ImportError(f"package {package} not found")
     from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
 
     if precision not in COARSE:

@@ -101,7 +101,7 @@ def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uin
     except (InferenceError, RuntimeAbsentError) as error:
         if name == "torch":
             raise
-        _log.warning("Runtime '%s' is left out: %s", name, error)
+        _log.warning("Runtime '%s' is skipped: %s", name, error)
         return None
     return runtime
 
@@ -122,7 +122,7 @@ def _is_warm(batches: Sequence[Run]) -> bool:
     except DeviceLostError:
         raise
     except InferenceError as error:
-        _log.warning("A size of batch is left out: %s", error)
+        _log.warning("A batch size is skipped: %s", error)
         return False
     return True
 

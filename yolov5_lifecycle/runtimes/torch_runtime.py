@@ -71,8 +71,7 @@ class TorchRuntime:
         if _is_lost(torch_device):
             raise DeviceLostError(_lost(torch_device, problem))
         raise DeviceError(
-            f"Device '{torch_device}' does not take the network: {problem} "
-            "Use a smaller model or device 'cpu'."
+            f"Device '{torch_device}' cannot load the network: {problem} Use a smaller model or device 'cpu'."
         )
 
     @property
@@ -175,7 +174,7 @@ def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: tor
         return RecordedNetwork(eager, (*shape, network.architecture.image_channels), device)
     except RuntimeError as error:
         problem = _first_line(error.__context__ or error)  # the latter may only mention an earlier error
-    _log.warning("The network is run step by step, as CUDA could not record it: %s", problem)
+    _log.warning("The network runs without a CUDA graph, as it could not be captured: %s", problem)
     return eager
 
 
@@ -213,10 +212,10 @@ class RecordedNetwork:
 def _alone() -> Iterator[None]:
     """Allow one capture at a time per process, as torch requires, and none after a failed one."""
     if not _ONE_AT_A_TIME.acquire(timeout=_CAPTURE_PATIENCE_S):
-        raise RuntimeError(f"Another recording has not ended within {_CAPTURE_PATIENCE_S:g} s.")
+        raise RuntimeError(f"Another CUDA graph capture has not ended within {_CAPTURE_PATIENCE_S:g} s.")
     try:
         if _HAS_FAILED.is_set():
-            raise RuntimeError("An earlier recording of this process has failed.")
+            raise RuntimeError("An earlier CUDA graph capture in this process failed.")
         yield
     finally:
         _ONE_AT_A_TIME.release()

@@ -64,7 +64,7 @@ class ChildProcess:
         if code is not None:
             self._reader.join(_KILL_S)
             raise ProcessError(
-                f"the {self.name} ended with exit code {code}. Its last words:\n{self.last_words}"
+                f"the {self.name} ended with exit code {code}. Its last output:\n{self.last_words}"
             )
 
     def wait_for_output(self, text: str, timeout_s: float) -> None:
@@ -72,7 +72,7 @@ class ChildProcess:
         with self._heard:
             self._heard.wait_for(lambda: self._is_silent or text in "".join(self._lines), timeout_s)
         if text not in self.output:
-            raise ProcessError(f"the {self.name} did not say '{text}', its last words:\n{self.last_words}")
+            raise ProcessError(f"the {self.name} did not print '{text}'. Its last output:\n{self.last_words}")
 
     def wait(self, timeout_s: float) -> int:
         """Wait for the process to end and return its exit code; raises ProcessError on timeout."""
@@ -80,7 +80,7 @@ class ChildProcess:
             code = self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             raise ProcessError(
-                f"the {self.name} did not end within {timeout_s:g} s. Its last words:\n{self.last_words}"
+                f"the {self.name} did not end within {timeout_s:g} s. Its last output:\n{self.last_words}"
             ) from None
         self._reader.join(_KILL_S)
         return code

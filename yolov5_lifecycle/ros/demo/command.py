@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if outcome.problems:
         _say("demo failed: " + "; ".join(outcome.problems))
         return 1
-    _say("to look at it live in a browser: make console, or demo --console\n")
+    _say("to watch it live in a browser: make console, or demo --console\n")
     _say(f"demo ok: {outcome.summary}, {time.monotonic() - begun_s:.0f} s")
     return 0
 
@@ -64,19 +64,19 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--cameras",
         action="store_true",
-        help="instead, two cameras with depth on one detector: tracks and places in space, compared with "
+        help="run two cameras with depth on one detector instead: tracks and places in space, compared with "
         f"ground truth; image and figures are written to {OUTPUT}",
     )
     parser.add_argument(
         "--frames",
         type=int,
         metavar="N",
-        help=f"with --cameras: how many images of each camera are compared (default {FRAMES})",
+        help=f"with --cameras: number of images of each camera to compare (default {FRAMES})",
     )
     parser.add_argument(
         "--console",
         action="store_true",
-        help="instead, camera, detector and console until Ctrl-C; prints the address for the browser",
+        help="run camera, detector and console until Ctrl-C instead; prints the address for the browser",
     )
     parser.add_argument(
         "--port",

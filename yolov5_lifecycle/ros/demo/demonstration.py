@@ -99,10 +99,10 @@ class Demonstration:
         found = recall(seen, self._truths)
         if not found >= _LOWEST_RECALL:
             raise DemonstrationError(
-                f"of the camera's true shapes {found:.1%} were found where they are, "
+                f"{found:.1%} of the camera's true shapes were found in the right place, "
                 f"expected at least {_LOWEST_RECALL:.0%}"
             )
-        self._report(f"found {found:.1%} of the true shapes where they are")
+        self._report(f"found {found:.1%} of the true shapes in the right place")
         return Phase("all classes", seen, found)
 
     def _compare_masks(self) -> float:
@@ -152,7 +152,7 @@ class Demonstration:
                 )
         if not any(sighting.class_names for sighting in seen):
             raise DemonstrationError(
-                f"not one {_ONLY_CLASS} was seen in {len(seen)} images, though the scene has some"
+                f"no {_ONLY_CLASS} was detected in {len(seen)} images, although the scene has some"
             )
         self._report(
             f"the next {len(seen)} messages have circles only, none scored below {_RAISED_THRESHOLD}"
@@ -178,7 +178,7 @@ class Demonstration:
 
     def _watch_again(self) -> Phase:
         seen = self._next(_LATER_MESSAGES)
-        self._report("messages come again")
+        self._report("messages have resumed")
         return Phase("activated again", seen, recall(seen, self._truths))
 
     def _stop(self) -> None:
@@ -187,7 +187,7 @@ class Demonstration:
         self._observer.work_for(_SILENCE_S)
         late = [seen for seen in self._sightings if seen.stamp_ns > answered_ns]
         if late:
-            raise DemonstrationError(f"{len(late)} messages of images taken after the node was deactivated")
+            raise DemonstrationError(f"{len(late)} messages for images taken after the node was deactivated")
         self._report(f"messages stopped: none in {_SILENCE_S:g} s")
 
     def _next(self, count: int) -> tuple[Sighting, ...]:

@@ -28,14 +28,14 @@ def show_live(commands: Mapping[str, Sequence[str]], *, port: int, report: Calla
         shown = processes[-1]
         shown.wait_for_output("console: http", _START_S)
         address = _ADDRESS.search(shown.output)
-        report(f"open {address[1] if address else shown.output} in a browser; Ctrl-C ends all")
+        report(f"open {address[1] if address else shown.output} in a browser; Ctrl-C stops everything")
         try:
             while True:
                 for process in processes:
                     process.check_running()
                 time.sleep(_CHECK_S)
         except KeyboardInterrupt:
-            report("ending all processes")
+            report("stopping all processes")
         for process in reversed(processes):
             if code := process.stop(signal.SIGINT, timeout_s=_END_S):
                 raise ProcessError(f"the {process.name} ended with exit code {code} instead of 0")

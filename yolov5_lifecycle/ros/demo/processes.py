@@ -76,7 +76,7 @@ def _driven(
             running.remove(detector)
             driven.transition("shutdown", "finalized")
     except (DemonstrationError, NoAnswerError) as error:
-        raise DemonstrationError(f"{error}. The detector's last words:\n{detector.last_words}") from error
+        raise DemonstrationError(f"{error}. The detector's last output:\n{detector.last_words}") from error
     return result
 
 
