@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of what takes untrusted data. `make fuzz`."""
+"""Coverage-guided fuzzing of all code that reads untrusted data: `make fuzz`."""
 
 from yolov5_lifecycle.process.environment import prepare_environment
 

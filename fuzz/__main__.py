@@ -9,7 +9,7 @@ import sys
 from fuzz.targets import TARGETS
 
 _PROCESS_S = 30
-"""atheris keeps the result of every comparison of arrays in memory, so that a process has to end soon."""
+"""atheris keeps the result of every array comparison in memory, so a process must end soon."""
 
 
 def main() -> int:
@@ -22,7 +22,7 @@ def main() -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(prog="make fuzz", description="Fuzz what takes untrusted data.")
+    parser = argparse.ArgumentParser(prog="make fuzz", description="Fuzz all code that reads untrusted data.")
     parser.add_argument(
         "--only",
         nargs="+",
@@ -31,12 +31,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="TARGET",
         help=f"some of: {', '.join(TARGETS)}",
     )
-    parser.add_argument("--seconds", type=int, default=60, help="for each target; default: %(default)s")
+    parser.add_argument("--seconds", type=int, default=60, help="duration per target; default: %(default)s")
     return parser
 
 
 def _holds(name: str, seconds: int) -> bool:
-    """Search in one process after another, which go on with what those before have found."""
+    """Search in one process after another; each continues with the inputs found so far."""
     print(f"{name} ...", flush=True)
     command = [sys.executable, "-m", "fuzz.search", name]
     durations_s = (min(seconds - begun_s, _PROCESS_S) for begun_s in range(0, seconds, _PROCESS_S))

@@ -1,4 +1,4 @@
-"""Files of labels and calibrations with any content: read as they are meant, or refused in one line."""
+"""Fuzz targets: label and calibration files with any content are read correctly or refused in one line."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def coco_seeds() -> Iterator[bytes]:
 
 
 def calibration_seeds() -> Iterator[bytes]:
-    """The calibration of the shapes, with few of its layers."""
+    """The calibration of the shapes model, with few of its layers."""
     fields = json.loads(_CALIBRATION.read_text())
     for name in ("ranges", "means"):
         fields[name] = dict(list(fields[name].items())[:_KEPT_LAYERS])
@@ -92,7 +92,7 @@ def _check_line(told: str) -> None:
 
 @cache
 def _digest() -> str:
-    """Of the weights that the seed was made for."""
+    """Digest of the weights that the seed belongs to."""
     return str(json.loads(_CALIBRATION.read_text())["weights_sha256"])
 
 

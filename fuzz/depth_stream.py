@@ -1,4 +1,4 @@
-"""Fuzz target: what depth and colour cameras send, in any order, with any stamps."""
+"""Fuzz target: messages of depth and colour cameras, in any order, with any stamps."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _FIT = 0x80
 
 
 def check_depth_stream(data: bytes) -> None:
-    """Expect for each box a place of finite numbers or a reason, and few depth images that are kept."""
+    """Expect for each box a place of finite numbers or a reason, and few depth images in memory."""
     fields = Fields(data)
     (slop,) = fields.unpack(_KIND)
     stream = _Stream(_SLOPS_S[slop % len(_SLOPS_S)])
@@ -53,7 +53,7 @@ def check_depth_stream(data: bytes) -> None:
 
 
 class _Stream:
-    """What the node keeps of a depth camera, and the depth images that are still in memory."""
+    """The node's state of a depth camera, and the depth images still in memory."""
 
     def __init__(self, slop_s: float) -> None:
         self._slop_ns = slop_s * 1e9

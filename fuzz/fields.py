@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Fields:
-    """Reads `data` from its beginning; what is missing at its end is zeros."""
+    """Reads `data` from the start; bytes missing at the end are zeros."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data

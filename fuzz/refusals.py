@@ -10,7 +10,7 @@ Refusal = TypeVar("Refusal", bound=Exception)
 
 
 def taken(take: Callable[[], Taken], refusal: type[Refusal]) -> Taken | Refusal:
-    """What `take` returns, or the `refusal` that it raises; any other exception propagates."""
+    """The result of `take`, or the `refusal` that it raises; any other exception propagates."""
     try:
         return take()
     except refusal as error:

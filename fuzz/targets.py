@@ -1,4 +1,4 @@
-"""Fuzz targets: invariants for any bytes, for all that takes external data."""
+"""Fuzz targets: invariants of everything that reads external data, for any bytes."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def check_checkpoint(data: bytes) -> None:
 
 
 def check_family(data: bytes) -> None:
-    """Check what follows the first byte as the pickle of a file of the family that this byte selects."""
+    """Check `data` after its first byte, which selects a family of models, as the pickle of such a file."""
     files = _families()
     if data:
         check_weights(read_checkpoint, hostile_archives.with_pickle(data[1:], files[data[0] % len(files)]))

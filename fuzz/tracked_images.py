@@ -22,7 +22,7 @@ from yolov5_lifecycle.tracking.byte_tracker import (
 
 _SETTINGS = struct.Struct("<5B")
 _IMAGE = struct.Struct("<BiIB")
-"""Flags, seconds and nanoseconds of the stamp, number of detections, of which as many as there are follow."""
+"""Flags, seconds and nanoseconds of the stamp, number of detections; then as many as the data has."""
 _SMALL = struct.Struct("<6B")
 _LARGE = struct.Struct("<4f2B")
 """Two corners, score and class."""
@@ -58,7 +58,7 @@ class _Seen:
 
 
 class _Camera:
-    """A tracker, and what its ids may mean; `used` are those of all cameras."""
+    """A tracker, and the objects of its ids; `used` are the ids of all cameras."""
 
     def __init__(self, tracker: ByteTracker, used: set[int]) -> None:
         self._tracker = tracker
@@ -75,7 +75,7 @@ class _Camera:
         self._judge(ids, found, settings)
 
     def _forget(self, stamp_s: float, timeout_s: float) -> None:
-        """Time goes on until `stamp_s`: what was not seen for the timeout, or before a jump, is over."""
+        """Advance to `stamp_s`: objects not seen for the timeout, or last seen before a jump, are gone."""
         step_s = stamp_s - self.stamp_s or STEP_WITHOUT_TIME_S
         self.stamp_s = stamp_s
         if not 0 < step_s <= timeout_s:

@@ -52,7 +52,7 @@ Watched = Callable[[Subject], Finding]
 
 
 def _watched_trials(seed: int, minutes: float, scale: float) -> dict[str, Watched]:
-    """Trials that watch one process each, by name."""
+    """Trials on one process each, by name."""
     images, seeds = _scaled(_IMAGES, scale), range(seed, seed + _SEEDS)
     return {
         "transitions": answered_transitions,
@@ -101,14 +101,14 @@ _NAMES = [*_watched_trials(0, 0, 1), *_trials_of_many(0, 1)]
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(prog="make soak", description="Long trials of the detector's process.")
+    parser = argparse.ArgumentParser(prog="make soak", description="Long trials of the detector process.")
     parser.add_argument(
-        "--minutes", type=float, default=30.0, help="of the mixed trial; default: %(default)s"
+        "--minutes", type=float, default=30.0, help="duration of the mixed trial; default: %(default)s"
     )
     parser.add_argument(
-        "--scale", type=float, default=1.0, help="times the usual number of attempts; default: %(default)s"
+        "--scale", type=float, default=1.0, help="factor on the usual number of attempts; default: %(default)s"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of all that is random; default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random choices; default: %(default)s")
     parser.add_argument(
         "--only",
         nargs="+",

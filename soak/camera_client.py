@@ -1,4 +1,4 @@
-"""Everything around one named camera of the detector: its images, its depth, and what is detected in them."""
+"""Client of one named camera of the detector: sends images and depth, receives detections."""
 
 from __future__ import annotations
 

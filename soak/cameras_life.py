@@ -1,4 +1,4 @@
-"""Random actions on several cameras: some are always there, some come and go, one is hostile."""
+"""Random actions on several cameras: some are steady, some come and go, one is hostile."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ class CamerasLife:
             self._delete(self._choose(sorted(self._overrides)))
 
     def _delete(self, name: str) -> None:
-        """As `ros2 param delete` does; one that would contradict what is inherited is refused."""
+        """Delete like `ros2 param delete`; refused if the inherited value would contradict others."""
         message = Parameter(name, Parameter.Type.NOT_SET).to_parameter_msg()
         (result,) = self._subject.set_one_by_one([message])
         if result.successful:

@@ -1,4 +1,4 @@
-"""Hostile requests to the console, from people who do not have its token."""
+"""Hostile requests to the console, from clients without its token."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Attack:
         self._port = port
 
     def send(self) -> str:
-        """Send a request from some address; what was wrong, "" if it was answered or its connection ended."""
+        """Send a request from some address; return the problem, "" if it was answered or disconnected."""
         source = f"127.0.{self._random.randrange(1, 3)}.{self._random.randrange(1, _ATTACKERS)}"
         content, is_complete, is_right = self._random.choice(self._kinds)()
         try:

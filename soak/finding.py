@@ -52,14 +52,14 @@ def number_of(what: str, cases: Sequence[str]) -> str:
 
 
 def none_wrong(claim: str, done: str, what: str, wrong: Sequence[str], *, limit: str = "0") -> Finding:
-    """The finding of a claim that holds unless there are `wrong` cases of `what`."""
+    """Finding of a claim that holds if no case of `what` is `wrong`."""
     return Finding(claim, done, number_of(what, wrong), limit, not wrong)
 
 
 def none_wrong_nor_escaped(
     claim: str, done: str, what: str, wrong: Sequence[str], escaped: Sequence[str], *, limit: str = "0, 0"
 ) -> Finding:
-    """Like `none_wrong`, and unless exceptions have `escaped` in the subject."""
+    """Like `none_wrong`, and no exception may have `escaped` in the subject."""
     result = f"{number_of(what, wrong)}, {number_of('exceptions', escaped)}"
     return Finding(claim, done, result, limit, not wrong and not escaped)
 

@@ -1,4 +1,4 @@
-"""A client that sends requests of maximum size one after the other: `flooding_client.py FLOOD`."""
+"""A client that sends requests of maximum size one after another: `flooding_client.py FLOOD`."""
 
 from __future__ import annotations
 

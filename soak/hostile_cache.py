@@ -1,4 +1,4 @@
-"""A cache full of pipes, devices and junk, and processes that end while they write to it."""
+"""A cache full of pipes, devices and junk, and processes that end while writing to it."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ _CHECK_EVERY = 20
 _MIN_SHARE = 0.95
 _MAX_GROWTH_MB = 20.0
 _WARM_UP = 4
-"""Memory may grow from what it was in the first of so many equal parts of the checks."""
+"""Memory growth is measured against the first of this many equal parts of the checks."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def several_cameras(subject: Subject, seed: int, minutes: float, *, is_judged: b
     with CamerasLife(subject, seed) as life:
         outcome = _outcome(subject, life, minutes)
     subject.reset()
-    escaped = subject.escaped  # reads the log to its end, in which the balances of removed cameras are
+    escaped = subject.escaped  # reads the log to its end, which has the balances of removed cameras
     problems = [*life.problems, *life.track_ids.problems, *subject.balance.problems]
     are_fine = outcome.share >= _MIN_SHARE and outcome.growth_mb < _MAX_GROWTH_MB
     return Finding(
@@ -68,7 +68,7 @@ def _outcome(subject: Subject, life: CamerasLife, minutes: float) -> _Outcome:
 
 
 def _steady_counts(subject: Subject) -> dict[str, Counter[str]]:
-    """Images of the steady cameras so far, by what has become of them."""
+    """Images of the steady cameras so far, by outcome."""
     statuses = subject.statuses()
     return {
         name: Counter({key: int(value) for key, value in statuses[name].items() if key.startswith("frames ")})

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 
 class TrackIds:
-    """All ids that one process has published for its cameras, of which none may be used for two tracks."""
+    """All ids that one process has published for its cameras; none may be used for two tracks."""
 
     def __init__(self) -> None:
         self.problems: list[str] = []
@@ -18,7 +18,7 @@ class TrackIds:
         return len(self._cameras)
 
     def take(self, camera: str, stamp_ns: int, ids: Sequence[str]) -> None:
-        """Check the ids in the detections of one image of `camera`; "" is none."""
+        """Check the ids in the detections of one image of `camera`; "" means no id."""
         ids = [track_id for track_id in ids if track_id]
         if len(set(ids)) < len(ids):
             self.problems.append(f"an id twice in one image of {camera}: {ids}")

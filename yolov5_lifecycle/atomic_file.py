@@ -19,7 +19,7 @@ def write_whole(path: Path, *parts: bytes, is_durable: bool = True) -> None:
     """Atomically replace the file at `path` with the concatenated `parts`; readable by all users.
 
     If not `is_durable`, a power failure may leave a damaged file. A killed process leaves a file `.*.part`
-    beside it, which is locked while the process lives. Raises OSError.
+    next to it, which is locked while the process lives. Raises OSError.
     """
     descriptor, unfinished = _new_file(path.parent)
     try:
@@ -53,8 +53,8 @@ class OutputError(ValueError):
 def whole_output(path: Path, *, replace: bool = False) -> Iterator[Path]:
     """Temporary path for a file or folder, which is renamed to `path` when the block succeeds.
 
-    Until then, and on failure, nothing exists at `path`; with `replace` what was there before. A killed
-    process leaves a hidden folder beside it, which the next output to the same folder removes. Raises
+    Until then, and on failure, nothing exists at `path`, or with `replace` the previous content. A killed
+    process leaves a hidden folder next to it, which the next output to the same folder removes. Raises
     OutputError if `path` already exists, unless `replace`, and OSError.
     """
     if not replace:
@@ -72,13 +72,13 @@ def whole_output(path: Path, *, replace: bool = False) -> Iterator[Path]:
 
 
 def remove_unfinished_outputs(folder: Path) -> None:
-    """Remove what killed processes left in `folder` while they wrote output there, as far as possible."""
+    """Remove unfinished output of killed processes from `folder`, as far as possible."""
     with suppress(OSError):
         remove_abandoned(folder, prefix=_OUTPUT_PREFIX, with_subfolders=True)
 
 
 def has_unfinished_outputs(folder: Path) -> bool:
-    """Whether a process writes output in `folder`, or was killed while it did; raises OSError."""
+    """Whether a process is writing output to `folder`, or was killed while doing so; raises OSError."""
     return any(path.name.startswith(_OUTPUT_PREFIX) for path in folder.iterdir())
 
 

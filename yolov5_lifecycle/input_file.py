@@ -1,4 +1,4 @@
-"""Files that a user names: found in ROS packages, read up to a limit."""
+"""Files named by the user: found in ROS packages, read up to a limit."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def resolve_package(path: str) -> str:
 
 
 class RegularFileError(ValueError):
-    """A path that is no regular file, or a file that is too large."""
+    """The path is not a regular file, or the file is too large."""
 
 
 def read_regular_file(path: Path, max_bytes: int) -> bytes:

@@ -10,7 +10,7 @@ _INDENT = "  "
 
 
 def in_one_line(text: str, limit: int = MAX_LINE) -> str:
-    """`text` as one line of at most `limit` characters, with white space as blanks, unprintables as `?`.
+    """`text` as one line of at most `limit` characters, with white space as blanks, unprintable ones as `?`.
 
     Escape sequences, control characters and bidirectional formatting characters are unprintable. Longer text
     is truncated and its length appended.
@@ -23,7 +23,7 @@ def in_one_line(text: str, limit: int = MAX_LINE) -> str:
 def in_lines(text: str, limit: int = MAX_TEXT) -> str:
     """`text` with its line breaks; later lines are indented by at least two blanks, unlike log lines.
 
-    Treats unprintable characters and too long text like `in_one_line`.
+    Handles unprintable characters and overlong text like `in_one_line`.
     """
     first, *later = (_printable(line.replace("\t", "    ")) for line in text[: 2 * limit].split("\n"))
     if not all(line.startswith(_INDENT) for line in later):

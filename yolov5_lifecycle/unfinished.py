@@ -69,8 +69,8 @@ def remove_abandoned(folder: Path, *, prefix: str, suffix: str = "", with_subfol
     """Remove unlocked files and folders of this user in `folder` whose names have `prefix` and `suffix`.
 
     A folder that has subfolders belongs to another program and is kept, unless `with_subfolders`. Does not
-    follow links and skips pipes, devices and whatever cannot be removed. Raises OSError if `folder` cannot be
-    listed.
+    follow links and skips pipes, devices and anything that cannot be removed. Raises OSError if `folder`
+    cannot be listed.
     """
     for path in folder.iterdir():
         if path.name.startswith(prefix) and path.name.endswith(suffix):

@@ -1,4 +1,4 @@
-"""A description of a weights file for its user, also of one that is refused."""
+"""Description of a weights file for its user, even if the file is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arguments of the layers in a model's yaml: what is accepted, and what stands for one that is left out."""
+"""Arguments of the layers in a model's yaml: accepted values and defaults."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from yolov5_lifecycle.models.model import checked_integer
 
 MAX_CHANNELS = 8192
 MAX_COEFFICIENTS = 256
-"""Of a mask, so as many prototypes; YOLOv5's own models have 32."""
+"""Max coefficients of a mask, thus prototypes; YOLOv5's own models have 32."""
 MAX_KERNEL = 15
 MAX_LAYER_STRIDE = 8
 _MAX_GROUPS = 8192
@@ -18,12 +18,12 @@ _MAX_WINDOWS = 8
 
 
 class UnsupportedError(ValueError):
-    """An argument that the layer does not take; whoever catches it shows the whole row."""
+    """An argument that the layer does not support; the catcher quotes the whole row."""
 
 
 @dataclass(frozen=True)
 class Given:
-    """An argument of a row: `read` checks its value, given where it stands, for messages.
+    """An argument of a row: `read(value, where)` validates its value; `where` is for messages.
 
     An argument that `is_kept` is part of the layer even if it has its default value.
     """
@@ -46,7 +46,7 @@ def arguments_of(row: Sequence[object], expected: Sequence[Given], where: str) -
         if number < len(row):
             values.append(given.read(row[number], where))
         elif given.is_required:
-            # A missing number is refused like one that is no number.
+            # A missing number is refused like a value that is not a number.
             values.append(given.read(None, where))
         else:
             values.append(given.default)
@@ -65,7 +65,7 @@ def _whole(what: str, least: int, most: int) -> Callable[[object, str], int]:
 
 
 def _odd_kernel(value: object, where: str) -> int:
-    """With an even one the output has another size than the input."""
+    """An odd kernel: with an even one, output and input would differ in size."""
     kernel = checked_integer(value, f"the kernel of {where}", 1, MAX_KERNEL)
     if kernel % 2 == 0:
         raise UnsupportedError
@@ -89,12 +89,12 @@ def _padding(value: object, where: str) -> int | None:
 
 
 def _dilation(value: object, where: str) -> int:
-    # Until v6.2 the activation stands here; it is read from the modules.
+    # Until v6.2 the activation is here; it is read from the modules.
     return 1 if isinstance(value, (bool, str)) else _whole("dilation", 1, 8)(value, where)
 
 
 def _activation(value: object, where: str) -> None:
-    """Not used: each module tells its activation."""
+    """Ignored: the activation is read from each module."""
     if not isinstance(value, (bool, str)) and value is not None:
         raise UnsupportedError
 
@@ -110,7 +110,7 @@ def _windows(value: object, where: str) -> tuple[int, ...]:
 
 
 def _sides(value: object, where: str) -> tuple[int, ...]:
-    """Padding at the left, right, top and bottom: as much across as down, where sizes stay in proportion."""
+    """Padding left, right, top and bottom; horizontally as much as vertically, to keep the proportions."""
     if not isinstance(value, (list, tuple)) or len(value) != 4:
         raise UnsupportedError
     sides = tuple(_whole("padding", 0, MAX_LAYER_STRIDE)(side, where) for side in value)
@@ -120,7 +120,7 @@ def _sides(value: object, where: str) -> tuple[int, ...]:
 
 
 def only(*accepted: object) -> Given:
-    """An argument that has one of the values `accepted`, which changes nothing."""
+    """An argument that must be one of `accepted` and has no effect."""
 
     def read(value: object, where: str) -> None:
         if isinstance(value, bool) or value not in accepted:

@@ -1,4 +1,4 @@
-"""The rows of a model's yaml: which modules are read, with which arguments, and why others are not."""
+"""The rows of a model's yaml: supported modules with their arguments, and why others are refused."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ ROWS: Mapping[str, Sequence[Given]] = MappingProxyType(
         "Segment": (COEFFICIENTS, PROTOTYPE_CHANNELS),
     }
 )
-"""Arguments by kind of layer; those of the heads without classes and anchors, which their attributes tell."""
+"""Arguments by kind of layer; for heads without classes and anchors, which are read from attributes."""
 _FOREIGN_KINDS = {
     "Classify": "the head of a classification model; only models that detect or segment are supported: use "
     "yolov5s.pt instead of yolov5s-cls.pt, say",

@@ -47,7 +47,7 @@ _OTHER_CLASS_NAMES: Mapping[type[nn.Module], tuple[str, ...]] = MappingProxyType
         NonDynamicallyQuantizableLinear: ("NonDynamicallyQuantizableLinear", "_LinearWithBias"),
     }
 )
-"""Names in files of the classes whose own name is not the only one."""
+"""Names in files of classes that have more than one."""
 
 
 def check_settings(modules: Mapping[str, Stub], network: Network) -> None:

@@ -50,8 +50,8 @@ def find_weights(
 ) -> Path:
     """Path of the file `weights`, or of `model_size` in `weights_dir`: .safetensors before .pt.
 
-    Expands a leading ~. Raises WeightsError if there is no such file or if it is outside `weights_dirs`,
-    unless those are empty.
+    Expands a leading ~. Raises WeightsError if the file does not exist or is outside `weights_dirs`, unless
+    those are empty.
     """
     located = functools.partial(confined, folders=weights_dirs) if weights_dirs else expanded
     if weights:

@@ -111,7 +111,7 @@ def modules_of(root: Stub) -> dict[str, Stub]:
     while waiting:
         path, module = waiting.pop()
         for name, child in module.group("_modules").items():
-            if child is None:  # as the normalisation of fused convolutions was in v3
+            if child is None:  # such as the normalisation of fused convolutions in v3
                 continue
             if not isinstance(name, str) or not isinstance(child, Stub):
                 raise WeightsError(f"expected modules below {shown(path)}, found {shown(child)}")

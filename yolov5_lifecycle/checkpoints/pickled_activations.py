@@ -1,4 +1,4 @@
-"""Activations and fusion of a pickled network, which no state dict and no yaml tells reliably."""
+"""Activations and fusion of a pickled network, which neither state dict nor yaml state reliably."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pickled objects of a checkpoint tell about it, whether its model can be used or not."""
+"""Facts about a checkpoint from its pickled objects, even if its model is refused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MAX_COUNTER_BYTES = 64
 
 
 class PickledFacts(NamedTuple):
-    """Facts for a user; each is "" if the file does not tell it."""
+    """Facts for a user; each is "" if the file lacks it."""
 
     version: str
     layers: str
@@ -59,7 +59,7 @@ def _is_layer(path: str) -> bool:
 
 
 def _version(modules: Mapping[str, Stub], tensors: Mapping[str, StoredTensor]) -> str:
-    """The version of YOLOv5 that wrote the model, from how it differs from those of others."""
+    """The version of YOLOv5 that wrote the model, inferred from differences between versions."""
     convolutions = [path for path, module in modules.items() if module.kind in ("Conv", "DWConv")]
     activations = [modules[f"{path}.act"] for path in convolutions if f"{path}.act" in modules]
     kinds = {module.kind for module in activations}

@@ -1,4 +1,4 @@
-"""The model among the objects of a checkpoint, and what its attributes say."""
+"""The model among the objects of a checkpoint, and its attributes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _WRAPPERS: Mapping[str, str] = MappingProxyType(
         "DetectMultiBackend": "model",
     }
 )
-"""Modules around a model, and the names under which they have it: for several GPUs, and to run it."""
+"""Wrappers of a model (for several GPUs, for inference) and the attribute that holds it."""
 _MAX_WRAPPERS = 4
 _PLACEHOLDER_ANCHORS_PX = tuple((float(2 * index), float(2 * index + 1)) for index in range(MAX_ANCHORS))
 """Anchors that YOLOv5 creates for `anchors: 3` in the yaml of P2, P34, P6 and P7 models."""
@@ -36,7 +36,7 @@ Read = Callable[[StoredTensor], Tensor]
 
 
 def model_root(checkpoint: object) -> Stub:
-    """The model in a checkpoint, its `ema` if present, without what is around it. Raises WeightsError."""
+    """The model in a checkpoint, its `ema` if present, unwrapped. Raises WeightsError."""
     found = _saved_module(checkpoint)
     for _ in range(_MAX_WRAPPERS):
         if found.kind not in _WRAPPERS:
@@ -71,7 +71,7 @@ def _holds_tensors(state: Mapping[object, object]) -> bool:
 
 
 def without_nms(modules: Mapping[str, Stub]) -> dict[str, Stub]:
-    """`modules` without a last layer that v3.1 to v5.0 added for an export; it has no tensors."""
+    """`modules` without the last layer that v3.1 to v5.0 added for export; it has no tensors."""
     layers = modules["model"].group("_modules") if "model" in modules else {}
     last = f"model.{list(layers)[-1]}" if layers else ""
     if last and modules[last].pickled_name.endswith("models.common.NMS"):
@@ -91,7 +91,7 @@ def head_path(modules: Mapping[str, Stub]) -> str:
 
 
 def own_yaml(root: Stub, modules: Mapping[str, Stub]) -> object:
-    """The yaml of the model, in which our kinds of layers stand for those of the same name by version."""
+    """The yaml of the model, with version-specific layer names replaced by our layer kinds."""
     yaml = root.get("yaml")
     if not isinstance(yaml, dict):
         return yaml
@@ -110,7 +110,7 @@ def _own_row(row: Any, module: Stub | None) -> Any:
 
 
 def image_channels(stored: Mapping[str, StoredTensor], first: Stub | None) -> int:
-    """Channels of the images, from the first weights: a yaml of before v6.0 does not tell them."""
+    """Channels of the images, from the first weights: a yaml from before v6.0 lacks them."""
     shapes = (tensor.shape for key, tensor in stored.items() if key.startswith("model.0."))
     shape = next((shape for shape in shapes if len(shape) == 4), (0, 3))
     return shape[1] // 4 if first is not None and first.kind == "Focus" else shape[1]

@@ -41,7 +41,7 @@ _DTYPES = frozenset({torch.float32, torch.float16, torch.bfloat16, torch.float64
 
 MAX_SURPLUS_BYTES = 64 << 20
 MAX_SURPLUS = 8
-"""Maximum ratio of other bytes in a file to the bytes of its layers, beyond `MAX_SURPLUS_BYTES`.
+"""Max ratio of other bytes in a file to the bytes of its layers, beyond `MAX_SURPLUS_BYTES`.
 
 A training checkpoint of YOLOv5 has its EMA in fp16, the model itself and the state of its optimizer, which
 for Adam is two fp32 values per weight, three with amsgrad.

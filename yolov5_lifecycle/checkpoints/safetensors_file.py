@@ -186,7 +186,7 @@ def _architecture(described: Any) -> Architecture:
 
 
 def _activations(described: dict[str, Any]) -> dict[str, Any]:
-    """The fields of an Architecture that no yaml has."""
+    """The fields of an Architecture that a yaml lacks."""
     others, is_fused = described.get("other_activations", []), described.get("is_fused", False)
     if not isinstance(others, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in others):
         raise WeightsError(f"expected pairs of paths and activations, found {shown(others)}")

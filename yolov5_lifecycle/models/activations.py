@@ -1,4 +1,4 @@
-"""Activation functions by the names that architectures give them."""
+"""Activation functions by their names in architectures."""
 
 from __future__ import annotations
 

@@ -97,13 +97,13 @@ P6_LAYERS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Architecture:
-    """A YOLOv5 architecture, of whatever version: layers, scaling factors and activations.
+    """A YOLOv5 architecture of any version: layers, scaling factors and activations.
 
     `anchors_px` are (width, height) in network pixels, one row of anchors per detection level; `strides` are
     the network pixels per grid cell of each level. The last layer is the head, Detect or Segment, and has
-    one source per level. `image_channels` is 3 for RGB, 1 for grey. `activation` is that of every convolution
-    which has one, by its name in `models/activations.py`; `other_activations` are pairs of a module's path in
-    the network and the activation that it has instead. If it `is_fused`, convolutions have a bias and no
+    one source per level. `image_channels` is 3 for RGB, 1 for grey. `activation`, a name in
+    `models/activations.py`, is that of every convolution that has one; `other_activations` are pairs of a
+    module's path in the network and its different activation. If it `is_fused`, convolutions have a bias and no
     normalisation.
     """
 
@@ -131,7 +131,7 @@ class Architecture:
 
     @property
     def prototype_channels(self) -> int:
-        """Channels in which a network that segments computes its prototypes."""
+        """Channels in which a segmentation network computes its prototypes."""
         return self._divisible(self._of_segment(1))
 
     def _of_segment(self, argument: int) -> int:
@@ -143,7 +143,7 @@ class Architecture:
     def scaled_channels(self, channels: int) -> int:
         """Number of channels after applying the width multiple.
 
-        As YOLOv5 builds its models, a number that happens to be that of the head's outputs is not scaled.
+        As in YOLOv5, a number that happens to equal the head's number of outputs is not scaled.
         """
         if channels == self.head_outputs:
             return channels

@@ -1,6 +1,6 @@
-"""What building blocks of YOLOv5 networks have in common, and the register of kinds of layers.
+"""Base class of the building blocks of YOLOv5 networks, and the registry of layer kinds.
 
-The blocks have the names and the state-dict keys that checkpoints have. Their constructors take the numbers
+The blocks have the names and state-dict keys of checkpoints. Their constructors take the numbers
 of input and output channels, with `has_repeats_inside` the number of repeats, and then the arguments of the
 layer.
 """
@@ -21,7 +21,7 @@ _Registered = TypeVar("_Registered", bound=type[nn.Module])
 
 
 class LayerKind(NamedTuple):
-    """A class for layers; `cells_after` maps the cells that a layer reads and its arguments to its own."""
+    """A layer class; `cells_after` maps its input cells and its arguments to its output cells."""
 
     block: type[nn.Module]
     cells_after: Callable[..., Cells]

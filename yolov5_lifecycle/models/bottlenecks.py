@@ -1,4 +1,4 @@
-"""Blocks of a few convolutions in a row, most of them with a shortcut."""
+"""Blocks of a few sequential convolutions, most of them with a shortcut."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Height and width of feature maps, as a function of those of the network's input."""
+"""Height and width of feature maps as a function of those of the network's input."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Cells(NamedTuple):
     surplus: int = 0
 
     def slid(self, kernel: int, stride: int, padding: int, dilation: int = 1) -> Cells:
-        """After a window of `kernel` cells has slid over them, for inputs that the strides divide."""
+        """After a window of `kernel` cells slid over them, for inputs divisible by the strides."""
         room = self.surplus + 2 * padding - dilation * (kernel - 1) - 1
         return Cells(self.pixels * stride, room // stride + 1)
 
@@ -23,11 +23,11 @@ class Cells(NamedTuple):
         return Cells(self.pixels / stride, surplus)
 
     def padded(self, cells: int) -> Cells:
-        """With so many more cells."""
+        """With `cells` more cells."""
         return Cells(self.pixels, self.surplus + cells)
 
     def contracted(self, gain: int) -> Cells:
-        """After squares of `gain` x `gain` cells have become one; raises ValueError for parts of squares."""
+        """After squares of `gain` x `gain` cells became one; raises ValueError for incomplete squares."""
         if self.surplus % gain:
             raise ValueError(f"the input cannot be divided into squares of {gain} x {gain} cells")
         return Cells(self.pixels * gain, self.surplus // gain)

@@ -37,7 +37,7 @@ def _spread(
 class Conv(Block):
     """Convolution, batch normalisation, activation; `padding` keeps the size at stride 1.
 
-    The default of `padding` is (kernel - 1) // 2, also for the 6x6 kernel with which v6 begins.
+    The default of `padding` is (kernel - 1) // 2, also for the 6x6 kernel of the first layer of v6.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class DWConv(Conv):
 
 @layer_kind(lambda cells, *kernel_stride: convolved(cells.contracted(2), *kernel_stride))
 class Focus(Block):
-    """Four pixels become four times the channels, then a convolution: how networks before v6 begin."""
+    """Four pixels become four times the channels, then a convolution: first layer of networks before v6."""
 
     def __init__(self, channels_in: int, channels_out: int, kernel: int = 1, stride: int = 1) -> None:
         super().__init__()

@@ -29,7 +29,7 @@ def cells_of_layers(architecture: Architecture) -> list[Cells]:
 
 
 def size_multiple(architecture: Architecture) -> int:
-    """What height and width of the input must be multiples of, for all layers to fit each other.
+    """The number of which input height and width must be multiples for all layers to fit each other.
 
     It is the largest stride; that of a layer may be larger than those of the detection levels.
     """

@@ -22,7 +22,7 @@ class WeightsError(ValueError):
 
 
 class UncheckedError(WeightsError):
-    """A weights file that could not be checked in this environment; it may be valid."""
+    """A weights file that could not be validated in this environment; it may be valid."""
 
 
 @dataclass(frozen=True, eq=False)

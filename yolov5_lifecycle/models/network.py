@@ -75,7 +75,7 @@ class Network(nn.Module):
 def fuse(network: Network) -> Network:
     """Fold every normalisation of `network` (in evaluation mode) into its convolution, in place.
 
-    Blocks that can be computed faster in another way are changed, too; see `Block.fold`.
+    Also rewrites blocks that can be computed faster in another way; see `Block.fold`.
     """
     network.eval()
     for module in list(network.modules()):
@@ -128,7 +128,7 @@ def has_repeats_inside(kind: str) -> bool:
 
 
 def _set_activations(network: nn.Module, architecture: Architecture) -> None:
-    """Give the activations of `architecture` to modules made with SiLU; others have none on purpose."""
+    """Replace SiLU by the activations of `architecture`; modules without one stay without."""
     others = dict(architecture.other_activations)
     for path, module in list(network.named_modules()):
         if isinstance(act := getattr(module, "act", None), nn.Module):

@@ -1,4 +1,4 @@
-"""Cross-stage partial blocks: a part of the channels is refined, another one bypasses that."""
+"""Cross-stage partial blocks: some channels are refined, the others bypass the refinement."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class C3x(Partial):
 
 @layer_kind()
 class C3Ghost(Partial):
-    """Its parts always add their input, whatever the argument `shortcut` says."""
+    """Its parts always add their input, regardless of the argument `shortcut`."""
 
     def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
         return GhostBottleneck(hidden, hidden)
@@ -123,7 +123,7 @@ class BottleneckCSP(NormalisedPartial):
 
 @layer_kind()
 class CrossCSP(NormalisedPartial):
-    """What v3.0 and v3.1 name C3, in their module of experiments."""
+    """The block named C3 in the experimental module of v3.0 and v3.1."""
 
     def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
         return CrossConv(hidden, hidden, 3, 1, groups, 1.0, shortcut)

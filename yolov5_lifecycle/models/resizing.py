@@ -40,7 +40,7 @@ class Expand(nn.Module):
 
 
 class Resizing(NamedTuple):
-    """Makes a layer of its arguments; `cells_after` maps the cells that it reads and these to its own."""
+    """Creates a layer from its arguments; `cells_after` maps input cells and arguments to output cells."""
 
     make: Callable[..., nn.Module]
     cells_after: Callable[..., Cells]
@@ -61,7 +61,7 @@ RESIZING: Mapping[str, Resizing] = MappingProxyType(
 
 
 def channels_after(module: nn.Module, channels: int) -> int:
-    """Output channels of such a layer with `channels` input channels; raises ValueError if it has none."""
+    """Output channels of the layer with `channels` input channels; raises ValueError if impossible."""
     if isinstance(module, Contract):
         return channels * module.gain**2
     if isinstance(module, Expand):

@@ -1,4 +1,4 @@
-"""What libraries need of the process before they are imported: environment variables, and enough threads."""
+"""Process setup that libraries need before their import: environment variables and enough threads."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def prepare_environment() -> None:
 
 
 def disable_telemetry() -> None:
-    """Set only the unset variables that disable telemetry, and make the package that OpenVINO uses absent.
+    """Set only the unset variables that disable telemetry, and block the import of openvino_telemetry.
 
     `import openvino` would send an event to a host of its vendor and write an id to the home folder, without
     a variable that prevents it. Where openvino_telemetry cannot be imported, it does neither; see
@@ -54,7 +54,7 @@ def disable_telemetry() -> None:
     """
     for name, value in TELEMETRY.items():
         os.environ.setdefault(name, value)
-    sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]  # Python's way to say so
+    sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]  # None blocks an import
 
 
 def thread_problem(count: int) -> str:

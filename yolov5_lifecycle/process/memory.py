@@ -26,7 +26,7 @@ def resident_mb() -> float | None:
 
 
 def available_bytes() -> int | None:
-    """Memory of the machine that can be had without swapping; None without /proc, as on macOS."""
+    """Memory of the machine that is available without swapping; None without /proc, as on macOS."""
     try:
         lines = _MACHINE.read_text().splitlines()
     except OSError:
@@ -64,5 +64,5 @@ def release_unused_memory() -> None:
 
 
 def _libc_function(name: str) -> Any:
-    """A function of the C library; None if it lacks that name, as musl does."""
+    """A function of the C library; None if the library lacks it, as musl does."""
     return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None

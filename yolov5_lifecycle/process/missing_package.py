@@ -1,4 +1,4 @@
-"""What to install when an import fails."""
+"""Remedies for failed imports: what to install."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PIP_PACKAGES: Mapping[str, str] = MappingProxyType(
         "yaml": "pyyaml",
     }
 )
-"""Name for pip of each module that this package imports and that does not belong to ROS."""
+"""pip name of each module that this package imports and that does not belong to ROS."""
 _APT_PACKAGES = {"cv2": "python3-opencv", "scipy": "python3-scipy"}
 
 
@@ -45,7 +45,7 @@ def import_problem(error: ImportError) -> str:
 
 
 def absence_of(module: str) -> str:
-    """Why the optional `module` cannot be imported and what to do; imports it and returns "" if it can."""
+    """Import the optional `module`; return "", or why that failed and what to do."""
     try:
         importlib.import_module(module)
     except ImportError as error:

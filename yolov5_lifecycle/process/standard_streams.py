@@ -45,7 +45,7 @@ def flush_output(command: str, code: int) -> int:
     """Flush stdout; returns `code`, or the exit code for an output that could not be written.
 
     Reports the error to stderr, unless the reader closed the pipe. Afterwards Python has nothing left to
-    flush, and so nothing to complain about on exit.
+    flush, so it reports no error on exit.
     """
     return _guarded(command, code, "")
 

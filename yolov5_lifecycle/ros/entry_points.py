@@ -1,4 +1,4 @@
-"""Entry points of the nodes: the process is prepared, then the modules of the node are imported and run."""
+"""Entry points of the nodes: each prepares the process, then imports and runs its node."""
 
 from __future__ import annotations
 

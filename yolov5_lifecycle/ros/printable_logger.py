@@ -22,7 +22,7 @@ class PrintableLogger(RcutilsLogger):
 
 
 class PrintableNode(Node):
-    """Node with a `PrintableLogger`, which rclpy's own messages go through, too."""
+    """Node with a `PrintableLogger`, which also handles rclpy's own messages."""
 
     def __init__(self, name: str, **options: Any) -> None:
         self._printable_logger: PrintableLogger | None = None  # rclpy logs while it constructs the node

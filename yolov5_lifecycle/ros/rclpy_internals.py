@@ -1,4 +1,4 @@
-"""Every use of rclpy's undocumented parts, each with the place in rclpy or the issue that it depends on.
+"""All uses of undocumented rclpy code, each with the source file or issue that it depends on.
 
 Written against rclpy 7.1 (Jazzy). `test/test_architecture.py` forbids private attributes of other packages
 everywhere else.
@@ -71,9 +71,9 @@ def attribute_logs_to_callers_of(path: str) -> None:
 
 
 class ForgettingGroup(ReentrantCallbackGroup):
-    """Callback group that forgets its publishers, subscriptions and so on when they cease to exist.
+    """Callback group that drops publishers, subscriptions and other entities once they are destroyed.
 
-    rclpy's keep a dead reference to each forever (ros2/rclpy#1356): 2 KB for a camera that comes and goes.
+    rclpy's groups keep a dead reference to each forever (ros2/rclpy#1356): 2 KB per camera added and removed.
     """
 
     def add_entity(self, entity: object) -> None:
@@ -112,7 +112,7 @@ class SequenceLayout(ctypes.Structure):
 class _ConvertedService:
     """Replaces the type of an rclpy service: `convert(original, address)` converts its requests.
 
-    `original(address)` is the conversion that the message type brings along. `convert` must not raise: it is
+    `original(address)` is the conversion that comes with the message type. `convert` must not raise: it is
     called from C.
 
     rclpy/executors.py, `Executor._take_service`, passes `srv_type.Request` to `Service.service_take_request`,

@@ -64,7 +64,7 @@ def harden(node: Node, handlers: dict[str, Handler]) -> None:
     rclpy converts them, in one uninterruptible call of 35 us per parameter: half a second for the 16,000 that
     fit in 1 MB.
 
-    A plain rclpy node dies of the first exception in a service callback, such as for an impossible transition
+    A plain rclpy node dies on the first exception in a service callback, such as for an impossible transition
     (ros2/rclpy#1209) or a parameter value of an unknown type (ros2/rclcpp#3257).
     """
     for service in node.services:

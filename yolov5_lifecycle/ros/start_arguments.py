@@ -1,4 +1,4 @@
-"""Command-line arguments of a node, with its parameter files checked before ROS reads them."""
+"""Command-line arguments of a node; its parameter files are validated before ROS reads them."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def subscribed(cameras: Sequence[str]) -> list[str]:
 
 
 def used_otherwise(camera: str, cameras: Sequence[str]) -> list[str]:
-    """Topics of the node with these `cameras` that are not the images of `camera`."""
+    """Topics of the node with these `cameras`, except the images of `camera`."""
     images = [of_camera(topic, camera) for topic in COLOUR_IMAGES]
     return [topic for topic in (*published(cameras), *subscribed(cameras)) if topic not in images]
 
@@ -57,7 +57,7 @@ def endpoint_name(node: Node, topic: str) -> str:
 
 
 def impossible_names(node: Node, cameras: Sequence[str]) -> list[str]:
-    """One problem per topic of `node` with these `cameras` whose full name ROS refuses: it is too long."""
+    """One problem per topic of `node` with these `cameras` whose full name is too long for ROS."""
     topics = (*published(cameras), *subscribed(cameras))
     return [problem for topic in topics if (problem := _naming_problem(node, topic))]
 
@@ -75,7 +75,7 @@ def _naming_problem(node: Node, topic: str) -> str:
 
 
 def remapping_problems(node: Node, cameras: Sequence[str]) -> list[str]:
-    """One problem per name that is impossible, or to which several topics of `node` are remapped."""
+    """One problem per impossible name, and per name to which several topics of `node` are remapped."""
     return impossible_names(node, cameras) or [
         f"{' and '.join(topics)} are remapped to the same topic, {name}: restart the node with "
         "different remappings"

@@ -79,7 +79,7 @@ def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
 
 
 def choice_key(model: Model, installed: list[str], frame_hw: tuple[int, int], *further: str) -> str:
-    """Cache key of everything the speed depends on, also `further`; the weight values are not part of it."""
+    """Cache key of everything that affects speed, including `further`; the weight values do not."""
     packages = sorted({package for runtime in installed for package in REQUIREMENTS[runtime]})
     circumstances = [
         repr(model.architecture),
@@ -95,9 +95,9 @@ def choice_key(model: Model, installed: list[str], frame_hw: tuple[int, int], *f
 def read_figures(
     path: Path, names: Collection[str], *, required: Collection[str] = ("torch",)
 ) -> dict[str, float] | None:
-    """Milliseconds by runtime, or other `names`; None when the file was not written by `write_figures`.
+    """Milliseconds by runtime, or by other `names`; None if `write_figures` did not write the file.
 
-    A missing or damaged file counts as not written: the next measurement replaces it.
+    So for a missing or damaged file, which the next measurement replaces.
     """
     try:
         _, text = read_cache(path, _MAX_RECORD_BYTES) or (b"", b"")

@@ -42,7 +42,7 @@ _log = logging.getLogger(__name__)
 
 
 class CompiledRuntime:
-    """A network on the CPU, in fp32 or in what else `engine` computes. See `Runtime`."""
+    """A network on the CPU, in fp32 or another precision of `engine`. See `Runtime`."""
 
     device = "cpu"
 
@@ -109,7 +109,7 @@ class CompiledRuntime:
         return lambda: self._using(shape, lambda compiled: compiled.prototypes(finest))
 
     def _using(self, shape: Shape, use: Callable[[_Compiled], Result]) -> Result:
-        """What `use` returns of the network for batches of `shape`; InferenceError for an engine's error."""
+        """The result of `use` on the network for batches of `shape`; engine errors become InferenceError."""
         try:
             # Denormal floats are zero in this thread; the engine sees to its own threads.
             with self._compiled.running(shape) as compiled:
@@ -140,7 +140,7 @@ class _Compiled:
         self._planes = np.empty((batch, compiler.channels, height, width), np.uint8)
 
     def features(self, frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order]) -> Sequence[Features]:
-        """Those of all levels for all frames; the next run may overwrite them."""
+        """Features of all levels for all frames; the next run may overwrite them."""
         for planes, frame, order in zip(self._planes, frames, orders, strict=True):
             write_planes(frame, order, planes)
         return self._run(self._planes)
@@ -171,10 +171,10 @@ def write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uint
 class Compiler:
     """Compiles the network of `model` with `engine`, in int8 with `quantization`; caches results in `store`.
 
-    `head` is the network's last layer, which is not compiled; `proto` its part that computes prototypes of
-    masks, None if the network does not segment. Its images have `channels`, 3 or 1.
+    `head` is the network's last layer, which is not compiled; `proto` its part that computes mask prototypes,
+    None if the network does not segment. Its images have `channels`, 3 or 1.
 
-    Raises QuantizationError if `quantization` is of another network.
+    Raises QuantizationError if `quantization` belongs to another network.
     """
 
     def __init__(
@@ -220,7 +220,7 @@ class Compiler:
 
 
 def _identity(model: Model, engine: Engine, quantization: Quantization | None) -> str:
-    """A string of everything that a compiled model depends on except the input shape."""
+    """A string of everything except the input shape on which a compiled model depends."""
     weights = hashlib.sha256()
     for name, tensor in sorted(model.state_dict.items()):
         weights.update(name.encode() + tensor.numpy().tobytes())

@@ -1,4 +1,4 @@
-"""Networks by input shape: made on first use, run with denormal floats flushed to zero, freed on close."""
+"""Networks by input shape: created on first use, run with denormals flushed to zero, freed on close."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ Shape = tuple[int, int, int]
 
 KEPT_PER_CAMERA = 2
 MIN_KEPT = 4
-"""Networks that are kept at least; each holds as much memory as the weights."""
+"""Min number of networks to keep; each takes as much memory as the weights."""
 
 
 class NetworksByShape(Generic[Made]):
-    """Networks made by `make`, each for one shape of a batch; keeps the `kept` most recently used ones."""
+    """Networks created by `make`, one per batch shape; keeps the `kept` most recently used ones."""
 
     def __init__(self, make: Callable[[Shape], Made], *, kept: int = MIN_KEPT) -> None:
         self._cache: _ShapeCache[Made] | None = _ShapeCache(make, kept)
 
     @contextmanager
     def running(self, shape: Shape) -> Iterator[Made]:
-        """The network for batches of `shape`; in this thread denormal floats are zero meanwhile.
+        """The network for batches of `shape`; in the block, this thread flushes denormal floats to zero.
 
         Raises the errors of `make`, and InferenceError once closed.
         """
@@ -60,7 +60,7 @@ class _ShapeCache(Generic[Made]):
         self._kept: dict[Shape, Made] = {}
 
     def __getitem__(self, shape: Shape) -> Made:
-        """The cached value, made if needed; raises the errors of `make`."""
+        """The cached value, created if missing; raises the errors of `make`."""
         made = self._kept.pop(shape, None)
         if made is None:
             while len(self._kept) >= self._max_kept:

@@ -1,4 +1,4 @@
-"""The blocks of a fused network as ONNX nodes: a function for each class of modules."""
+"""The blocks of a fused network as ONNX nodes: one function per module class."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from yolov5_lifecycle.runtimes.onnx_attention import transformed
 from yolov5_lifecycle.runtimes.onnx_graph_builder import Graph
 
 Writer = Callable[..., str]
-"""Adds the nodes of a module for the values that it reads; returns the name of its output."""
+"""Adds the nodes of a module for its named inputs; returns the name of its output."""
 _WRITERS: dict[type[nn.Module], Writer] = {}
 _Written = TypeVar("_Written", bound=Writer)
 

@@ -1,4 +1,4 @@
-"""ONNX export of the parts of a network that engines run, at a fixed input shape."""
+"""ONNX export, at a fixed input shape, of the parts of a network that engines run."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _graph(network: Network, shape: tuple[int, int, int], quantization: Quantiza
 def prototype_graph(proto: Proto, shape: tuple[int, int, int, int]) -> bytes:
     """A serialized ONNX model of the fused `proto` for features of `shape`, (1, channels, ny, nx) in float32.
 
-    The output are the prototypes, float32 (1, M, 2 ny, 2 nx).
+    The output is the prototypes, float32 (1, M, 2 ny, 2 nx).
     """
     graph = Graph(shape, TensorProto.FLOAT)
     return graph.serialized([written(graph, proto, INPUT)])

@@ -47,7 +47,7 @@ class Graph:
         return name
 
     def factors(self, module: nn.Conv2d | nn.ConvTranspose2d, features: str) -> tuple[str, str, str]:
-        """Names of what the convolution `module` reads: `features`, weights and bias."""
+        """Names of the inputs of the convolution `module`: `features`, weights and bias."""
         assert module.bias is not None, "expected a fused network"
         return features, self.constant(module.weight), self.constant(module.bias)
 

@@ -1,4 +1,4 @@
-"""Builder of ONNX graphs whose convolutions read and multiply integers."""
+"""Builder of ONNX graphs with int8 convolutions."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from yolov5_lifecycle.runtimes.quantization import (
 
 
 class QuantizedGraph(Graph):
-    """Rounds what the convolutions in `activations` read, and their weights of `weight_bits`.
+    """Quantizes the inputs of the convolutions in `activations`, and their weights to `weight_bits`.
 
-    Only these are quantized: OpenVINO moves the rounding of what is read to where it is computed, and
+    Only these are quantized: OpenVINO moves the rounding of an input to where it is computed, and
     computes activations and concatenations between two convolutions in the registers of the first.
     """
 

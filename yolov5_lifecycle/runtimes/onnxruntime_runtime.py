@@ -6,7 +6,7 @@ import logging
 
 from yolov5_lifecycle.process.environment import disable_telemetry
 
-disable_telemetry()  # read by the import below; a program that uses this package may not have set it
+disable_telemetry()  # before the import below; a program that uses this package may not have done it
 
 import onnxruntime
 import torch

@@ -14,7 +14,7 @@ import torch
 from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Run
 
 _HINTS = {"fp32": "f32", "int8": "f32", "bf16": "bf16"}
-"""What OpenVINO computes in where the graph has no integers; fp32 by itself would be bfloat16 if it can."""
+"""Type that OpenVINO computes non-integer nodes in; by default it would use bfloat16 where supported."""
 
 
 def openvino_engine(precision: str = "fp32") -> Engine:

@@ -1,4 +1,4 @@
-"""What the processor can compute quickly besides fp32."""
+"""Precisions besides fp32 that the processor computes quickly."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _X86 = ("x86_64", "AMD64")
 def abilities(described: str | None = None) -> tuple[str, ...]:
     """Instruction sets that matter for int8 and bf16, in a fixed order.
 
-    `described`: the result of `processor`, by default that of this one.
+    `described`: the result of `processor`, by default for this machine.
     """
     words = set((processor() if described is None else described).split())
     return tuple(name for name in _TOLD if name in words)
@@ -28,7 +28,7 @@ def abilities(described: str | None = None) -> tuple[str, ...]:
 def weight_bits(found: tuple[str, ...], machine: str = platform.machine()) -> Literal[7, 8]:
     """Bits of a quantized weight that do not overflow: 7 on x86 without VNNI, else 8.
 
-    There two products of 8 bits are added in 16 bits, with saturation.
+    Without VNNI, two 8-bit products are added in 16 bits, with saturation.
     """
     return 7 if machine in _X86 and not _INTEGER_PRODUCTS & set(found) else 8
 

@@ -1,4 +1,4 @@
-"""What int8 needs besides a network: ranges of activations and which convolutions stay in fp32."""
+"""Parameters of int8 inference: ranges of activations, and convolutions that stay in fp32."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ Range = tuple[float, float]
 
 
 class QuantizationError(ValueError):
-    """Ranges that do not fit a network; the message says which."""
+    """Ranges do not fit the network; the message says which."""
 
 
 @dataclass(frozen=True)
 class Activation:
-    """What a convolution reads."""
+    """The input of a convolution."""
 
     range: Range
-    """Lowest and highest value that are told apart; 0 lies between them."""
+    """Lowest and highest representable value, with 0 between them."""
     means: tuple[float, ...]
     """Of each channel."""
 
@@ -48,13 +48,13 @@ class Quantization:
 
     @property
     def digest(self) -> str:
-        """Differs where the result of the network would."""
+        """Cache key: differs whenever the output of the network would."""
         read = [(name, each.range, each.means) for name, each in sorted(self.activations.items())]
         content = [read, sorted(self.fp32_layers), self.weight_bits]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     def of_modules(self, network: Network) -> dict[nn.Module, Activation]:
-        """What each convolution of `network` that is computed in int8 reads; raises QuantizationError."""
+        """The input of each int8 convolution of `network`; raises QuantizationError."""
         found = convolutions(network)
         self.check(found)
         return {found[name]: read for name, read in self.activations.items() if name not in self.fp32_layers}
@@ -94,14 +94,14 @@ def convolutions(network: Network) -> dict[str, nn.Conv2d]:
 
 
 def activation_step(range_: Range) -> tuple[np.float32, np.uint8]:
-    """The size of a step, and the step that stands for 0."""
+    """Step size and zero point."""
     low, high = range_
     step = max((high - low) / LEVELS, _SMALLEST_STEP)
     return np.float32(step), np.uint8(np.clip(round(-low / step), 0, LEVELS))
 
 
 def quantized_weight(weight: NDArray[np.float32], bits: int) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """Weights (out, in / groups, h, w) as integers, and the size of a step of each output channel (out,)."""
+    """Weights (out, in / groups, h, w) as integers, and the step size of each output channel (out,)."""
     largest = 2 ** (bits - 1) - 1
     peaks = np.abs(weight).reshape(len(weight), -1).max(axis=1)
     steps = np.maximum(peaks / largest, _SMALLEST_STEP).astype(np.float32)
@@ -112,9 +112,9 @@ def quantized_weight(weight: NDArray[np.float32], bits: int) -> tuple[NDArray[np
 def corrected_bias(
     module: nn.Conv2d, rounded: NDArray[np.float32], means: Sequence[float]
 ) -> NDArray[np.float32]:
-    """The bias (out,) with which weights that were `rounded` have the same mean result as those of `module`.
+    """The bias (out,) with which the `rounded` weights have the same mean output as `module`.
 
-    That is most of what rounding weights costs: of the features of yolov5n 30.7 dB instead of 25.2.
+    This recovers most of the rounding error: 30.7 dB for the features of yolov5n instead of 25.2.
     """
     assert module.bias is not None
     lost = (module.weight.detach().numpy() - rounded).sum(axis=(2, 3))  # (out, in / groups)

@@ -25,9 +25,9 @@ REQUIREMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 COARSE_RUNTIME: Final = "openvino"
-"""The one that computes COARSE; ONNX Runtime takes longer in int8 than in fp32."""
+"""The runtime for the precisions in COARSE; ONNX Runtime is slower in int8 than in fp32."""
 COARSE = ("int8", "bf16")
-"""Precisions of a CPU that are faster than fp32."""
+"""CPU precisions that are faster than fp32."""
 
 
 class RuntimeAbsentError(ValueError):
@@ -50,8 +50,8 @@ def load_runtime(
 ) -> Runtime:
     """Load `model` in the runtime torch, onnxruntime or openvino; other arguments as in the settings.
 
-    Precision int8 needs a `quantization`. Of the networks for different input shapes the `kept` ones used
-    last are kept.
+    Precision int8 needs a `quantization`. The `kept` most recently used networks for different input shapes
+    are kept.
 
     Raises RuntimeAbsentError, DeviceError and QuantizationError, all ValueErrors.
     """

@@ -22,7 +22,7 @@ class DeviceLostError(InferenceError):
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """What the network predicts for one frame."""
+    """Output of the network for one frame."""
 
     rows: NDArray[np.float32]
     """(n, 5 + C + M): rows of `Network.predictions`."""
@@ -51,8 +51,8 @@ class Runtime(Protocol):
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         """Raw predictions for a letterboxed frame.
 
-        The frame has the shape (h, w, 3), or (h, w) if its order is grey; whatever it is, the network gets
-        the channels that it reads.
+        The frame has the shape (h, w, 3), or (h, w) if its order is grey; it is converted to the channels
+        that the network reads.
 
         Their rows, in the order of the network, are all those whose objectness is not below `min_objectness`,
         in [0, 1], up to rounding; which others are returned depends on the runtime. Raises InferenceError.
@@ -71,7 +71,7 @@ class Runtime(Protocol):
         """
 
     def keep_batches(self, sizes: Collection[int]) -> None:
-        """Free the networks for batches, except for those with a number of frames that is in `sizes`."""
+        """Free the networks for batches whose number of frames is not in `sizes`."""
 
     def close(self) -> None:
         """Free the network; later calls raise InferenceError. Idempotent."""

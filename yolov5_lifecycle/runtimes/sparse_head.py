@@ -17,7 +17,7 @@ Features = NDArray[np.float32]
 class DetectionHead:
     """`Detect` and `Segment` in numpy: of 15,120 predictions per image, at most about 300 are evaluated.
 
-    All of them would be a twelfth of the network's arithmetic and 5 MB to convert and pass on: together a
+    Evaluating all would be a twelfth of the network's arithmetic and 5 MB to convert and pass on: together a
     fifth of the time of yolov5n at 384x640.
     """
 

@@ -78,8 +78,8 @@ def measure_batches_ms(
 ) -> dict[int, float]:
     """Median milliseconds per frame, the mean of all `frames_hw`, by the number of frames in a batch.
 
-    Measured for single frames and for those of the ascending `sizes` that can be in about `max_s` seconds.
-    One that fails is left out with a warning. Raises DeviceLostError, and InferenceError when single frames
+    Measured for single frames and for as many of the ascending `sizes` as fit into about `max_s` seconds. A
+    size that fails is skipped with a warning. Raises DeviceLostError, and InferenceError when single frames
     fail.
     """
     single = _runs(runtime, 1, frames_hw)
@@ -115,7 +115,7 @@ def _runs(runtime: Runtime, size: int, frames_hw: Sequence[tuple[int, int]]) -> 
 
 
 def _is_warm(batches: Sequence[Run]) -> bool:
-    """Whether `batches` could be run, which they were; else a warning is logged."""
+    """Run `batches`; return whether that succeeded, else log a warning."""
     try:
         for _ in range(_WARM_UPS):
             _run_all(batches)
@@ -137,7 +137,7 @@ def _grey(frame_hw: tuple[int, int]) -> NDArray[np.uint8]:
 
 
 def _take_turns(runs: Mapping[Key, Run]) -> dict[Key, float]:
-    """Median milliseconds of each run, measured in turns so that machine load affects all equally."""
+    """Median milliseconds of each run, measured alternately so that machine load affects all equally."""
     seconds: dict[Key, list[float]] = {key: [] for key in runs}
     begin = time.perf_counter()
     for _ in range(_ROUNDS):

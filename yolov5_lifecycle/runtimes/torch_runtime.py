@@ -112,7 +112,7 @@ class TorchRuntime:
         return lambda: self._using(shape, lambda _: proto(finest)[0].float().cpu().numpy())
 
     def _using(self, shape: Shape, use: Callable[[Forward], Result]) -> Result:
-        """What `use` returns of the network for batches of `shape`; InferenceError for an error of torch."""
+        """The result of `use` on the network for batches of `shape`; torch errors become InferenceError."""
         try:
             with torch.inference_mode(), self._forwards.running(shape) as forward:
                 return use(forward)

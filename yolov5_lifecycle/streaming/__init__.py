@@ -1,1 +1,1 @@
-"""Frames over time: one inference thread serves the cameras in turns; balance and rates of each."""
+"""Frames over time: one inference thread serves the cameras in turn; balance and rates of each."""

@@ -51,13 +51,13 @@ class Slot(Generic[Frame, Result]):
         self._rate_limit = RateLimit(0.0)
 
     def start(self, pipeline: Pipeline[Frame, Result], max_rate_hz: float) -> None:
-        """Accept frames, for `pipeline`, from now on; the same rate goes on."""
+        """Accept frames, for `pipeline`, from now on; an unchanged rate limit keeps its schedule."""
         self.pipeline = pipeline
         if max_rate_hz != self._rate_limit.max_rate_hz:
             self._rate_limit = RateLimit(max_rate_hz)
 
     def stop(self) -> None:
-        """Flush the frame that waits, and accept none."""
+        """Flush the waiting frame and accept no more."""
         self.pipeline = None
         self._rate_limit = RateLimit(0.0)
         if self.frame is not None:
@@ -65,7 +65,7 @@ class Slot(Generic[Frame, Result]):
             self.counter.finish(Outcome.FLUSHED)
 
     def receive(self, frame: Frame, now_s: float) -> bool:
-        """Count `frame`, received at `now_s`; whether it waits now."""
+        """Count `frame`, received at `now_s`; return whether it waits now."""
         self.counter.receive()
         if self.pipeline is None:
             self.counter.finish(Outcome.INACTIVE)
@@ -93,7 +93,7 @@ class Slot(Generic[Frame, Result]):
 
 @dataclass(eq=False, slots=True)
 class Turn(Generic[Frame, Result]):
-    """One frame of `slot` in the thread: the pipeline that processes it, and how that ended."""
+    """Processing of one frame of `slot`: its pipeline and its outcome."""
 
     slot: Slot[Frame, Result]
     pipeline: Pipeline[Frame, Result]
@@ -152,7 +152,7 @@ class Schedule(Generic[Frame, Result]):
             self.waiting.pop(slot, None)
 
     def begin(self, batch: Batch[Frame, Result] | None = None) -> Job[Frame, Result]:
-        """Begin the job that is next; there must be a waiting frame.
+        """Start the next job; there must be a waiting frame.
 
         With `batch`, waiting frames with the same key join the next one, those served longest ago first.
         """
@@ -165,7 +165,7 @@ class Schedule(Generic[Frame, Result]):
         return job
 
     def finish(self, job: Job[Frame, Result]) -> None:
-        """Count the frames of `job`, which is over, with their outcomes."""
+        """Count the frames of the finished `job` with their outcomes."""
         for turn in job.turns:
             turn.slot.counter.finish(turn.outcome)
             turn.slot.job = None
@@ -215,12 +215,12 @@ def _key(batch: Batch[Frame, Result], slot: Slot[Frame, Result]) -> Hashable | N
     turn = slot.turn()
     try:
         return batch.key(turn.pipeline, turn.frame)
-    except Exception:  # noqa: BLE001 - `detect` reports what is wrong with the frame
+    except Exception:  # noqa: BLE001 - `detect` reports the problem of the frame
         return None
 
 
 class Feed(Generic[Frame, Result]):
-    """The frames of one camera; made by `Worker.feed`."""
+    """The frames of one camera; created by `Worker.feed`."""
 
     def __init__(self, schedule: Schedule[Frame, Result], slot: Slot[Frame, Result]) -> None:
         self._schedule = schedule
@@ -234,7 +234,7 @@ class Feed(Generic[Frame, Result]):
         """
         with self._changed:
             if self._slot not in self._schedule.slots:
-                raise RuntimeError("the feed is closed; make another one with Worker.feed()")
+                raise RuntimeError("the feed is closed; create another one with Worker.feed()")
             self._slot.start(pipeline, max_rate_hz)
 
     def offer(self, frame: Frame) -> None:
@@ -258,7 +258,7 @@ class Feed(Generic[Frame, Result]):
             return self._schedule.wait_or_abandon(self._slot.job, timeout_s)
 
     def close(self) -> None:
-        """Let the worker forget this feed; call after `stop`. Frames that still come are INACTIVE."""
+        """Let the worker forget this feed; call after `stop`. Frames offered later are INACTIVE."""
         with self._changed:
             self._schedule.stop([self._slot])
             self._schedule.slots.discard(self._slot)

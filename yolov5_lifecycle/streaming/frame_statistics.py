@@ -71,14 +71,14 @@ class EmptyRun:
     """The current run of consecutive frames without detections."""
 
     threshold: float
-    """Of the scores, for classes without their own."""
+    """Score threshold for classes without their own."""
     frames: int = 0
     begun_s: float = 0.0
     ended_s: float = 0.0
     best_missed: float = 0.0
     """The highest score below the threshold, 0 if none was worth reporting."""
     best_filtered: float = 0.0
-    """The highest score above the threshold that regions or the size of its box excluded, 0 if none."""
+    """The highest score above the threshold excluded by regions or box size, 0 if none."""
     has_class_thresholds: bool = False
     """Whether some classes have their own threshold."""
 

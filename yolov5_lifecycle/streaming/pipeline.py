@@ -1,4 +1,4 @@
-"""What the worker does with frames, each alone or several together; its user implements it."""
+"""Interface of the code that the worker runs on frames, one at a time or in batches."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ AnyResult = TypeVar("AnyResult", covariant=True)
 
 
 class Pipeline(Protocol[AnyFrame, Result]):
-    """What the worker does with a frame, in its thread."""
+    """Processes a frame, in the worker's thread."""
 
     def detect(self, frame: AnyFrame) -> Result:
         """The result for `frame`. Raises ImageError when the frame is unreadable."""
@@ -22,9 +22,9 @@ class Pipeline(Protocol[AnyFrame, Result]):
 
 
 class Batch(Protocol[AnyFrame, AnyResult]):
-    """How the worker detects in frames of several cameras at once, in its thread.
+    """Detects in frames of several cameras at once, in the worker's thread.
 
-    A pipeline is the one with which the feed of the frame was started, of whatever class that is.
+    Each frame comes with the pipeline that its feed was started with, of any class.
     """
 
     @property
@@ -34,7 +34,7 @@ class Batch(Protocol[AnyFrame, AnyResult]):
     def key(self, pipeline: Any, frame: AnyFrame) -> Hashable | None:
         """Frames with equal keys may run together, with None alone.
 
-        It must be cheap: nobody can offer a frame meanwhile. An exception counts as None, as `detect` of
+        It must be cheap: no feed can offer a frame meanwhile. An exception counts as None, as `detect` of
         the pipeline will raise its own.
         """
 

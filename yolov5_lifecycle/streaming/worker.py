@@ -1,4 +1,4 @@
-"""Worker: one long-lived inference thread, which serves the cameras in turns."""
+"""Worker: one long-lived inference thread, which serves the cameras in turn."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Worker(Generic[Frame, Result]):
         self._schedule: Schedule[Frame, Result] = Schedule(clock=clock, replace_thread=self._replace_thread)
         self._changed = self._schedule.changed
         self.batch: Batch[Frame, Result] | None = None
-        """Frames that wait at the same time may run together, from the next job on; None: each alone."""
+        """Runs frames that wait at the same time together, from the next job on; None: each runs alone."""
         self._is_closed = False
         self._abandoned: list[threading.Thread] = []
         self._thread = self._new_thread()

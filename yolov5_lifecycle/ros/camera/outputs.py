@@ -1,4 +1,4 @@
-"""The camera's publishers: images, raw and compressed, camera info, and what is known of the scene."""
+"""The camera's publishers: images, raw and compressed, camera info and ground truth."""
 
 from __future__ import annotations
 

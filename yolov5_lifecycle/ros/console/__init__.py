@@ -1,1 +1,1 @@
-"""The console: detectors in a web browser, through the topics and services that every node of ROS may use."""
+"""The console: detectors in a web browser, through ordinary ROS topics and services only."""

@@ -1,4 +1,4 @@
-"""Under which addresses the page may be asked for; others are foreign pages or names (DNS rebinding)."""
+"""Addresses under which the page is served; others are foreign pages or names (DNS rebinding)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _DEFAULT_PORTS = {"http": 80, "https": 443}
 
 
 class Addresses:
-    """The addresses of one console: those it listens on, the name of this machine, and `public_urls`.
+    """The addresses of one console: where it listens, the name of this machine, and `public_urls`.
 
     `scheme`: http or https, as the console itself serves it.
     """
@@ -26,7 +26,7 @@ class Addresses:
     def scheme_of(self, host: str, server: tuple[str, int]) -> str:
         """Scheme of the page under the Host header `host`, "" for a foreign one.
 
-        `server` are the address and port of this machine on which the request came in.
+        `server`: address and port of this machine at which the request arrived.
         """
         for scheme in _DEFAULT_PORTS:
             if (scheme, _authority(scheme, host)) in self._public:

@@ -28,7 +28,7 @@ Figures = Callable[[], bytes]
 
 
 class WebApplication:
-    """Serves `files`; `page` and `image` serve the WebSockets, `figures` makes the text of the metrics.
+    """Serves `files`; `page` and `image` serve the WebSockets, `figures` creates the text of the metrics.
 
     Without `sessions` there is no login, without `figures` there are no metrics.
     """

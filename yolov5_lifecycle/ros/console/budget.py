@@ -36,7 +36,7 @@ class Budget:
 
 
 class BudgetPerAddress:
-    """A budget for each address; of more than some hundred, those that were used last."""
+    """A budget for each address; only a few hundred recently used ones are kept."""
 
     def __init__(self, make: Callable[[], Budget]) -> None:
         self._make = make

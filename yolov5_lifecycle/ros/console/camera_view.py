@@ -13,7 +13,7 @@ from yolov5_lifecycle.settings.camera_names import NODE_STATUS
 
 _BALANCE = "frames "
 LOSSES = ("frames lost", "frames overtaken")
-"""Images that were sent and not received, so no part of the balance."""
+"""Images that were sent but not received, so not part of the balance."""
 _MAX_TEXT = 5_000
 _MAX_VALUES = 100
 _NOTHING_TO_TELL = "detecting"
@@ -59,7 +59,7 @@ class StatusView:
 
     @property
     def balance(self) -> dict[str, int]:
-        """Number of frames by what became of them; `received` is their sum."""
+        """Number of frames by outcome; `received` is their sum."""
         return {
             key.removeprefix(_BALANCE): int(value)
             for key, value in self.values.items()
@@ -69,7 +69,7 @@ class StatusView:
 
 @dataclass(frozen=True)
 class CameraView:
-    """A camera; `name` is "" for the one without a name. `status` is None until diagnostics have come."""
+    """A camera; `name` is "" for the one without a name. `status` is None until diagnostics arrive."""
 
     name: str
     status: StatusView | None
@@ -94,7 +94,7 @@ class CameraView:
 
 
 def camera_views(names: Sequence[str], statuses: Sequence[StatusView]) -> list[CameraView]:
-    """The cameras called `names`, of which the detector has the `statuses`; without names, its only one."""
+    """The cameras called `names` with their status among `statuses`; without names, the only camera."""
     by_name = {status.name: status for status in statuses}
     if not names:
         return [CameraView("", by_name.get(NODE_STATUS))]

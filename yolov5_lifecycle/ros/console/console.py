@@ -1,4 +1,4 @@
-"""The console: a node in a thread of its own, and the web server in the event loop."""
+"""The console: a node in its own thread, and the web server in the event loop."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from yolov5_lifecycle.ros.console.web_server import WebServer
 
 
 class Console:
-    """One console, made in the thread of its event loop; `token` if `options` need one.
+    """One console, created in the thread of its event loop; `token` if `options` need one.
 
     Raises ListenError or FileNotFoundError on construction.
     """

@@ -22,10 +22,10 @@ from yolov5_lifecycle.ros.console.ros_thread import NotReachedError, RosThread
 from yolov5_lifecycle.settings.camera_names import NODE_STATUS
 
 SILENCE_S = 5.0
-"""A detector without diagnostics, which come once a second, for longer than this is gone."""
+"""A detector that sends no diagnostics (usually one per second) for longer than this is gone."""
 _RETRY_S = 0.5
 _REASON_S = 1.5
-"""How long the log is watched for the reason of a refusal; it comes on another topic than the answer."""
+"""How long to watch the log for the reason of a refusal, which is not in the response."""
 _MAX_CLASS_NAMES = 10_000
 _MAX_NAME = 200
 _SLOW_CHANGES = ("reload", "cameras")
@@ -34,7 +34,7 @@ _SLOW_CHANGES = ("reload", "cameras")
 class Detector:
     """The detector called `name`, used in the thread of the event loop; `on_change(self)` after each change.
 
-    `publishers` are those of its processes so far: one more means that it was restarted.
+    `publishers`: those of its processes so far; a new one means that it was restarted.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Detector:
         self._task: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        """Begin to ask the node."""
+        """Start querying the node."""
         await self._link.open()
         self._task = asyncio.create_task(self._keep_up_to_date())
 
@@ -80,7 +80,7 @@ class Detector:
 
     @property
     def is_known(self) -> bool:
-        """Whether the node has answered and is a detector: it has settings and tells about its detection."""
+        """Whether the node has answered and is a detector: it has settings and publishes its status."""
         return bool(self._state and self._views and self.status(NODE_STATUS))
 
     @property
@@ -104,11 +104,11 @@ class Detector:
         return list(self._statuses)
 
     def status(self, name: str) -> StatusView | None:
-        """The diagnostics of a camera, or with NODE_STATUS those of the node."""
+        """The diagnostics of a camera, or of the node with NODE_STATUS."""
         return next((status for status in self._statuses if status.name == name), None)
 
     def as_json(self) -> dict[str, object]:
-        """Everything that the page shows of it."""
+        """Everything that the page shows of the detector."""
         cameras = camera_views(self.camera_names, self._statuses)
         return {
             "name": self.name,
@@ -155,7 +155,7 @@ class Detector:
                 return ""
             return await self._reason(count) or f"the node refused to {label}; its log says why"
         except NotReachedError as error:
-            # Its process ends soon after this transition, maybe before its answer has been sent.
+            # The process ends soon after this transition, possibly before it has sent the response.
             return "" if label == "shutdown" else str(error)
         finally:
             self._want_state()

@@ -22,7 +22,7 @@ from vision_msgs.msg import LabelInfo
 from yolov5_lifecycle.ros.console.ros_thread import RosThread
 
 ASK_S = 3.0
-"""Timeout of a question; it is repeated."""
+"""Timeout of a query, which is then repeated."""
 ACT_S = 300.0
 """Timeout of a transition or change, which may load a model on a slow machine."""
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -40,8 +40,8 @@ _SERVICES = {
 class DetectorLink:
     """Talks to the detector called `name`; its coroutines raise NotReachedError.
 
-    `on_transition()` is called after each change of its state, `on_class_names(names)` with the names of the
-    classes of its model, both in the thread of the event loop.
+    `on_transition()` is called after each change of its state, `on_class_names(names)` with the class names
+    of its model, both in the thread of the event loop.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class DetectorLink:
         return bool((await self._call("change_state", request, ACT_S)).success)
 
     async def set_parameters(self, messages: list[ParameterMessage]) -> str:
-        """Set all or none; returns the reason for a refusal, "" on success."""
+        """Set all parameters or none; return the reason for a refusal, "" on success."""
         request = SetParametersAtomically.Request(parameters=messages)
         result = (await self._call("set_parameters_atomically", request, ACT_S)).result
         return "" if result.successful else str(result.reason) or "the node gave no reason"

@@ -21,14 +21,14 @@ from yolov5_lifecycle.ros.console.ros_thread import RosThread
 SCAN_S = 1.0
 _MAX_DETECTORS = 32
 _LOG_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""As nodes publish it: those that come later get the messages of the last seconds."""
+"""The QoS of nodes' log publishers: late subscribers get the messages of the last seconds."""
 
 
 class Detectors:
-    """Finds detectors and keeps them up to date; `names`: full names of those that are wanted, empty: all.
+    """Finds detectors and keeps them up to date; `names`: full names of the wanted ones, empty: all.
 
-    `on_change(detector)` after each change of one that is known, `on_gone(name)` when one has left the graph
-    or is silent.
+    `on_change(detector)` is called after each change of a known one, `on_gone(name)` when one has left the
+    graph or is silent.
     """
 
     def __init__(

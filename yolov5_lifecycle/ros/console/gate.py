@@ -1,4 +1,4 @@
-"""What every request must pass before the application sees it."""
+"""Checks that every request must pass before the application sees it."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _REQUESTS_PER_S = 100.0
 _REQUESTS = 400
 MAX_HEADER_BYTES = 16 * 1024
 _OPEN_TO_ALL = ("/login", "/page/")
-"""What is served without a session: the login page and files that everybody has."""
+"""Served without a session: the login page and public files."""
 _SAFE = ("GET", "HEAD")
 
 
 class Gate:
-    """Passes requests on to `application` that come from the page of this console and may be answered.
+    """Passes on to `application` the permitted requests from the page of this console.
 
-    Refused are: too many from one address; large ones; a foreign Host; a foreign Origin, or none where a page
-    sends one; with `sessions`, those without a session.
+    Refuses: too many requests from one address; large ones; a foreign Host; a foreign Origin, or none where a
+    page would send one; with `sessions`, requests without a session.
     """
 
     def __init__(self, application: ASGIApp, addresses: Addresses, sessions: Sessions | None) -> None:

@@ -19,9 +19,9 @@ class Candidate:
 
 
 def candidates(node: Node, names: tuple[str, ...]) -> list[Candidate]:
-    """The managed nodes of the graph that `node` sees and that publish diagnostics, sorted by name.
+    """The managed nodes that `node` sees in the graph and that publish diagnostics, sorted by name.
 
-    `names`: full names of those that are wanted; empty: all.
+    `names`: full names of the wanted ones; empty: all.
     """
     publishers: dict[str, set[bytes]] = {}
     for endpoint in node.get_publishers_info_by_topic(_DIAGNOSTICS):

@@ -1,4 +1,4 @@
-"""The newest annotated image of each camera that has viewers."""
+"""The newest annotated image of each camera with viewers."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ImageFeed:
         await self._adapt()
 
     async def leave(self, wake: Wake) -> None:
-        """Call `wake` no more; the last viewer to leave ends the subscription."""
+        """Stop calling `wake`; the last viewer to leave ends the subscription."""
         self._viewers.discard(wake)
         await self._adapt()
 
@@ -65,7 +65,7 @@ class ImageFeed:
         return node.create_subscription(CompressedImage, self._topic, self._receive, _NEWEST)
 
     def _receive(self, message: CompressedImage) -> None:
-        """In the thread of ROS: hand the image over, unless the previous one has not been fetched yet."""
+        """In the ROS thread: announce the image, unless the previous one has not been fetched yet."""
         stamp = message.header.stamp
         self._received = b"".join((_STAMP.pack(stamp.sec + stamp.nanosec * 1e-9), message.data))
         if not self._is_announced:
@@ -73,7 +73,7 @@ class ImageFeed:
             self._ros.post(self._fetch)
 
     def _fetch(self) -> None:
-        self._is_announced = False  # before the image is taken: one that comes now is announced again
+        self._is_announced = False  # before the image is fetched, so that one that arrives now is announced
         if self._viewers:
             self.newest = self._received
             self.count += 1

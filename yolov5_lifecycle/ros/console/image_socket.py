@@ -44,7 +44,7 @@ class Viewers:
 
 
 class _Viewer:
-    """One viewer: is sent the newest image when it has taken the last one, so at most one is under way."""
+    """One viewer: gets the newest image once it has acknowledged the last, so at most one is in transit."""
 
     def __init__(self, websocket: WebSocket, feed: ImageFeed) -> None:
         self._websocket = websocket
@@ -56,7 +56,7 @@ class _Viewer:
 
     async def serve(self) -> None:
         if self._feed.newest:
-            self._sent -= 1  # the newest image of other viewers is news to this one
+            self._sent -= 1  # the newest image, already sent to other viewers, is new to this one
         try:
             await self._feed.join(self._offer)
             self._offer()
@@ -80,7 +80,7 @@ class _Viewer:
             self._offer()
 
     def _offer(self) -> None:
-        """Send the newest image, if the viewer has taken the last one and there is one since."""
+        """Send the newest image, if the viewer has acknowledged the last one and a newer one has arrived."""
         if self._has_taken and self._feed.count != self._sent and self._feed.newest:
             self._has_taken = False
             self._sent = self._feed.count

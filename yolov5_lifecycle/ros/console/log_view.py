@@ -42,7 +42,7 @@ class LogView:
     def __init__(self) -> None:
         self._lines: deque[LogLine] = deque(maxlen=KEPT)
         self.count = 0
-        """Lines so far, those that are no longer kept included."""
+        """Number of lines so far, including those no longer kept."""
 
     def add(self, line: LogLine) -> None:
         self._lines.append(line)

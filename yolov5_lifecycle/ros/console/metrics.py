@@ -1,4 +1,4 @@
-"""The figures of all detectors in Prometheus' text format."""
+"""Metrics of all detectors in Prometheus' text format."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class _DetectorCollector(Collector):
 
 
 def figures(detectors: Callable[[], Iterable[Detector]], viewers: Callable[[], int]) -> Callable[[], bytes]:
-    """A function that returns the present figures of `detectors()`, as UTF-8."""
+    """A function that returns the current metrics of `detectors()`, as UTF-8."""
     registry = CollectorRegistry(auto_describe=False)
     registry.register(_DetectorCollector(detectors, viewers))
     return lambda: bytes(generate_latest(registry))
@@ -91,7 +91,7 @@ def _camera_metrics(detectors: Iterable[Detector]) -> Iterator[Metric]:
 
 
 def _outcomes(status: StatusView) -> Iterator[tuple[str, int]]:
-    """The counts that only grow; `received` is their sum and left out, and so is what is under way."""
+    """The counts that only grow: without pending frames, and without `received`, their sum."""
     for outcome, count in status.balance.items():
         if outcome not in ("received", "pending"):
             yield re.sub(r"\W", "_", outcome), count

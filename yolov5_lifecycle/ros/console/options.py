@@ -20,9 +20,9 @@ _MAX_PORT = 65_535
 class ConsoleOptions:
     """Options of one console.
 
-    `host`: an IP address or a name that stands for one. `nodes`: full names of the detectors to show; empty:
+    `host`: an IP address or a host name. `nodes`: full names of the detectors to show; empty:
     all that are found. `public_urls`: further addresses of the page, such as that of a reverse proxy.
-    `token_file`: None for the usual one.
+    `token_file`: None for the default.
     """
 
     host: str = DEFAULT_HOST

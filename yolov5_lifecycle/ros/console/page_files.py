@@ -1,4 +1,4 @@
-"""The files of the page, read once; no request names a path."""
+"""The files of the page, read once: a request never reaches the file system."""
 
 from __future__ import annotations
 

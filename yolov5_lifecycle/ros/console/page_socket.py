@@ -1,4 +1,4 @@
-"""The WebSocket over which a page receives nodes, and changes them."""
+"""The WebSocket over which a page receives the state of nodes and changes it."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ Find = Callable[[object], Detector | None]
 
 
 class Pages:
-    """All open pages; each node is sent at most four times a second, and as a text that all of them share.
+    """All open pages; each node is sent at most four times a second, as one text that all pages share.
 
-    `find` gives the detector of a name, `known` all.
+    `find` returns the detector with a name, `known` all detectors.
     """
 
     def __init__(self, find: Find, known: Callable[[], Iterable[Detector]], *, view_only: bool) -> None:
@@ -55,7 +55,7 @@ class Pages:
         self._due[name] = loop.call_later(max(wait_s, 0.0), self._send, name)
 
     def gone(self, name: str) -> None:
-        """Tell all pages that the detector is gone."""
+        """Notify all pages that the detector is gone."""
         if timer := self._due.pop(name, None):
             timer.cancel()
         text = json.dumps({"type": "gone", "name": name})
@@ -86,7 +86,7 @@ class Pages:
 
 
 class _Page:
-    """One open page. Of each node only the newest text waits to be sent."""
+    """One open page. Only the newest text of each node waits to be sent."""
 
     def __init__(self, websocket: WebSocket, find: Find, *, view_only: bool) -> None:
         self._websocket = websocket
@@ -114,7 +114,7 @@ class _Page:
             pass
         finally:
             sender.cancel()
-            # Requests in progress go on: the detector does what it was asked to, page or not.
+            # Requests in progress continue: the detector carries them out, with or without the page.
 
     async def _send(self) -> None:
         try:
@@ -175,7 +175,7 @@ def _node_text(detector: Detector) -> str:
 
 
 def _request(text: str | None) -> tuple[dict[str, Any], str]:
-    """The request in a message, and why it cannot be done, "" if it can."""
+    """The request in a message, and why it is invalid, "" if it is valid."""
     try:
         request = json.loads(text or "", parse_constant=_refuse_constant)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""A parameter as the page shows it, and a value of the page as ROS takes it."""
+"""Conversion of parameters for the page, and of values from the page for ROS."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ _CONSTRAINTS = re.compile(
     r"(?P<allowed>.*); default (?P<default>.*); (?P<change>live|reload|cameras|resubscribe|read-only): .*",
     re.DOTALL,
 )
-"""What `ros/parameters/declaration.py` writes into the additional constraints of a descriptor."""
+"""The additional constraints of a descriptor, as `ros/parameters/declaration.py` writes them."""
 _CHOICES = "one of "
 
 
 class ValueRefusedError(ValueError):
-    """A value of the page that no parameter of that type can have; the message is for the user."""
+    """A value from the page that does not fit the type of the parameter; the message is for the user."""
 
 
 class ParameterView:
-    """A declared parameter of a detector: what its descriptor says."""
+    """A declared parameter of a detector, from its descriptor."""
 
     def __init__(self, descriptor: ParameterDescriptor, allowed: str, default: object, change: str) -> None:
         self.name = str(descriptor.name)
@@ -54,7 +54,7 @@ class ParameterView:
 
     @classmethod
     def of(cls, descriptor: ParameterDescriptor) -> ParameterView | None:
-        """The view of `descriptor`; None for a parameter that is no setting, such as use_sim_time."""
+        """The view of `descriptor`; None for a parameter that is not a setting, such as use_sim_time."""
         found = _CONSTRAINTS.fullmatch(descriptor.additional_constraints)
         if found is None:
             return None
@@ -62,7 +62,7 @@ class ParameterView:
         return cls(descriptor, found["allowed"], _parsed(found["default"]), change)
 
     def as_json(self, value: object) -> dict[str, object]:
-        """The parameter with its present `value`, for JSON."""
+        """The parameter with its current `value`, for JSON."""
         return {
             "name": self.name,
             "type": self.type,

@@ -26,7 +26,7 @@ from yolov5_lifecycle.ros.start_arguments import initialize, refuse, start_argum
 
 _NAME = "console"
 _END_S = 1.8
-"""The process ends this long after the first signal, whatever hangs."""
+"""The process ends this long after the first signal, even if something hangs."""
 
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
@@ -35,7 +35,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     The exit code is 1 if the address or the token cannot be used, 2 for invalid arguments.
     """
     code = _run(list(sys.argv if args is None else args))
-    # A thread of ROS that hangs must not delay the end.
+    # A hung ROS thread must not delay the exit.
     flush_output(_NAME, code)
     os._exit(code)
 

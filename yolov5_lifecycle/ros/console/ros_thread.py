@@ -1,4 +1,4 @@
-"""The thread that serves the console's node, and hand-over between it and the event loop."""
+"""The thread that spins the console's node, and the hand-over between it and the event loop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from yolov5_lifecycle.ros.process import spin
 
 Result = TypeVar("Result")
 _END_S = 1.0
-"""How long the callback in progress is waited for at the end."""
+"""Max wait for the callback in progress at the end."""
 
 
 class NotReachedError(Exception):
@@ -24,7 +24,7 @@ class NotReachedError(Exception):
 
 
 class RosThread:
-    """Spins `node` in a thread of its own; everything of ROS is used in that thread only.
+    """Spins `node` in its own thread, the only one that uses ROS.
 
     The methods are called in the thread of the event loop `loop`, except `post`. What they run and send
     keeps its order.
@@ -43,7 +43,7 @@ class RosThread:
         self._thread.start()
 
     def stop(self) -> bool:
-        """End the thread; returns whether it has ended, so that the node may be destroyed."""
+        """End the thread; return whether it has ended and the node may be destroyed."""
         self._is_stopping.set()
         self._executor.wake()
         self._thread.join(_END_S)
@@ -108,6 +108,6 @@ def _fail(future: asyncio.Future[Any], error: Exception) -> None:
 
 
 def _observed(future: asyncio.Future[Any]) -> None:
-    """Look at the outcome, which nobody else does, so that asyncio does not report it."""
+    """Retrieve the outcome, as nobody else does, so that asyncio does not report it."""
     if not future.cancelled():
         future.exception()

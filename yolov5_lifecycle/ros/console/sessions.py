@@ -1,4 +1,4 @@
-"""Who has shown the token: sessions of browsers, and how often a token may be tried."""
+"""Sessions of browsers that have sent the token, and a limit on wrong tokens."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class TooManyTriesError(Exception):
 
 
 class Sessions:
-    """Sessions of those who know `token`; only hashes are kept. `clock` returns monotonic seconds."""
+    """Sessions of clients that sent `token`; only hashes are kept. `clock` returns monotonic seconds."""
 
     def __init__(self, token: str, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._token_hash = _hash(token)
@@ -34,7 +34,7 @@ class Sessions:
     def knows_token(self, given: str, address: str) -> bool:
         """Whether `given` is the token; raises TooManyTriesError after too many wrong ones from `address`.
 
-        The right token counts as wrong then, too, so that guessing on learns nothing.
+        Then even the right token counts as wrong, so that further guessing reveals nothing.
         """
         own = self._failures_of.of(address)
         if not own.is_left:
@@ -53,8 +53,8 @@ class Sessions:
         return session_id
 
     def has(self, session_id: str) -> bool:
-        """Whether there is such a session that has not expired."""
-        # The dictionary compares hashes; how long that takes tells nothing about ids.
+        """Whether this session exists and has not expired."""
+        # The dictionary compares hashes, so timing reveals nothing about ids.
         end_s = self._ends_s.get(_hash(session_id))
         return end_s is not None and self._clock() < end_s
 

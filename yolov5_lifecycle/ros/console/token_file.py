@@ -1,4 +1,4 @@
-"""The file that keeps the console's token."""
+"""The file that stores the console's token."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FOLDER = "yolov5_console"
 
 
 class TokenFileError(Exception):
-    """The token cannot be kept or must not be used; the message has the cause and a remedy."""
+    """The token cannot be stored or must not be used; the message has the cause and a remedy."""
 
 
 def usual_path(environment: Mapping[str, str]) -> Path:
@@ -25,7 +25,7 @@ def usual_path(environment: Mapping[str, str]) -> Path:
 
 
 def kept_token(path: Path) -> tuple[str, bool]:
-    """The token in the file at `path`, which is made with a new one if there is none; whether it is new.
+    """The token in the file at `path`, created with a new token if missing; and whether it is new.
 
     Raises TokenFileError if others may read the file, or if it has no token of at least MIN_LENGTH.
     """
@@ -45,7 +45,7 @@ def _made(path: Path) -> str:
     token = secrets.token_urlsafe(_BYTES)
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
     with os.fdopen(descriptor, "w") as file:
-        os.fchmod(descriptor, 0o600)  # whatever the umask is
+        os.fchmod(descriptor, 0o600)  # regardless of the umask
         file.write(token + "\n")
     return token
 

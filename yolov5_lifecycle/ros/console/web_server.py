@@ -65,7 +65,7 @@ class WebServer(uvicorn.Server):
             ws=_AnsweringWebSocket,
             lifespan="off",
             log_config=None,
-            # What clients do wrong is answered, not logged; the application logs its own errors.
+            # Errors of clients are answered, not logged; the application logs its own errors.
             log_level="critical",
             access_log=False,
             proxy_headers=False,
@@ -99,7 +99,7 @@ class WebServer(uvicorn.Server):
 
 
 class _BoundedProtocol(H11Protocol):
-    """Closes connections that are too many, or that send no complete request for too long."""
+    """Closes excess connections, and those that send no complete request for too long."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
@@ -135,7 +135,7 @@ class _AnsweringWebSocket(WebSocketsSansIOProtocol):
 
 
 def _is_open(connection: object) -> bool:
-    """Whether one of uvicorn's connections stays; those that are refused are in its list for a moment."""
+    """Whether one of uvicorn's connections is accepted; refused ones stay in its list for a moment."""
     transport = getattr(connection, "transport", None)
     return transport is not None and not transport.is_closing()
 

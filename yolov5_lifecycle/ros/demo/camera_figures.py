@@ -1,4 +1,4 @@
-"""How well the objects in front of a camera were found, tracked and placed in space, and what is required."""
+"""Quality of detection, tracking and placing for one camera of the demonstration, with the limits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MIN_PRECISION = 0.9
 MIN_RECALL = 0.9
 MAX_SWITCHES = 0
 MIN_PLACED = 0.8
-"""Share of the tracked objects; a frame whose depth comes too late has no places."""
+"""Share of the tracked objects; a frame whose depth arrives too late has no places."""
 MAX_MEDIAN_ERROR_PERCENT = 2.0
 
 
@@ -30,7 +30,7 @@ class CameraFigures:
     precision: float
     recall: float
     ids: tuple[str, ...]
-    """Of the right boxes, in the order in which they appeared."""
+    """Ids of the right boxes, in order of appearance."""
     switches: int
     """How often the id of a true object changed."""
     placed: float
@@ -41,7 +41,7 @@ class CameraFigures:
     median_latency_ms: float
 
     def problems(self) -> list[str]:
-        """Each figure that is worse than required: what was found, and what was expected."""
+        """Each figure that is worse than required, found and expected."""
         error = self.median_error_percent or 0.0  # without any, `placed` is too low
         checks = (
             (

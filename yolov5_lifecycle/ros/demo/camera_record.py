@@ -1,4 +1,4 @@
-"""What has been received of one camera: its ground truth, and what the detector found in its images."""
+"""Messages received about one camera: its ground truth, and the detections in its images."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Places = dict[str, NDArray[np.float64]]
 
 @dataclass(frozen=True, eq=False)
 class JudgedFrame:
-    """An image of which the truth is known."""
+    """An image with known ground truth."""
 
     truth: Sighting
     true_places: Places
@@ -63,7 +63,7 @@ class CameraRecord:
     def frames_since(self, begin_ns: int) -> list[JudgedFrame]:
         """What was found in images stamped later than this, in the order of their stamps.
 
-        Images after the last one with places are left out: theirs may be on the way.
+        Images after the last one with places are left out: their places may still arrive.
         """
         known = self._found.keys() & self._truths.keys() & self._true_places.keys()
         end_ns = max(self._places, default=begin_ns)
@@ -82,7 +82,7 @@ class CameraRecord:
         )
 
     def complete_image(self, min_objects: int) -> ColourImage | None:
-        """An annotated image of at least so many objects, all with an id and a place; None if none came."""
+        """An annotated image of at least this many objects, all with an id and a place; None without one."""
         for message in self._images:
             stamp = stamp_ns(message.header)
             if stamp in self._found and stamp in self._places:

@@ -51,7 +51,7 @@ class Phase:
 
 @dataclass(frozen=True, eq=False)
 class Demonstrated:
-    """What a demonstration has found."""
+    """The results of a demonstration."""
 
     phases: tuple[Phase, ...]
     mask_iou: float
@@ -106,7 +106,7 @@ class Demonstration:
         return Phase("all classes", seen, found)
 
     def _compare_masks(self) -> float:
-        """Compare the masks of the next images with the pixels that the camera's shapes have."""
+        """Compare the masks of the next images with the true pixels of the camera's shapes."""
         self._report(f"comparing the masks of {_MASKED_IMAGES} images")
         topics = {"found": "/yolov5/masks", "true": "/camera/ground_truth_masks"}
         with closing(MaskRecord(self._observer, **topics)) as record:
@@ -161,7 +161,7 @@ class Demonstration:
         return Phase(f"{_ONLY_CLASS} >= {_RAISED_THRESHOLD}", seen)
 
     def _swap(self) -> Phase:
-        """Change the image size, which loads another model beside the running one."""
+        """Change the image size, which loads another model while the current one runs."""
         size = next(size for size in _IMAGE_SIZES if size != self._detector.parameter("image_size"))
         begun_ns = time.time_ns()
         self._detector.set(image_size=size)

@@ -13,11 +13,9 @@ _OTHER_REACHES = ("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS")
 
 @contextmanager
 def own_domain(domains: Sequence[int] = DOMAINS) -> Iterator[int]:
-    """The first of `domains`, as ROS_DOMAIN_ID has them, that no other caller on this machine has.
+    """The first of `domains` (values of ROS_DOMAIN_ID) that no other caller on this machine holds.
 
-    It is held until the end of the block.
-
-    Raises RuntimeError if all are taken.
+    It is held until the end of the block. Raises RuntimeError if all are in use.
     """
     for domain in domains:
         with socket.socket(socket.AF_UNIX) as claim:

@@ -53,7 +53,7 @@ class Sighting:
 
 
 def matched(truth: Sighting, seen: Sighting) -> list[tuple[int, int]]:
-    """Rows of true and of seen objects that belong together: one to one, same class, IoU >= MATCHING_IOU."""
+    """Rows of matching true and seen objects: one to one, same class, IoU >= MATCHING_IOU."""
     ious = pairwise_iou(truth.boxes_xyxy, seen.boxes_xyxy)
     ious[np.array(truth.class_names)[:, None] != np.array(seen.class_names)[None, :]] = 0
     pairs: list[tuple[int, int]] = []

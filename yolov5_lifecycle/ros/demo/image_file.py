@@ -26,7 +26,7 @@ def saved(image: ColourImage, path: Path) -> Path:
 
 
 def side_by_side(images: Mapping[str, ColourImage]) -> ColourImage:
-    """The images beside each other, each below its name, on white."""
+    """The images side by side, each below its name, on white."""
     titled = [_titled(name, image) for name, image in images.items()]
     height = max(pixels.shape[0] for pixels in titled)
     gap = np.full((height, _GAP_PX, 3), _PAPER, np.uint8)

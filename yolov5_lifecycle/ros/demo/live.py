@@ -1,4 +1,4 @@
-"""Camera and detector with the console, to look at them in a browser."""
+"""Camera, detector and console, to watch them in a browser."""
 
 from __future__ import annotations
 

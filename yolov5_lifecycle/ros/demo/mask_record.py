@@ -1,4 +1,4 @@
-"""Masks that have been received, of the detector and of the ground truth, and how well they agree."""
+"""Masks received from the detector and as ground truth, and how well they agree."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class MaskRecord:
 
     @property
     def stamps_ns(self) -> set[int]:
-        """Stamps of the images of which both masks have been received."""
+        """Stamps of the images for which both masks have been received."""
         return self._found.keys() & self._true.keys()
 
     def ious(self, seen: Sighting, truth: Sighting) -> list[float]:

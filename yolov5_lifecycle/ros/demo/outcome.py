@@ -1,4 +1,4 @@
-"""How a demonstration ends: with a table and a summary, or with what was wrong."""
+"""Result of a demonstration: a table and a summary, or the problems."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Outcome:
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Table of `rows`, the first of which is the head; all columns but the first are aligned right."""
+    """Table of `rows`, the first of them the header; all columns but the first are right-aligned."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = [
         "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows

@@ -1,4 +1,4 @@
-"""The processes of a demonstration: started in a ROS domain of their own, driven, and ended cleanly."""
+"""The processes of a demonstration: started in their own ROS domain, driven, and ended cleanly."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _driven(
 
 @contextmanager
 def started(commands: Mapping[str, Sequence[str]], domain: int) -> Iterator[list[ChildProcess]]:
-    """The processes of `commands` in the ROS domain `domain`; those that still run at the end are killed."""
+    """The processes of `commands` in the ROS domain `domain`; those still running at the end are killed."""
     OUTPUT.mkdir(parents=True, exist_ok=True)
     # Fast DDS needs shared memory that holds a whole image, here in all processes.
     environment = (

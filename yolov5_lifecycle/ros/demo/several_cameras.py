@@ -19,9 +19,9 @@ from yolov5_lifecycle.ros.demo.outcome import Outcome, aligned
 from yolov5_lifecycle.ros.demo.processes import DETECTOR_PROCESS, OUTPUT, demonstrated, project_file
 
 FRAMES = 100
-"""Images of each camera that are compared unless told otherwise."""
+"""Images of each camera to compare by default."""
 MAX_RATE_HZ = 5.0
-"""Of the rear camera, as config/demo_cameras.yaml has it."""
+"""`max_rate` of the rear camera in config/demo_cameras.yaml."""
 _RATE_SLACK = 1.1
 _MIN_OBJECTS = 5
 """In the image, of the six in the scene."""
@@ -39,7 +39,7 @@ class SceneCamera:
 
     @property
     def command(self) -> list[str]:
-        """How its process is started: all its topics are below its name."""
+        """Command line of its process: all its topics are below its name."""
         parameters = {
             "seed": self.seed,
             "width": self.size_hw[1],
@@ -54,7 +54,7 @@ class SceneCamera:
 
     @property
     def remappings(self) -> dict[str, str]:
-        """The topics from which the detector receives it."""
+        """Remappings of the detector's input topics to those of the camera."""
         topics = ("image_raw", "depth/image_raw", "depth/camera_info")
         return {f"~/{self.name}/{topic}": f"/{self.name}/{topic}" for topic in topics}
 
@@ -66,7 +66,7 @@ CAMERAS = (
 
 
 def demonstrate_cameras(frames: int, report: Callable[[str], None]) -> Outcome:
-    """Run the demonstration with so many images of each camera; writes image and figures below OUTPUT.
+    """Run the demonstration with this many images of each camera; writes image and figures below OUTPUT.
 
     Raises what `demonstrated` raises.
     """
@@ -154,7 +154,7 @@ def _image_path() -> Path:
 
 
 def problems_of(found: Mapping[str, CameraFigures]) -> list[str]:
-    """What is worse than required, for each camera and for all together."""
+    """Results that are worse than required, for each camera and for all together."""
     problems = [f"{name}: {problem}" for name, one in found.items() for problem in one.problems()]
     for camera in CAMERAS:
         rate_hz = found[camera.name].rate_hz

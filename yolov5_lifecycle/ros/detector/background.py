@@ -1,4 +1,4 @@
-"""Background thread for long tasks that executor callbacks await, and the turns of concurrent reloads."""
+"""Background thread for long tasks that executor callbacks await, and the order of concurrent reloads."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Result = TypeVar("Result")
 
 
 def resume(waiting: RosFuture, result: object, executor: Executor) -> None:
-    """Let the callback that awaits `waiting` go on with `result`."""
+    """Resume the callback that awaits `waiting`, with `result`."""
     waiting.set_result(result)
     # Before rclpy 7.1.8, set_result does not wake the executor (ros2/rclpy#1374).
     executor.wake()
@@ -73,7 +73,7 @@ class ReloadTurns:
         return bool(await turn)
 
     def end(self) -> None:
-        """Let the waiting reload begin; call once after each `begin` that returned True."""
+        """Let the waiting reload start; call once after each `begin` that returned True."""
         waiting, self._waiting = self._waiting, None
         if waiting is None:
             self._is_running = False

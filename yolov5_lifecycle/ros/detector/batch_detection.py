@@ -1,4 +1,4 @@
-"""Frames of several cameras through the network at once."""
+"""Detection in frames of several cameras at once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FrameJob = tuple[Pipeline, ReceivedFrame]
 
 
 class BatchDetection:
-    """Detects in the frames that wait together, in batches of the sizes that `detector` measured as faster.
+    """Detects in frames that wait at the same time, in the batch sizes that `detector` measured as faster.
 
     All pipelines must have this `detector`. Used by the worker, see `streaming.pipeline.Batch`.
     """
@@ -29,7 +29,7 @@ class BatchDetection:
         return max(self._detector.batch_sizes, default=1)
 
     def key(self, pipeline: Pipeline, frame: ReceivedFrame) -> tuple[int, int]:
-        """The network input size; that of a compressed image is assumed to be the one of the last image."""
+        """The network input size; a compressed image is assumed to be as large as the last image."""
         message = frame.message
         if isinstance(message, Image):
             return self._detector.network_hw((message.height, message.width))
@@ -53,7 +53,7 @@ class BatchDetection:
         return [results[index] for index in range(len(jobs))]
 
     def _batches(self, images: Mapping[int, ColourImage]) -> Iterator[list[int]]:
-        """Indices of images of one network input size, in numbers that are worth a batch, or alone."""
+        """Indices of images with the same network input size, grouped into worthwhile batches or alone."""
         by_size: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
         for index, image in images.items():
             by_size[self._detector.network_hw(image.size_hw)].append(index)

@@ -1,4 +1,4 @@
-"""A camera of the node: what exists for it while it is named in `cameras`."""
+"""A camera of the node, which exists while it is named in `cameras`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from yolov5_lifecycle.streaming.worker import Worker
 
 
 class Camera:
-    """Owns a camera's frame balance and topic until `close`, its publishers and stream as the state demands.
+    """Owns a camera's frame balance and topic until `close`, and its publishers and stream while needed.
 
     `name` is "" for the one camera of a node without `cameras`; `names()` returns those of all cameras.
     `on_subscribers_changed()` is called in the executor, see `Outputs`.
@@ -55,9 +55,9 @@ class Camera:
             )
 
     def start(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
-        """Start to detect with these settings of the camera: from now on there is a `stream`.
+        """Create `stream`: start detecting with these settings of the camera.
 
-        `is_active`: whether the node is active already, so that rclpy does not activate the publishers.
+        `is_active`: whether the node is already active, so that rclpy no longer activates the publishers.
         """
         assert self._outputs is not None, "only a configured camera is activated"
         self.stream = Stream(
@@ -76,12 +76,12 @@ class Camera:
             self.stream.follow_subscribers()
 
     def follow_subscribers(self) -> None:
-        """Subscribe or unsubscribe as the subscribers of the outputs demand."""
+        """Subscribe or unsubscribe, depending on the subscribers of the outputs."""
         if self.stream is not None:
             self.stream.follow_subscribers()
 
     def unsubscribe(self) -> None:
-        """End the stream; the caller stops its feed, alone or with those of all cameras."""
+        """End the stream; the caller stops the feed, alone or together with those of the other cameras."""
         if self.stream is not None:
             self.stream.unsubscribe()
             self.stream = None
@@ -93,12 +93,12 @@ class Camera:
             self._outputs = None
 
     def end(self) -> None:
-        """Receive no more images and drop the one that waits; then `close`."""
+        """Receive no more images and drop the waiting one; `close` comes next."""
         self.unsubscribe()
         self._feed.flush()
 
     def close(self, timeout_s: float) -> bool:
-        """End with a closed balance; False if the frame in progress hung and its thread was abandoned."""
+        """End with a final balance; False if the frame in progress hung and its thread was abandoned."""
         self.end()
         rested = self._feed.stop(timeout_s)
         self._feed.close()

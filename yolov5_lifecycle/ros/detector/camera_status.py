@@ -62,7 +62,7 @@ class CameraStatus:
 
     @property
     def hint(self) -> str:
-        """What is wrong when the camera of an active node has no output, "" if nothing is."""
+        """The fault because of which the camera of an active node has no output, "" without one."""
         if self.input is None:
             return ""
         if self.busy_s > SLOW_S:
@@ -88,7 +88,7 @@ class CameraStatus:
 
     @property
     def remark(self) -> str:
-        """Why the camera of an active node has no output although nothing is wrong, "" without a reason."""
+        """Why the camera of an active node has no output although nothing is wrong, "" if unknown."""
         if self.input is None and self.problem:
             return ""
         if self.subscribers_3d and self.depth_status is None:

@@ -23,10 +23,10 @@ _QUEUE = 2
 
 
 class DepthInput:
-    """Owns both subscriptions while depth is needed, and what places detections with their messages.
+    """Owns both subscriptions while depth is needed, and the `DepthPlacing` that uses their messages.
 
     `camera`: see `of_camera`. `slop_s` is the setting `depth_slop_s`. `clock` returns monotonic seconds. A
-    subscription that cannot be created is logged and retried by every `look`; detections in the image go on.
+    subscription that cannot be created is logged and retried by every `look`; 2D detection continues.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class DepthInput:
 
 
 class DepthSource:
-    """A subscription, keep last 2, with the reliability that the publishers offer or an override sets."""
+    """Subscription with keep last 2 and the reliability that the publishers offer or an override sets."""
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class DepthSource:
         self._follow(self._publishers())
 
     def look(self) -> SourceStatus:
-        """Query the ROS graph; subscribe again if the publishers offer another reliability, or retry."""
+        """Query the ROS graph; resubscribe if publishers offer another reliability, or after a failure."""
         publishers = self._publishers()
         self._follow(publishers)
         now_s = self._clock()

@@ -1,4 +1,4 @@
-"""From depth images and camera_info to the places of detections, and what has no place counted by reason."""
+"""Placing of detections in space with depth images and camera_info; failures are counted by reason."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place
 from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
 
 MAX_FRAME_ID = 256
-"""Characters. The name of the frame is repeated in each detection, so a huge one would multiply."""
+"""Characters. Each detection repeats the name, so a huge one would multiply."""
 
 
 @dataclass(frozen=True, eq=False)
 class FramedDepth:
-    """A depth image and the name of its frame."""
+    """A depth image and the name of its coordinate frame."""
 
     image: DepthImage
     frame_id: str
@@ -33,14 +33,14 @@ class FramedDepth:
 
 @dataclass(frozen=True)
 class PlacedImage:
-    """Where the detections in one image are, and in which frame; None if none could be placed."""
+    """Places of the detections in one image, and their coordinate frame; None if none could be placed."""
 
     placements: tuple[Placement, ...]
     frame_id: str | None
 
     @property
     def distances_m(self) -> list[float | None]:
-        """Of each detection from the camera, None where it is unknown."""
+        """Distance of each detection from the camera, None where it is unknown."""
         return [placed.distance_m if isinstance(placed, Box3D) else None for placed in self.placements]
 
 
@@ -52,7 +52,7 @@ class PlacingCounts:
     rejected_depth_images: int = 0
     rejected_camera_infos: int = 0
     placed_images: int = 0
-    """Those with a depth image and camera_info that fit."""
+    """Images with a matching depth image and camera_info."""
     unplaced_images: int = 0
     placed: int = 0
     unplaced: Counter[Unplaced] = field(default_factory=Counter)
@@ -60,7 +60,7 @@ class PlacingCounts:
 
 @dataclass(frozen=True)
 class UnplacedRun:
-    """Consecutive images, up to the last one, whose detections could not be placed, and why the last not."""
+    """Consecutive images up to now whose detections could not be placed, with the reason for the last one."""
 
     reason: str
     begun_s: float
@@ -71,8 +71,8 @@ class DepthPlacing:
     """Keeps the newest depth images and the camera_info, and places detections with them.
 
     `take_image` and `take_camera_info` are called in the executor, `expect` and `place` in the inference
-    thread; anyone may read the rest. What is unusable is rejected with a throttled warning, and what was kept
-    stays. `clock` returns monotonic seconds.
+    thread; any thread may read the rest. An unusable message is rejected with a throttled warning, and the
+    previous ones are kept. `clock` returns monotonic seconds.
     """
 
     def __init__(self, node: Node, *, slop_s: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -99,7 +99,7 @@ class DepthPlacing:
         self._pairing.add(_nanoseconds(message.header.stamp), depth)
 
     def take_camera_info(self, message: CameraInfo) -> None:
-        """Use these intrinsics from now on; reject those that describe no calibrated camera."""
+        """Use these intrinsics from now on; reject those of an uncalibrated camera."""
         try:
             self._intrinsics = intrinsics_of_message(message)
         except IntrinsicsError as error:
@@ -108,7 +108,7 @@ class DepthPlacing:
             self._node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
 
     def expect(self, stamp: Time) -> None:
-        """Keep the depth image nearest to this stamp until the next call, for the image now detected in."""
+        """Keep the depth image nearest to the stamp of the image in progress until the next call."""
         self._pairing.expect(_nanoseconds(stamp))
 
     def place(
@@ -133,7 +133,7 @@ class DepthPlacing:
         return PlacedImage(placements, paired.item.frame_id)
 
     def forget(self) -> None:
-        """Drop depth images and camera_info, as when they are no longer subscribed to."""
+        """Drop depth images and camera_info, for example after unsubscribing."""
         self._pairing.clear()
         self._intrinsics = None
         self.run = None

@@ -16,7 +16,7 @@ UNPLACED_S = 2.0
 class SourceStatus:
     """A topic of the depth camera: its publishers of the right type, and the seconds without one.
 
-    `problem`: why it cannot be subscribed to, "" if it is.
+    `problem`: why subscribing failed, "" if it did not.
     """
 
     name: str
@@ -30,7 +30,7 @@ class DepthStatus:
     """Snapshot of depth, while the setting `depth` is true and the node active.
 
     `image` and `camera_info` are None while nobody needs depth (lazy). `recently_rejected`: why the last
-    depth image or camera_info was rejected, "" if that was a while ago.
+    depth image or camera_info was rejected, "" if that was long ago.
     """
 
     image: SourceStatus | None

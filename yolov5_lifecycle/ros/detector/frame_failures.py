@@ -16,7 +16,7 @@ RECENT_S = 2.0
 
 
 class FrameFailures:
-    """Counts failed frames of each camera, and reports when the detection should end.
+    """Counts failed frames of each camera, and reports when detection should end.
 
     Calls `on_too_many(reason)` when the frames of a camera have failed `max_consecutive()` times in a row and
     no other camera's last frame succeeded, and `on_device_lost(reason)` when no further frame can succeed.
@@ -39,11 +39,11 @@ class FrameFailures:
         """Failed frames in a row, of the cameras that had a frame since the last restart."""
 
     def restart(self) -> None:
-        """Forget what happened before, as when the node is activated."""
+        """Forget all failures, for example on activation."""
         self._cameras = {}
 
     def of_camera(self, name: str) -> CameraFailures:
-        """The failures of the camera `name` in `cameras`, "" for the one without a name."""
+        """Failures of the camera `name` in `cameras`; "" is the one without a name."""
         return CameraFailures(self._node, name, self)
 
     def succeeded(self, camera: CameraFailures) -> None:
@@ -60,7 +60,7 @@ class FrameFailures:
             self.restart()
 
     def forget(self, camera: CameraFailures) -> None:
-        """Leave out a camera that has ended."""
+        """Drop a removed camera."""
         self._cameras.pop(camera, None)
 
     def _is_any_served(self) -> bool:
@@ -74,7 +74,7 @@ class FrameFailures:
 
 
 class CameraFailures:
-    """Logs what goes wrong with the frames of one camera, throttled, and keeps the last problem.
+    """Logs the problems with frames of one camera, throttled, and keeps the last one.
 
     `camera` is its name in `cameras`, "" for the one without a name. Keeps strings only: an exception would
     keep the model alive through its traceback.
@@ -112,7 +112,7 @@ class CameraFailures:
         return self.last_problem if time.monotonic() - self._happened_s < RECENT_S else ""
 
     def close(self) -> None:
-        """Leave the count of failed frames; call when no frame is in progress."""
+        """Stop counting for this camera; call when no frame is in progress."""
         self.is_closed = True
         self._failures.forget(self)
 

@@ -1,4 +1,4 @@
-"""What the transitions create and release: cameras, publishers and model; and the threads behind them."""
+"""Cameras, publishers and model, which transitions create and release, and the threads behind them."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class ManagedResources:
         self._follow_parameters()
 
     async def load(self) -> bool:
-        """Load the model while other callbacks are served; False if another transition came first.
+        """Load the model while other callbacks are served; False if another transition was requested first.
 
         Then `detection` exists, and `activate` starts it or raises what loading raised.
         """
@@ -98,7 +98,7 @@ class ManagedResources:
 
         Raises what loading the model raises, and SettingsError if the settings do not fit it.
         """
-        assert self._label_info is not None, "rclpy activates only what is configured"
+        assert self._label_info is not None, "rclpy activates only a configured node"
         settings = self._parameters.settings()
         if self.detection is None:
             self.detection = self._new_detection(self._label_info, self.loader.begin(settings))
@@ -107,7 +107,7 @@ class ManagedResources:
         return self.detection
 
     def add_cameras(self, names: Sequence[str]) -> None:
-        """Create the missing cameras of these; if configured, with publishers. Raises rclpy's exception."""
+        """Create the missing cameras, with publishers if configured. Raises rclpy's exception."""
         for name in names:
             if name and name not in self._cameras:
                 self._node.get_logger().info(f"camera {name} added")
@@ -116,11 +116,11 @@ class ManagedResources:
                 camera.configure()
 
     def remove_cameras(self, *, except_for: Sequence[str]) -> None:
-        """End all cameras but these, each with a balance in which nothing is pending."""
+        """End all other cameras; no frame stays pending in their balances."""
         log = self._node.get_logger()
         removed = [self._cameras.pop(name) for name in [*self._cameras] if name not in except_for]
         for camera in removed:
-            camera.end()  # all at first: after a frame that hangs, that of the next would, too
+            camera.end()  # all of them first: after a frame that hangs, the next one would hang, too
         for camera in removed:
             if not camera.close(REST_TIMEOUT_S):
                 log.error(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
@@ -172,12 +172,12 @@ class ManagedResources:
         )
 
     def _sizes_hw(self, settings: Settings) -> list[tuple[int, int]]:
-        """The size of each camera's last image; a usual one for cameras that `settings` add."""
+        """The size of each camera's last image; a common size for cameras that `settings` add."""
         present = {name: camera.last_image.size_hw for name, camera in self._cameras.items()}
         return [present.get(name, USUAL_SOURCE_HW) for name in settings.camera_names]
 
     def _follow_parameters(self) -> None:
-        """Have exactly the cameras that the parameters name."""
+        """Create and remove cameras so that they are those in the parameters."""
         names = self._names()
         self.add_cameras(names)
         self.remove_cameras(except_for=names)

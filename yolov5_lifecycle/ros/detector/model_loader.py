@@ -46,7 +46,7 @@ class ModelLoader:
         return self._background.submit(lambda: self._prepare(settings, sizes_hw))
 
     async def load(self, wanted: Callable[[], Settings | None]) -> Preparation | None:
-        """Prepare the model for `wanted()`, repeated if other settings are wanted once it is done.
+        """Prepare the model for `wanted()`; repeat if other settings are wanted by then.
 
         Returns None as soon as `wanted()` does; models that are no longer wanted are freed.
         """

@@ -184,10 +184,10 @@ class DetectorNode(PrintableNode, LifecycleNode):
         )
 
     def _topic_problems(self, cameras: Sequence[str]) -> list[str]:
-        """Why these cameras cannot have their topics, or the QoS overrides given for them."""
+        """Problems of these cameras with their topics or QoS overrides."""
         if problems := impossible_names(self, cameras):
             return problems
-        # The overrides stay the same, but a camera that they are for may have been removed since.
+        # The overrides are fixed, but their camera may have been removed since.
         of_qos = [] if self._is_qos_checked else qos_problems(self, cameras)
         return [*remapping_problems(self, cameras), *(in_one_line(str(problem)) for problem in of_qos)]
 

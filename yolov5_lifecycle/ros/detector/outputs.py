@@ -93,7 +93,7 @@ class Outputs:
         )
 
     def publish_masks(self, label_image: NDArray[np.uint16], header: Header) -> None:
-        """Publish which pixels (H, W) belong to which detection, see `Detections.label_image`."""
+        """Publish which pixels (H, W) belong to which detection; see `Detections.label_image`."""
         self._masks.publish(masks_message(label_image, header))
 
     def publish_image(self, image: ColourImage, header: Header) -> None:
@@ -113,7 +113,7 @@ class Outputs:
             self._compressed_image.publish(compressed_image_message(jpeg, f"{image.order}8", header))
 
     def activate(self) -> None:
-        """Let messages pass, as rclpy does for the publishers that exist when the node is activated."""
+        """Activate the publishers, as rclpy does for those that exist when the node is activated."""
         for publisher in self._publishers:
             publisher.on_activate(_ACTIVE)
 

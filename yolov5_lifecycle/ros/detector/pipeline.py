@@ -26,7 +26,7 @@ from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 @dataclass(frozen=True)
 class DetectedFrame:
-    """A frame with its image and what was found in it with `Pipeline.wanted`."""
+    """A frame with its image and the detections in it, found with `Pipeline.wanted`."""
 
     frame: ReceivedFrame
     image: ColourImage
@@ -35,7 +35,7 @@ class DetectedFrame:
 
 @dataclass
 class LastImage:
-    """Height and width of the last image, used to warm up new models; initially a usual size.
+    """Height and width of the last image, used to warm up new models; initially a common size.
 
     Written by the inference thread.
     """
@@ -72,9 +72,10 @@ class Pipeline:
 
     @property
     def wanted(self) -> Selection:
-        """What the detector is to report of the next image.
+        """What the detector should report for the next image.
 
-        With a tracker, also what may continue a track; masks while a topic that shows them has a subscriber.
+        With a tracker, also detections that may continue a track; masks while a topic that shows them has a
+        subscriber.
         """
         outputs = self.outputs
         with_masks = self.detector.segments and outputs.mask_subscribers + outputs.image_subscribers > 0
@@ -82,9 +83,9 @@ class Pipeline:
         return selection if self.tracking is None else self.tracking.wider(selection)
 
     def publish(self, result: DetectedFrame) -> None:
-        """Publish the detections and, if they have subscribers, their places, masks and annotated image.
+        """Publish the detections and, to subscribers, their places, masks and annotated image.
 
-        The tracker is updated here, as an abandoned frame, which may return at any time, is not published.
+        The tracker is updated here: an abandoned frame, which may return at any time, is not published.
         """
         detections, header = result.found, result.frame.message.header
         if self.tracking is not None:
@@ -114,9 +115,9 @@ class Pipeline:
     def _publish_3d(
         self, array: Detection2DArray, detections: Detections, image: ColourImage, *, has_viewers: bool
     ) -> Sequence[float | None]:
-        """Publish where the detections are in space; their distances in metres, () if nobody asks for them.
+        """Publish the places of the detections; return their distances in metres, () if nobody needs them.
 
-        An image without depth has no message: an empty one would say that there is no object.
+        An image without depth gets no message: an empty one would mean that there are no objects.
         """
         has_subscribers = self.outputs.subscribers_3d > 0
         if self.placing is None or not (has_subscribers or has_viewers):
@@ -131,7 +132,7 @@ class Pipeline:
     def _publish_masks(
         self, detections: Detections, header: Header, *, has_viewers: bool
     ) -> NDArray[np.uint16] | None:
-        """Publish which pixels belong to which detection; None if no subscriber needs them.
+        """Publish and return which pixels belong to which detection; None if no subscriber needs it.
 
         A subscriber that joins after the detection may get no masks for this image.
         """

@@ -106,9 +106,9 @@ def _serve(node: DetectorNode, stop: threading.Event, finalized_s: float) -> int
         ),
     )
     if node.device_lost:
-        return EXIT_DEVICE_LOST  # nothing on a dead device can be released
+        return EXIT_DEVICE_LOST  # a dead device cannot release anything
     if node.too_many_abandoned:
-        return EXIT_ABANDONED_THREADS  # nothing that a hung thread uses can be released
+        return EXIT_ABANDONED_THREADS  # what a hung thread uses cannot be released
     autostart.cancel()  # else Python warns "never awaited" if it has not started
     node.close()
     rclpy.try_shutdown()

@@ -1,4 +1,4 @@
-"""Parameter changes: validated as a whole, prepared beside the running model, committed or rejected."""
+"""Parameter changes: validated as a whole, prepared while detection runs, then committed or rejected."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class Reconfiguration:
         preparation = await self._loader.load(wanted)
         proposal = self._parameters.renewed(asked)
         if preparation is None:
-            # Either another change came first and the two contradict each other, or another transition did.
+            # Another change came first and contradicts this one, or another transition came first.
             return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
         try:
             preparation.result()
@@ -184,7 +184,7 @@ class Reconfiguration:
             self._resources.remove_cameras(except_for=after.camera_names)
 
     def _topic_problems(self, before: Settings | None, after: Settings | None) -> list[Problem]:
-        """Why the topics of other cameras cannot be had."""
+        """Why topics of added cameras cannot be created."""
         if before is None or after is None or before.cameras == after.cameras:
             return []
         return [Problem("cameras", text) for text in remapping_problems(self._node, after.camera_names)]

@@ -1,4 +1,4 @@
-"""The loaded model and the cameras whose images it detects in, while the node is active."""
+"""The loaded model and the cameras that it serves, while the node is active."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ REST_TIMEOUT_S = 3.0
 
 
 class Detection:
-    """Owns the model, with which each of the `cameras` detects from `start` to `close`.
+    """Owns the model with which all `cameras` detect from `start` to `close`.
 
     `preparation` is the model, once loaded. `label_info` publishes the class names. `worker` runs the
     inference of all cameras.
@@ -53,7 +53,7 @@ class Detection:
         return self.preparation.result()
 
     def start(self, settings: Settings) -> None:
-        """Begin to detect; raises what loading raised, SettingsError if the settings do not fit the model."""
+        """Start detecting; raises what loading raised, SettingsError if the settings do not fit the model."""
         if problems := model_problems(settings, self.model.detector.class_names):
             raise SettingsError(problems)
         self._detect(settings, self.model.detector, is_active=False)
@@ -90,7 +90,7 @@ class Detection:
         rested = self._worker.stop(REST_TIMEOUT_S)
         self._worker.batch = None
         if self.preparation.exception() is None:
-            # The thread of a camera that was removed may hang in the model, too.
+            # The thread of a removed camera may also hang in the model.
             self.model.close(is_at_rest=rested and self._worker.abandoned_threads() == 0)
         return rested
 

@@ -40,9 +40,8 @@ class Summary:
 class Status:
     """Snapshot of the node.
 
-    `problem`: the last one that was reported. `settings`: from configure on; `model`: while active.
-    `cameras`: those that are named, otherwise one whose name is ""; none if ROS refuses the names of their
-    topics.
+    `problem`: the last reported one. `settings`: from configure on; `model`: while active.
+    `cameras`: the named ones, otherwise one with the name ""; none if ROS refuses the names of their topics.
     `abandoned_threads`: threads that hung during deactivate and are still running.
     `resident_mb`: RAM of the process, None if unknown.
     """
@@ -57,7 +56,7 @@ class Status:
 
     @property
     def of_node(self) -> Summary:
-        """Of the node: with all values of its only camera, or with the problem of the first that has one."""
+        """Summary of the node: all values of its only camera, or the first problem of several cameras."""
         each = self.of_cameras
         if not self.cameras:
             return Summary(NODE_STATUS, self.problem, "", self._inactivity, self._values(self.problem))
@@ -76,7 +75,7 @@ class Status:
 
     @property
     def of_cameras(self) -> list[Summary]:
-        """Of each named camera."""
+        """Summary of each named camera."""
         return [self._summary(camera) for camera in self.cameras if camera.camera]
 
     def _summary(self, camera: CameraStatus) -> Summary:

@@ -1,4 +1,4 @@
-"""Detection in the images of one camera, which lasts while the node is active."""
+"""Detection in the images of one camera while the node is active."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class Stream:
         self._feed.start(pipeline, max_rate_hz=settings.max_rate)
 
     def _follow_depth(self) -> None:
-        """Begin or end to place detections; begin afresh with another slop."""
+        """Start or stop placing detections; restart if the slop changed."""
         slop_s = self._settings.depth_slop_s if self._settings.depth else None
         if slop_s == (self.depth.slop_s if self.depth else None):
             return
@@ -174,7 +174,7 @@ class Stream:
         self.depth = None if slop_s is None else DepthInput(self._node, camera=self._camera, slop_s=slop_s)
 
     def unsubscribe(self) -> None:
-        """Receive no more images; the feed is to be stopped by the caller."""
+        """Receive no more images; the caller stops the feed."""
         if self.depth is not None:
             self.depth.follow(is_needed=False)
         if self._input is not None:

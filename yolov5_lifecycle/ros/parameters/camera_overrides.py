@@ -1,4 +1,4 @@
-"""Parameters that override a setting for one camera: declared while they have a value, always described."""
+"""Per-camera overrides of settings: declared only while they have a value, but always described."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from yolov5_lifecycle.settings.settings import SCHEMA
 
 
 def deletion(name: str) -> Parameter:
-    """The parameter that deletes `name` when it is set."""
+    """The request parameter that deletes `name`."""
     return Parameter(name, Parameter.Type.NOT_SET)
 
 
@@ -44,7 +44,7 @@ def orphaned(names: Iterable[str], values: Mapping[str, object]) -> list[str]:
 
 
 def without_deleted(values: Mapping[str, object]) -> dict[str, object]:
-    """`values` without the overrides that are None, which is how a request deletes them."""
+    """`values` without the overrides that are None: a request deletes an override by setting None."""
     return {name: value for name, value in values.items() if value is not None or SEPARATOR not in name}
 
 

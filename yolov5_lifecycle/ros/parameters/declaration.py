@@ -30,10 +30,10 @@ class Source(Enum):
 
 @dataclass(frozen=True)
 class Declaration:
-    """What a node started with: the value and source of each setting, and the overrides it cannot use.
+    """What a node started with: value and source of each setting, and the overrides that it cannot use.
 
-    A setting whose override is `invalid` has its default, one of a camera the value of the node. `unknown`:
-    the overrides that are not settings. All by name.
+    A setting whose override is `invalid` has its default; a setting of a camera has the value of the node.
+    `unknown`: the overrides that are not settings. All by name.
     """
 
     values: Mapping[str, object]
@@ -111,13 +111,13 @@ def _declare(node: Node, setting: Setting, parameter: Parameter) -> None:
 def declare_unset(node: Node, setting: Setting) -> None:
     """Declare a parameter that has no value yet and may be deleted: the override of a setting for a camera.
 
-    rclpy lets only parameters of dynamic type be without a value.
+    In rclpy, only parameters of dynamic type may have no value.
     """
     node.declare_parameter(setting.name, None, unset_descriptor(setting), ignore_override=True)
 
 
 def unset_descriptor(setting: Setting) -> ParameterDescriptor:
-    """Descriptor of a parameter that may be without a value."""
+    """Descriptor of a parameter that may have no value."""
     described = descriptor(setting)
     described.name, described.type, described.dynamic_typing = setting.name, TYPES[setting.type].value, True
     return described

@@ -41,7 +41,7 @@ def has_overrides(names: Iterable[str]) -> bool:
 
 
 class SettingsParameters:
-    """Owns the current settings; everybody else asks it, or gets the frozen settings with a call.
+    """Owns the current settings; other code queries it or is passed the frozen settings.
 
     A bad override (YAML file or command line) never raises: the parameter is declared with its default and
     the problem is kept until the parameter is set again, so that configure can report all problems.
@@ -186,7 +186,7 @@ class SettingsParameters:
     def _consequences(
         self, values: Mapping[str, object], changed: Collection[str], withdrawn: Collection[str]
     ) -> list[Parameter]:
-        """What else must be set with `values`: overrides of an added camera, deletion of orphaned ones."""
+        """Further parameters to set with `values`: overrides of added cameras, deletion of orphaned ones."""
         usable = self._unusable.usable_with(values) if self._unusable else []
         return [
             *(parameter for parameter in usable if parameter.name not in withdrawn),
@@ -291,7 +291,7 @@ def _kind(before: Settings | None, after: Settings | None) -> Change | None:
 
 
 def _is_about(proposal: Proposal, parameters: Sequence[Parameter], current: Configuration) -> bool:
-    """Whether it sets exactly these `parameters` (by identity) in the `current` configuration."""
+    """Whether the proposal sets exactly these `parameters` (by identity) in the `current` configuration."""
     return (
         proposal.base is current
         and len(parameters) == len(proposal.parameters)

@@ -1,4 +1,4 @@
-"""Values given at the start that a node cannot use: invalid ones, and those of unknown parameters."""
+"""Overrides given at the start that a node cannot use: invalid values and unknown parameters."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class UnusableOverrides:
     """Parameters from files and the command line without effect, until they are set again or deleted."""
 
     invalid: Mapping[str, Problem]
-    """By the name of a setting, which then has its default, or of an override, which then is not set."""
+    """By name: of a setting, which then has its default, or of a camera's override, which is then not set."""
     unknown: Mapping[str, Parameter]
     """By names that are not parameters."""
 
     def problems(self, values: Mapping[str, object], node_name: str) -> list[Problem]:
-        """One per override; `values` are the present ones of the node with the full name `node_name`.
+        """One problem per override; `values` are the current ones of the node with the full name `node_name`.
 
-        While `cameras` is invalid, overrides for cameras are no problem: their cameras may be meant by it.
+        While `cameras` is invalid, overrides for cameras are no problem: the corrected value may name them.
         """
         are_cameras_known = CAMERAS not in self.invalid
         names = [name for name in self.unknown if are_cameras_known or SCHEMA.find(name) is None]
@@ -40,25 +40,25 @@ class UnusableOverrides:
         ]
 
     def may_be_deleted(self, name: str) -> bool:
-        """Whether `name` is one of these and not a declared parameter."""
+        """Whether `name` is one of these overrides and not a declared parameter."""
         return name in self.unknown or (name in self.invalid and SEPARATOR in name)
 
     def usable_with(self, values: Mapping[str, object]) -> list[Parameter]:
-        """Overrides for cameras that were missing, but are in these `values`."""
+        """Overrides for cameras that were missing, but are in `values`."""
         names = [name for name in self.unknown if name not in values and SCHEMA.is_known(name, values)]
         settings = SCHEMA.found(names)
         return [coerced(self.unknown[name], settings, may_be_unset=True) for name in names]
 
     def without(self, names: Collection[str]) -> UnusableOverrides | None:
-        """Those that are not among `names`, or None if there are none."""
+        """The overrides that are not in `names`, or None if none are left."""
         invalid = {name: problem for name, problem in self.invalid.items() if name not in names}
         unknown = {name: parameter for name, parameter in self.unknown.items() if name not in names}
         return UnusableOverrides(invalid, unknown) if invalid or unknown else None
 
     def after_setting(self, names: Collection[str], values: Mapping[str, object]) -> UnusableOverrides | None:
-        """Those that remain after `names` were set and the values are `values`, or None if there are none.
+        """The overrides left after `names` were set, with the new `values`, or None if none are left.
 
-        Setting the parameter that was meant by an unknown name corrects that name.
+        Setting the parameter that an unknown name was a typo of also resolves that name.
         """
         corrected = [
             name for name in islice(self.unknown, MAX_SUGGESTIONS) if SCHEMA.meant(name, values) in names

@@ -72,5 +72,5 @@ def _is_list(value: object) -> bool:
 
 
 def ros_value(value: object) -> object:
-    """`value` of a setting as rclpy takes it."""
+    """`value` of a setting in the form that rclpy accepts."""
     return list(value) if isinstance(value, tuple) else value

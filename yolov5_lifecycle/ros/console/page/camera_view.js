@@ -1,4 +1,4 @@
-/** The cameras of a detector: live annotated image, rate, latency, and why nothing comes. */
+/** The cameras of a detector: live annotated image, rate, latency, and why there is no output. */
 
 import { element, KeyedViews, setText } from "./element.js";
 import { tenth } from "./figures.js";

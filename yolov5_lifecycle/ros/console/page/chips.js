@@ -1,4 +1,4 @@
-/** A list of strings as chips: the names that are known, pressed or not, and a field for others. */
+/** A list of strings as chips: known names, selected or not, and a field for others. */
 
 import { element, KeyedViews, setText } from "./element.js";
 

@@ -71,7 +71,7 @@ export class Connection extends EventTarget {
     }
   }
 
-  /** A phone that has left the network hears nothing, not even that: ask for a small file. */
+  /** A phone that has left the network is not notified of it: request a small file. */
   async #checkSilence() {
     const isOpen = this.#socket?.readyState === WebSocket.OPEN;
     if (!isOpen || performance.now() - this.#heardMs < SILENCE_MS) {
@@ -89,7 +89,7 @@ export function socketAddress(path) {
   return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`;
 }
 
-/** The server redirects the page to the login when the cookie is missing or of another token. */
+/** The server redirects the page to the login if the cookie is missing or from another token. */
 async function isLoggedOut() {
   return (await answerOf("/"))?.type === "opaqueredirect";
 }

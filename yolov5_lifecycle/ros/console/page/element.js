@@ -1,8 +1,8 @@
-/** Elements of the page. What comes from elsewhere enters it as text alone. */
+/** Elements of the page. External data enters the page only as text. */
 
 const SVG = "http://www.w3.org/2000/svg";
 
-/** An element with attributes and children; `onclick` and its like are listeners; strings become text. */
+/** An element with attributes and children; `onclick` etc. are listeners; strings become text. */
 export function element(tag, attributes = {}, ...children) {
   return filled(document.createElement(tag), attributes, children);
 }
@@ -39,7 +39,7 @@ export function uniqueId(prefix) {
   return `${prefix}-${uniqueId.last}`;
 }
 
-/** Views below `parent`, one for each item, kept as long as the key of their item is there. */
+/** Views below `parent`, one per item, kept as long as an item has their key. */
 export class KeyedViews {
   #parent;
   #make;

@@ -1,6 +1,6 @@
-/** Numbers as people read them. */
+/** Numbers formatted for people. */
 
-/** One digit behind the point; "-" without a number. */
+/** One decimal; "-" without a number. */
 export function tenth(value) {
   return Number.isFinite(value) ? value.toFixed(1) : "-";
 }

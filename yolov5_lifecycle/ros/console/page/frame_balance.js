@@ -1,4 +1,4 @@
-/** Where every frame went: received is the sum of the rest. */
+/** The outcome of every frame: received is the sum of the rest. */
 
 import { element, setText } from "./element.js";
 import { grouped } from "./figures.js";

@@ -22,7 +22,7 @@ export class HistoryView {
     this.#cameras.update(node.cameras, (camera) => camera.name);
   }
 
-  /** Called once a second; `isLost`: what is known is old. */
+  /** Called once a second; `isLost`: the known values are old. */
   sample(isLost) {
     this.#cameras.views.forEach((camera) => camera.sample(isLost));
   }

@@ -1,4 +1,4 @@
-/** The page: one view for each detector that the console knows, of which one is shown. */
+/** The page: one view for each detector that the console knows; one of them is shown. */
 
 import { Connection } from "./connection.js";
 import { element, KeyedViews, setText } from "./element.js";
@@ -34,7 +34,7 @@ class Page {
     this.#show();
   }
 
-  /** Every detector is sent again after this; one that is not has left meanwhile. */
+  /** After this, every detector is sent again; a missing one has left meanwhile. */
   #welcome(isViewOnly) {
     this.#isViewOnly = isViewOnly;
     byId("view-only").hidden = !isViewOnly;

@@ -48,7 +48,7 @@ export class NodeView {
     this.#parts.forEach((part) => part.update(node));
   }
 
-  /** The detector has left: its last values stay, as they may tell why. */
+  /** The detector has left: its last values stay, as they may show why. */
   setGone() {
     this.#setGone(true);
   }

@@ -1,4 +1,4 @@
-/** One parameter: its widget, what a change waits for, and why it was refused. */
+/** One parameter: its widget, what a pending change waits for, and why a change was refused. */
 
 import { element, setText, uniqueId } from "./element.js";
 import { shownValue, widgetFor, widgetKind } from "./parameter_widgets.js";
@@ -19,7 +19,7 @@ export class ParameterRow {
   #kind = "";
   #isSending = false;
   #next = null;
-  /** What the node has accepted but may not have told yet: `{value, untilMs}`. */
+  /** Accepted by the node but perhaps not yet reported: `{value, untilMs}`. */
   #accepted = null;
   #label;
   #place = element("div", { class: "widget" });
@@ -87,11 +87,11 @@ export class ParameterRow {
     return !this.element.hidden;
   }
 
-  /** One request at a time: of what is set meanwhile, the last. */
+  /** One request at a time; of values set meanwhile, only the last is sent. */
   async #send(value) {
     this.#next = { value };
     if (this.#isSending) {
-      this.#show(); // what is set next builds on it
+      this.#show(); // the next change builds on it
       return;
     }
     this.#isSending = true;
@@ -104,7 +104,7 @@ export class ParameterRow {
     this.#isSending = false;
     this.#setWaiting(false);
     this.#show();
-    // The node may have made something else of it, and have told so before.
+    // The node may have converted it and already reported the result.
     setTimeout(() => this.#show(), SETTLED_MS + 1);
   }
 

@@ -1,4 +1,4 @@
-/** The widget that the descriptor of a parameter asks for: what shows and edits one value. */
+/** The widget that shows and edits one value, chosen by the descriptor of the parameter. */
 
 import { Chips } from "./chips.js";
 import { element, setText } from "./element.js";
@@ -11,7 +11,7 @@ export function widgetKind({ type, range, choices }, isFixed) {
 /**
  * `{element, show(value), forget()}` for a parameter; `forget` drops what was typed.
  *
- * `options`: `changed(value)` is called with each value to set, `refused(reason)` with what is no value.
+ * `options`: `changed(value)` is called with each value to set, `refused(reason)` for invalid input.
  */
 export function widgetFor(parameter, options) {
   if (options.isFixed) {

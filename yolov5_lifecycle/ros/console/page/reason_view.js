@@ -1,4 +1,4 @@
-/** Why nothing comes, or that all is well: the diagnostics' own sentence, in front of everything else. */
+/** The diagnostics' own summary: why there is no output, or that all is well. */
 
 import { element, setText } from "./element.js";
 

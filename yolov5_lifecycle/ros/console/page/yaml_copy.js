@@ -1,4 +1,4 @@
-/** Button that copies what differs from the defaults as YAML. */
+/** Button that copies the values that differ from their defaults, as YAML. */
 
 import { element, setText, uniqueId } from "./element.js";
 import { yamlText } from "./yaml_text.js";
