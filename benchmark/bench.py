@@ -1,4 +1,4 @@
-"""How long everything takes, beside what one could take instead, quiet and beside busy processes.
+"""Time of every stage and of alternatives, on a quiet machine and next to busy processes.
 
 python -m benchmark.bench [--weights FILE] [--size 1280x720] [--busy N] [--quick]
 """
@@ -146,7 +146,7 @@ class Bench:
 
 
 def forward_goals(medians_ms: Mapping[str, float], busy: int) -> list[Goal]:
-    """Goals for the medians of forward passes and stages, by name, beside `busy` processes."""
+    """Goals for the medians of forward passes and stages, by name, next to `busy` processes."""
     auto_ms = medians_ms[_AUTO]
     rival_ms = min(medians_ms[name] for name in _BEST_RIVALS if name in medians_ms)
     return [
@@ -182,7 +182,9 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="bench", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n")
     parser.add_argument("--size", default="1280x720", choices=SIZES_WH, help="default: %(default)s")
-    parser.add_argument("--busy", type=int, default=1, metavar="N", help="processes; default: %(default)s")
+    parser.add_argument(
+        "--busy", type=int, default=1, metavar="N", help="number of busy processes; default: %(default)s"
+    )
     parser.add_argument("--quick", action="store_true", help="fewer rounds, one size")
     return parser
 

@@ -1,6 +1,6 @@
 """Detector processes for several cameras: one node for all of them, or a node for each.
 
-This process imports no torch: its libraries would count as shared with those of the detectors.
+This process must not import torch, whose libraries would count as shared with the detectors.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Arrival:
 
 @dataclass(frozen=True)
 class Passage:
-    """One measurement: what arrived in `duration_s`, in order, and what all detector processes used."""
+    """One measurement: arrivals in `duration_s`, in order, and resources used by all detector processes."""
 
     arrivals: Sequence[Arrival]
     duration_s: float
@@ -164,7 +164,7 @@ def _nodes(layout: Layout, cameras: Sequence[str]) -> dict[str, dict[str, object
 
 
 def _prefixes(layout: Layout, cameras: Sequence[str]) -> dict[str, str]:
-    """What the topics of every camera begin with."""
+    """Prefix of the topics of every camera."""
     return {camera: f"{_NODE}/{camera}" if layout == "one node" else f"/{camera}" for camera in cameras}
 
 

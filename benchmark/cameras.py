@@ -1,4 +1,4 @@
-"""Several cameras on one node beside as many nodes with one camera each, and how the cameras share a node.
+"""Several cameras on one node compared with one node per camera, and how cameras share a node.
 
 python -m benchmark.cameras [--counts 1 2 4 8] [--rate 10] [--max-batch 1] [--quick]
 """
@@ -31,7 +31,7 @@ _SMALL_SIZE = 320
 
 @dataclass(frozen=True)
 class Plan:
-    """Extent of a run: durations in seconds, and how often each measurement is repeated in turns."""
+    """Extent of a run: durations in seconds, and the number of alternating repetitions."""
 
     rounds: int
     passage_s: float
@@ -60,7 +60,7 @@ class CameraBench:
             pass
 
     def layouts(self, count: int, rate_hz: float) -> None:
-        """Measure one node for all cameras and a node for each, in turns."""
+        """Measure one node for all cameras and a node for each, alternately."""
         passages: dict[Layout, list[Passage]] = {layout: [] for layout in LAYOUTS}
         for number in range(self._plan.rounds):
             for layout in LAYOUTS if number % 2 == 0 else reversed(LAYOUTS):
@@ -197,7 +197,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _materials(folder: Path) -> tuple[Path, Path]:
-    """Weights and image, made in a process that ends, as torch must not stay in this one."""
+    """Weights and image, created in a process that exits, as torch must not stay in this one."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(_made_materials, folder).result()
 

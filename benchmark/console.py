@@ -1,4 +1,4 @@
-"""How old images are in a browser beside the detector's own latency, and what viewers cost the console.
+"""Age of images in a browser compared with the detector's latency, and the cost of viewers.
 
 python -m benchmark.console [--rate 15] [--seconds 10] [--rounds 3] [--quick]
 """
@@ -29,7 +29,7 @@ from yolov5_lifecycle.ros.demo.processes import project_file, started
 REPORT = Path(__file__).parents[1] / "build" / "bench" / "console.json"
 VIEWERS = (1, 4)
 MAX_AGE_MS = 100.0
-"""Of an image in the browser, over the latency of the detector."""
+"""Max age of an image in the browser beyond the latency of the detector."""
 MAX_COST = 1.3
 """CPU time of the console with four viewers, with one viewer 1."""
 NODE = "/yolov5"
@@ -41,7 +41,7 @@ _SETTLING_S = 3.0
 
 @dataclass
 class Viewing:
-    """What some viewers saw in `duration_s`: ages in ms, latencies of the node in ms, CPU of the console."""
+    """One measurement of `duration_s`: ages and node latencies in ms, CPU time of the console."""
 
     ages_ms: list[float] = field(default_factory=list)
     latencies_ms: list[float] = field(default_factory=list)
@@ -81,7 +81,7 @@ def authority(console: ChildProcess) -> str:
 
 
 async def viewing(console: ChildProcess, viewers: int, duration_s: float) -> Viewing:
-    """What `viewers` browsers see in `duration_s`, each with the page and the images of the camera."""
+    """Measure `viewers` browsers for `duration_s`, each with the page and the images of the camera."""
     seen = Viewing()
     async with AsyncExitStack() as stack:
         tasks = []
@@ -129,7 +129,7 @@ async def _view(images: ClientConnection, seen: Viewing) -> None:
 
 
 def goals(seen: dict[int, list[Viewing]]) -> list[Goal]:
-    """Age of images with one viewer over the detector's p95, and the cost of four viewers beside one."""
+    """Age of images with one viewer beyond the detector's p95, and the cost of four viewers over one."""
     one, four = VIEWERS
     ages_ms = sorted(age_ms for each in seen[one] for age_ms in each.ages_ms)
     latencies_ms = [latency_ms for each in seen[one] for latency_ms in each.latencies_ms]
@@ -149,7 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     seen: dict[int, list[Viewing]] = {viewers: [] for viewers in VIEWERS}
     with robot(options.rate) as console:
         for _ in range(rounds):
-            for viewers in VIEWERS:  # in turn, as the machine's speed changes
+            for viewers in VIEWERS:  # alternately, as the machine's speed changes
                 seen[viewers].append(asyncio.run(viewing(console, viewers, seconds)))
     rows = []
     for viewers, each in seen.items():

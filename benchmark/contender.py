@@ -37,7 +37,7 @@ class Contender:
         self.process.stdin.flush()
         answer = self.process.stdout.readline()
         if not answer:
-            raise RuntimeError(f"'{self.task.name}' failed; its own words are above")
+            raise RuntimeError(f"'{self.task.name}' failed; its output is above")
         times_ms: list[float] = json.loads(answer)
         return times_ms
 

@@ -1,4 +1,4 @@
-"""Errors of the distances in rendered depth scenes, beside those of simpler statistics, and what they cost.
+"""Distance errors in rendered depth scenes compared with simpler statistics, and the cost of each.
 
 PYTHONPATH=test python -m benchmark.depth [--scenes 40]
 """
@@ -34,7 +34,7 @@ Estimate = Callable[[NDArray[np.float32]], float]
 
 
 def nearest_mode_m(metres: NDArray[np.float32]) -> float:
-    """Of the nearest depth that a tenth of the measurements share, to 2.5 %."""
+    """The nearest depth that a tenth of the measurements share within 2.5 %."""
     logarithms = np.sort(np.log(metres))
     ends = np.searchsorted(logarithms, logarithms + 0.025)
     enough = ends - np.arange(len(metres)) >= 0.1 * len(metres)
@@ -71,7 +71,7 @@ def errors(scenes: Sequence[DepthScene]) -> dict[str, list[float]]:
 
 def print_errors(count: int) -> None:
     rng = np.random.default_rng(0)
-    print("Error of the depth, in percent: median / 95 of 100 are below\n")
+    print("Error of the depth, in percent: median / 95th percentile\n")
     for kind in ("solid", "thin"):
         shapes = [shape for shape in SHAPES if (shape in THIN) == (kind == "thin")]
         for name, difficulty in SCENES.items():
@@ -101,7 +101,9 @@ def print_costs() -> None:
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=int, default=40, help="of each shape and difficulty (40)")
+    parser.add_argument(
+        "--scenes", type=int, default=40, help="scenes of each shape and difficulty (default 40)"
+    )
     return parser
 
 

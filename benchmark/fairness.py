@@ -1,4 +1,4 @@
-"""How cameras of one node share it, and what one that misbehaves takes from the others."""
+"""How cameras share one node, and what a misbehaving one costs the others."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAX_DEVIATION_PERCENT = 5.0
 _WELL = MANNERS[0]
 _SIGNALS = {"stalled": signal.SIGSTOP, "vanished": signal.SIGKILL}
 _GARBAGE = 10
-"""How many times the usual number of images a camera sends that nobody can read."""
+"""Factor on the usual rate for a camera that sends unreadable images."""
 
 
 def share_deviation_percent(counts: Sequence[int]) -> float:
@@ -63,7 +63,7 @@ def slow_beside_fast(
     rates_hz: tuple[float, float],
     passages: Iterable[float],
 ) -> tuple[list[Row], list[Goal]]:
-    """A slow camera in turns alone and beside a fast one, for each duration in `passages`."""
+    """A slow camera, alternately alone and next to a fast one, for each duration in `passages`."""
     (slow, fast), (slow_hz, fast_hz) = names, rates_hz
     alone_ms: list[float] = []
     beside_ms: list[float] = []
@@ -102,7 +102,7 @@ def others_rates(
     passages: Sequence[float],
     manners: Sequence[str] = MANNERS,
 ) -> tuple[list[Row], list[Goal]]:
-    """Rate of all cameras but the last one, which behaves in every one of `manners` in turns."""
+    """Rate of all cameras but the last, which behaves in each of `manners` in turn."""
     *others, last = names
     rates_hz: dict[str, list[float]] = {manner: [] for manner in manners}
     with ExitStack() as stack:

@@ -1,4 +1,4 @@
-"""How long the forward pass of every family of models takes in each runtime, beside eager torch.
+"""Time of the forward pass of every model family in each runtime, compared with eager torch.
 
 python -m benchmark.families [--quick] [--only NAME ...] [--size 640x480]
 """
@@ -68,7 +68,7 @@ def line(rows: Sequence[Row]) -> str:
 
 
 def heading(rows: Sequence[Row]) -> str:
-    """What the columns of `line` are."""
+    """Header for the columns of `line`."""
     names = "".join(f"{each.name.removeprefix(RUNTIME_PREFIX):>12}" for each in rows)
     return f"{'median ms':28}{names}{'fastest /':>10} {EAGER}"
 

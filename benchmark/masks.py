@@ -1,4 +1,4 @@
-"""What masks cost beside the forward pass of a network that segments, for 1, 10 and 50 objects.
+"""Cost of masks relative to the forward pass of a segmentation network, for 1, 10 and 50 objects.
 
 python -m benchmark.masks [--weights FILE] [--size 640x480] [--quick]
 """

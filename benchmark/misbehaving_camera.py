@@ -28,7 +28,7 @@ from std_msgs.msg import Header
 from yolov5_lifecycle.ros.messages import image_message
 
 _SIZES_WH = ((640, 480), (480, 640), (640, 360), (600, 600), (800, 250), (300, 900), (1280, 960))
-"""Shapes for which a network of its own has to be prepared, more than the detector keeps."""
+"""Image sizes that each need their own network, more than the detector keeps."""
 
 
 def unreadable_images(whole: Image) -> list[Image]:

@@ -81,7 +81,7 @@ class MeasuredDetector:
         return Passage(latencies_ms, (len(seen) - 1) / taken_s, 1e3 * used_s / len(seen))
 
     def idle_cpu_share(self, image: Path, *, rate_hz: float, duration_s: float) -> float:
-        """CPU share of one core that the active node uses while a camera runs without any subscriber."""
+        """CPU share of one core that the active node uses while a camera runs but nobody subscribes."""
         with self._camera(image, rate_hz):
             self._observer.wait_for(
                 lambda: self._observer.count_publishers(f"{_NODE}/image_raw") > 0, "the camera"

@@ -53,14 +53,14 @@ def calls(model: Model, size_hw: tuple[int, int]) -> Mapping[str, Callable[[], o
 
 
 def of_frame(model: Model, size_hw: tuple[int, int]) -> Quantization:
-    """All convolutions in int8, with ranges of one random frame: they do not change how long it takes."""
+    """All convolutions in int8, with ranges of one random frame, which do not affect the time."""
     frame = torch.rand((1, model.architecture.image_channels, *size_hw))
     read = activations(fuse(model.network()), [frame], progress=lambda _: None)
     return Quantization(read, frozenset(), weight_bits(abilities()))
 
 
 def goal(size: str, taken_ms: Mapping[str, Sequence[float]]) -> Goal:
-    """How many times as fast int8 is as the fastest fp32."""
+    """Speedup of int8 over the fastest fp32."""
     medians_ms = {name: statistics.median(times_ms) for name, times_ms in taken_ms.items()}
     fp32_ms = min(median for name, median in medians_ms.items() if name.startswith(_FP32))
     return Goal(f"yolov5{size}: fp32 / int8", 0, fp32_ms / medians_ms[INT8], False, _MIN_SPEEDUP)

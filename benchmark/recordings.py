@@ -1,4 +1,4 @@
-"""What many recordings cost: workers of `detect_bag` beside single runs of it.
+"""Time for many recordings: workers of `detect_bag` compared with single runs.
 
 python -m benchmark.recordings [--weights FILE] [--recordings N] [--images N] [--rounds N] [--quick]
 """
@@ -144,7 +144,9 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n")
     parser.add_argument("--recordings", type=int, default=4, metavar="N", help="default: %(default)s")
-    parser.add_argument("--images", type=int, default=150, metavar="N", help="of each; default: %(default)s")
+    parser.add_argument(
+        "--images", type=int, default=150, metavar="N", help="images of each recording; default: %(default)s"
+    )
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="default: %(default)s")
     parser.add_argument("--quick", action="store_true", help="one round, 30 images of each")
     return parser

@@ -56,7 +56,7 @@ def row(what: str, name: str, busy: int, values: Sequence[float], *, unit: str =
 def table(rows: Iterable[Row]) -> str:
     """Rows as lines, with the ratio to the smallest median of the same measurement under the same load.
 
-    A stage has its share of the longest stage instead, which is the total.
+    For a stage, its share of the longest stage, the total, instead.
     """
     rows = list(rows)
     heads = f"{'':10}{'':34}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"

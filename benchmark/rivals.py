@@ -1,7 +1,7 @@
 """Alternatives to this project's runtimes: the bare forward pass of each.
 
-torch is imported before the package, which would change how threads wait; the others on demand, as they may
-not be installed.
+torch is imported before the package, which would change its thread waiting policy; the others are imported on
+demand, as they may not be installed.
 """
 
 from __future__ import annotations

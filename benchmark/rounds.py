@@ -1,4 +1,4 @@
-"""Contenders measured in turns, so that noise of the machine affects all alike."""
+"""Contenders measured alternately, so that noise of the machine affects all alike."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PAUSE_S = 0.02  # for threads that still spin after their last round
 def measure(
     tasks: Iterable[Task], *, loads: Iterable[int], turns: int, cache: Path
 ) -> tuple[Mapping[tuple[Task, int], list[float]], Mapping[Task, float]]:
-    """Milliseconds of each task beside each number of busy neighbours, and the peak memory in MB.
+    """Milliseconds of each task next to each number of busy neighbours, and the peak memory in MB.
 
     A rival that does not run here is reported and skipped.
     """

@@ -39,14 +39,14 @@ def _no_pairs() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class TrackCounts:
-    """What the figures are computed from; counts of several recordings add up."""
+    """Counts from which the figures are computed; those of several recordings add up."""
 
     truths: int = 0
     """True boxes."""
     tracked: int = 0
     """Boxes with an id."""
     identified: int = 0
-    """True boxes whose track is the one that fits this identity best, one to one."""
+    """True boxes whose track is the best match of this identity, one to one."""
     switches: int = 0
     """How often an object continues with another id."""
     matched: NDArray[np.float64] = field(default_factory=_no_pairs)
@@ -128,7 +128,7 @@ def _identified(overlaps: Iterable[_Overlap], shape: tuple[int, int]) -> int:
 
 
 def _switches(overlaps: Iterable[_Overlap]) -> int:
-    """A pair of the previous frame goes on while it overlaps; the others are matched by IoU."""
+    """Pairs of the previous frame continue while they overlap; the others are matched by IoU."""
     last: dict[int, int] = {}  # truth -> its track, also while the object is not seen
     switches = 0
     for overlap in overlaps:

@@ -1,4 +1,4 @@
-"""Tracks with the package `trackers` (Apache-2.0), to compare with: JSON from stdin, ids to stdout.
+"""Tracks with the package `trackers` (Apache-2.0), for comparison: JSON from stdin, ids to stdout.
 
 A script of its own, for an environment that has `trackers` and nothing of this project. It associates across
 classes; with one tracker for each class, as here, it is better in scenes of several.

@@ -1,4 +1,4 @@
-"""Recordings of scenes with known identities: what a detector finds in each image, and what is there."""
+"""Recordings of scenes with known identities: detections and ground truth of each image."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def recorded(
 ) -> list[RecordedFrame]:
     """The `scene` at about `rate_hz`, with jitter and dropped images.
 
-    An object that was out of sight at the border of the image and comes back is another one.
+    An object that left the image and comes back counts as another one.
     """
     frames = []
     visits = _Visits(scene)
@@ -62,7 +62,7 @@ def recorded(
 
 
 def simulated(rng: np.random.Generator) -> Detect:
-    """A detector that misses a fifth, invents objects, and trusts less what it sees less of."""
+    """A detector that misses a fifth, invents objects, and scores covered objects lower."""
 
     def detect(_: TrackScene, view: View) -> Detections:
         found = view.visible >= MIN_VISIBLE

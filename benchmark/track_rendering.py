@@ -27,7 +27,7 @@ def shapes_detector() -> Detector:
 
 
 def rendered(detector: Detector, rng: np.random.Generator) -> Detect:
-    """Draws what there is to see on noisy grey, detects in it, and misses a fifth besides."""
+    """Draws the visible objects on noisy grey, detects in the image, and drops a fifth."""
     background = np.clip(rng.normal(114, 8, (*SIZE_HW, 3)), 0, 255).astype(np.uint8)
 
     def detect(scene: TrackScene, view: View) -> Detections:

@@ -15,7 +15,7 @@ from yolov5_lifecycle.sources.scene import CLASS_NAMES, Shape
 SIZE_HW = (480, 640)
 DURATION_S = 10.0
 MIN_VISIBLE = 0.25
-"""Share of a box that must be uncovered and inside the image for the object to count as there."""
+"""Share of a box that must be uncovered and inside the image for the object to count as present."""
 _CELLS = 24
 """Along each side of a box; a cell is seen or covered as a whole."""
 
@@ -50,13 +50,13 @@ class Actor:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a camera has before it, the furthest actor first."""
+    """What a camera sees, the furthest actor first."""
 
     shapes: tuple[Shape, ...]
     boxes_xyxy: NDArray[np.float32]
-    """(n, 4) of what can be seen of each, as detectors find it; empty where nothing can be seen."""
+    """Boxes (n, 4) of the visible part of each, as detectors find it; empty if invisible."""
     visible: NDArray[np.float64]
-    """(n,) the share of each that can be seen."""
+    """Visible share (n,) of each."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def _seen_box(box_xyxy: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray
 
 
 def crossings(rng: np.random.Generator) -> TrackScene:
-    """Four pairs of one class each that meet and pass each other."""
+    """Four pairs of the same class that meet and pass each other."""
     actors = []
     for lane in range(4):
         class_id, y = _some_class(rng), 75.0 + 110 * lane
@@ -155,7 +155,7 @@ def returns(rng: np.random.Generator) -> TrackScene:
 
 
 def crowd(rng: np.random.Generator) -> TrackScene:
-    """Twelve of two classes that swing across the image, before and behind each other."""
+    """Twelve objects of two classes that swing across the image, in front of and behind each other."""
     classes = rng.choice(len(CLASS_NAMES), 2, replace=False)
     actors = [
         _actor(

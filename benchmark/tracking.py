@@ -27,7 +27,7 @@ from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 RATES_HZ = (5.0, 10.0, 30.0)
 SETTINGS = TrackerSettings()
 ORACLE_MARGIN = 0.01
-"""By how much IDF1 may be below that of the oracle."""
+"""Max difference of IDF1 below that of the oracle."""
 Ids = list[tuple[str, ...]]
 """Of each detection of each frame."""
 

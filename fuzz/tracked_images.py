@@ -51,7 +51,7 @@ def check_tracked_images(data: bytes) -> None:
 
 @dataclass
 class _Seen:
-    """When and as what an object was last seen."""
+    """The class of an object, and the time since it was last seen."""
 
     class_id: int
     unseen_s: float = 0.0
@@ -112,7 +112,7 @@ def _settings(fields: Fields) -> TrackerSettings:
 
 
 def _detections(fields: Fields, count: int, layout: struct.Struct) -> Detections:
-    """`count` detections or what is left, the best first."""
+    """`count` detections, or as many as are left, best first."""
     count = min(count, fields.left // layout.size)
     rows = np.array([fields.unpack(layout) for _ in range(count)], np.float32).reshape(-1, 6)
     rows = np.nan_to_num(rows[np.argsort(-rows[:, 4], kind="stable")])

@@ -106,9 +106,9 @@ def parser() -> argparse.ArgumentParser:
         "--minutes", type=float, default=30.0, help="duration of the mixed trial; default: %(default)s"
     )
     parser.add_argument(
-        "--scale", type=float, default=1.0, help="factor on the usual number of attempts; default: %(default)s"
+        "--scale", type=float, default=1.0, help="factor on the number of attempts; default: %(default)s"
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of all random choices; default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="seed of random choices; default: %(default)s")
     parser.add_argument(
         "--only",
         nargs="+",

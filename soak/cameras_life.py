@@ -115,7 +115,7 @@ class CamerasLife:
         return [*self._actions]
 
     def random_kinds(self, count: int) -> list[str]:
-        """Of the next actions, frequent ones more often."""
+        """Kinds of the next actions, drawn by their frequency."""
         weights = [weight for weight, _ in self._actions.values()]
         return self._fuzz.random.choices(self.kinds, weights, k=count)
 

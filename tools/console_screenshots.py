@@ -63,7 +63,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def wait_for_history(page: ConsolePage, seconds: int) -> None:
-    """Wait until the plots have so many samples, one a second."""
+    """Wait until the plots have this many samples, one per second."""
     for _ in range(0, seconds, 10):
         begin = points(page)
         page.wait_for(lambda: points(page) >= begin + 10, "time to pass")  # noqa: B023 - called at once
@@ -75,7 +75,7 @@ def points(page: ConsolePage) -> int:
 
 
 def photograph(browser: Chrome, path: Path, size_wh: tuple[int, int], *, is_phone: bool) -> None:
-    """Write what is visible of the page to `path`."""
+    """Write the visible part of the page to `path`."""
     set_screen(browser, size_wh, is_phone=is_phone, scale=1)
     browser.execute_script(
         "for (const part of [document.documentElement, ...document.querySelectorAll('.parameters')]) "

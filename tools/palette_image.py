@@ -1,4 +1,4 @@
-"""Writes a PNG with a palette, a quarter of the size of one with full colours; OpenCV writes none."""
+"""Writes a palette PNG, a quarter of the size of a full-colour one; OpenCV cannot write palettes."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 _SAMPLES = 20_000
 _ROWS = 20
-"""Rows of pixels that are matched with the palette at once."""
+"""Rows of pixels matched with the palette at once."""
 _SEED = 1
 _DITHERING = 3
 """How much lighter or darker, of 255."""
 
 
 def write_palette_image(path: Path, pixels: NDArray[np.uint8], *, colours: int = 256) -> None:
-    """Write BGR `pixels` (H, W, 3) with at most so many `colours`, up to 256."""
+    """Write BGR `pixels` (H, W, 3) with at most `colours` colours, up to 256."""
     dithered = _dithered(pixels)
     palette = _palette(dithered, colours)
     rows = [_nearest(part, palette) for part in np.array_split(dithered, len(pixels) // _ROWS + 1)]

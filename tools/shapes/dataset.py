@@ -18,7 +18,7 @@ SIZE_HW = (256, 320)
 
 
 def labelled_images(seed: int, count: int) -> list[LabelledImage]:
-    """`count` scenes, degraded as those of the training, that training has not seen."""
+    """`count` scenes not seen in training, degraded like the training images."""
     rng = np.random.default_rng(seed)
     return [spoilt_scene(rng, SIZE_HW) for _ in range(count)]
 

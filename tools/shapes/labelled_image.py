@@ -1,4 +1,4 @@
-"""Images of which is known what they show, and where."""
+"""Images with known content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a network learns: batches, optimizer, learning rate, and the average of its weights."""
+"""Training loop: batches, optimizer, learning rate and weight averaging."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def learned(
 
     `module` itself changes, too. Reproducible on one machine.
     """
-    # The operations are too small to parallelize: beside other processes two threads mostly wait.
+    # The operations are too small to parallelize: next to other processes, two threads mostly wait.
     torch.set_num_threads(1)
     average = AveragedModel(module, multi_avg_fn=get_ema_multi_avg_fn(0.998), use_buffers=True)
     optimizer = _optimizer(module, peak_learning_rate)
@@ -58,7 +58,7 @@ def learned(
 
 
 def as_input(pixels: Tensor) -> Tensor:
-    """What a network is given of uint8 pixels (B, 3, H, W)."""
+    """Network input for uint8 pixels (B, 3, H, W)."""
     return pixels.to(memory_format=torch.channels_last).float() / 255
 
 

@@ -16,9 +16,9 @@ from tools.shapes.loss import match
 from yolov5_lifecycle.models.architecture import Architecture
 
 COVERED_GAIN = 1.5
-"""Weight of what is covered. Where the network is not sure, as at the points of a star, it answers with the
-expected share, and half is too high a threshold: of 0.3 to 0.5 in steps of 0.05 masks were best above 0.35 to
-0.4. So that the threshold remains one half, what is covered weighs more: a share of 0.4 becomes 0.5."""
+"""Weight of covered cells. Where the network is unsure, as at the points of a star, it predicts the expected
+share, and a threshold of one half is too high: of 0.3 to 0.5 in steps of 0.05, masks were best above 0.35 to
+0.4. To keep the threshold at one half, covered cells weigh more: a share of 0.4 becomes 0.5."""
 
 
 def mask_loss(

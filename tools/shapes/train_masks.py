@@ -1,7 +1,6 @@
 """Teaches the embedded model to segment: `python -m tools.shapes.train_masks --out FILE.safetensors`.
 
-All layers of the model that detects are kept as they are, and so are its detections. Only what computes masks
-besides is trained.
+All layers of the detection model are kept, and so are its detections. Only the mask branch is trained.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _PEAK_LEARNING_RATE = 3e-3
 
 
 class MaskBranch(nn.Module):
-    """What Segment has and Detect has not: coefficients of each prediction, and prototypes.
+    """The parts of Segment that Detect lacks: coefficients of each prediction, and prototypes.
 
     `architecture` segments; `detect` is the head beside it.
     """
