@@ -97,7 +97,7 @@ def read_figures(
 ) -> dict[str, float] | None:
     """Milliseconds by runtime, or by other `names`; None if `write_figures` did not write the file.
 
-    So for a missing or damaged file, which the next measurement replaces.
+    Also None for a missing or damaged file, which the next measurement replaces.
     """
     try:
         _, text = read_cache(path, _MAX_RECORD_BYTES) or (b"", b"")

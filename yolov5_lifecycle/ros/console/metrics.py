@@ -19,9 +19,15 @@ _PREFIX = "yolov5"
 _OF_CAMERA = {
     "rate Hz": ("rate_hertz", "Frames with detections per second"),
     "latency median ms": ("latency_median_milliseconds", "Median time from an image's arrival to its result"),
-    "latency p95 ms": ("latency_p95_milliseconds", "95th percentile of the same time"),
+    "latency p95 ms": (
+        "latency_p95_milliseconds",
+        "95th percentile of the time from an image's arrival to its result",
+    ),
     "frames lost": ("images_lost", "Images lost before they were received, since activation"),
-    "frames overtaken": ("images_overtaken", "Images replaced by newer ones before that, since activation"),
+    "frames overtaken": (
+        "images_overtaken",
+        "Images replaced by newer ones before they were received, since activation",
+    ),
 }
 _OF_NODE = {
     "resident memory MB": ("resident_memory_megabytes", "Memory of the detector's process"),

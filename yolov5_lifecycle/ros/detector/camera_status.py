@@ -62,7 +62,7 @@ class CameraStatus:
 
     @property
     def hint(self) -> str:
-        """The fault because of which the camera of an active node has no output, "" without one."""
+        """The problem that leaves the camera of an active node without output, "" if there is none."""
         if self.input is None:
             return ""
         if self.busy_s > SLOW_S:
@@ -88,7 +88,7 @@ class CameraStatus:
 
     @property
     def remark(self) -> str:
-        """Why the camera of an active node has no output although nothing is wrong, "" if unknown."""
+        """Why the camera of an active node has no output although nothing is wrong; else ""."""
         if self.input is None and self.problem:
             return ""
         if self.subscribers_3d and self.depth_status is None:

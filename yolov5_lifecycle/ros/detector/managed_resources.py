@@ -177,7 +177,7 @@ class ManagedResources:
         return [present.get(name, USUAL_SOURCE_HW) for name in settings.camera_names]
 
     def _follow_parameters(self) -> None:
-        """Create and remove cameras so that they are those in the parameters."""
+        """Create and remove cameras to match the parameters."""
         names = self._names()
         self.add_cameras(names)
         self.remove_cameras(except_for=names)
