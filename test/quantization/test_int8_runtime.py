@@ -144,7 +144,7 @@ def test_bf16_finds_the_shapes(weights: WeightsFile) -> None:
 
 
 def test_int8_without_a_calibration_is_refused_with_the_command_to_type(copied: Path) -> None:
-    with pytest.raises(CalibrationError, match=rf"no such calibration.*`calibrate {copied} DATA`"):
+    with pytest.raises(CalibrationError, match=rf"calibration not found.*`calibrate {copied} DATA`"):
         load_model(copied, precision="int8", device="cpu", image_size=64)
 
 

@@ -61,7 +61,7 @@ def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) 
             continue
         found.append(LabelledPath(image_path, Labels(_boxes(objects[image_id]), size_hw=size_hw)))
     if not found or not any(len(image.labels.boxes) for image in found):
-        raise DataError(f"{path}: there is no image with labels that can be used. {problems.summary}".strip())
+        raise DataError(f"{path}: no image has labels that can be used. {problems.summary}".strip())
     return LabelledFolder(tuple(categories.names), tuple(found))
 
 
@@ -75,7 +75,7 @@ def _content(path: Path) -> Mapping[str, list[Any]]:
         problem = error.strerror if isinstance(error, OSError) else str(error)
         raise DataError(f"{path}: {problem}.") from None
     except RecursionError:
-        raise DataError(f"{path}: the JSON is nested too deep.") from None
+        raise DataError(f"{path}: the JSON is nested too deeply.") from None
     except DataError:
         raise
     except ValueError as error:
@@ -103,7 +103,7 @@ def _categories(records: Sequence[Any], problems: Problems) -> _Categories:
                     categories.ids[number] = len(categories.names)
                     categories.names.append(name)
                     continue
-        reason = f"expected an id of its own and a name, found {_shown(record)}"
+        reason = f"expected a unique id and a name, found {_shown(record)}"
         problems.add("unusable entries", "categories", reason)
     return categories
 
@@ -120,7 +120,7 @@ def _images(records: Sequence[Any], problems: Problems) -> dict[int, tuple[str, 
         problems.add(
             "unusable entries",
             "images",
-            f"expected an id of its own and an image file, found {_shown(record)}",
+            f"expected a unique id and an image file, found {_shown(record)}",
         )
     return images
 
@@ -144,7 +144,7 @@ def _folder(path: Path, images: Mapping[int, tuple[str, object]]) -> Path:
         if any(_is_there(folder, name) for name in names):
             return folder
     shown = f", such as {names[0][:200]!r}," if names else ""
-    raise DataError(f"{path}: its images{shown} are not beside it: give their folder with --root.")
+    raise DataError(f"{path}: its images{shown} are not next to it: give their folder with --root.")
 
 
 def _is_there(folder: Path, name: str) -> bool:
@@ -171,7 +171,7 @@ def _objects(
         image_id = record.get("image_id") if isinstance(record, dict) else None
         try:
             if not isinstance(image_id, int) or image_id not in image_ids:
-                raise LabelError("it belongs to no image that can be used")
+                raise LabelError("its image is missing or cannot be used")
             objects[image_id].append(_object(record, categories))
             if len(objects[image_id]) > MAX_BOXES_PER_IMAGE:
                 raise LabelError(f"its image has more than {MAX_BOXES_PER_IMAGE} objects")

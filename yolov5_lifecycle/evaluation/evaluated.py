@@ -114,8 +114,8 @@ def _nothing_shared(data_names: Sequence[str], model_names: Sequence[str]) -> st
     """What to tell if data set and model have no class in common."""
     hint = did_you_mean(data_names[0], model_names) if data_names else ""
     return (
-        f"The data set has the classes {_listed(data_names)}, the model {_listed(model_names)}: with the "
-        f"settings none is left that both have.{hint} Classes are compared by name."
+        f"The data set has the classes {_listed(data_names)}, the model {_listed(model_names)}: they share "
+        f"none that the settings select.{hint} Classes are compared by name."
     )
 
 

@@ -59,7 +59,9 @@ def read_yolo_folder(
             f"{_label_path(path, reader.root)} for {path}."
         )
     if not images:
-        raise DataError(f"{data}: the labels of none of {len(paths)} images can be used: {problems.summary}.")
+        raise DataError(
+            f"{data}: none of {len(paths)} images has labels that can be used: {problems.summary}."
+        )
     return LabelledFolder(description.class_names, tuple(images))
 
 
@@ -77,7 +79,7 @@ def _description_path(data: Path) -> Path | None:
     found = [file for file in sorted(data.iterdir()) if file.suffix.lower() in YAML_SUFFIXES]
     if len(found) > 1:
         names = ", ".join(file.name for file in found[:10])
-        raise DataError(f"{data}: expected one data.yaml, found {names}: give the one that is meant.")
+        raise DataError(f"{data}: expected one data.yaml, found {names}: give the path of one of them.")
     return found[0] if found else None
 
 
@@ -137,7 +139,7 @@ class _Reader:
                     continue
                 if os.path.exists(path):  # noqa: PTH110 - Path.exists raises if a name is too long
                     return path
-                problem = problem or LabelError(f"there is no {path}")
+                problem = problem or LabelError(f"{path} not found")
         self._problems.add("unusable entries", f"'{entry}' in data.yaml", problem)
         return None
 

@@ -87,8 +87,8 @@ def _not_empty(
     first = next(images, None)
     if first is None:
         raise RecordingError(
-            f"{source}: the topic {topic.name} is in it without a single message. "
-            "Did the camera publish while it was recorded? `ros2 bag info` shows the counts."
+            f"{source}: the topic {topic.name} has no messages. "
+            "Did the camera publish during the recording? `ros2 bag info` shows the counts."
         )
     return chain([first], images)
 

@@ -130,7 +130,7 @@ class OfflineDetector:
             self._watch.progress(account)
         if not account.balance[Outcome.DETECTED]:
             raise DetectingError(
-                f"of {account.balance.received} images none could be used: see why above, or choose others"
+                f"none of {account.balance.received} images could be used: see the reasons above"
             )
         return account
 

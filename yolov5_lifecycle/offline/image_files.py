@@ -40,7 +40,7 @@ class ImageFile:
 
     def load(self) -> ColourImage:
         if not os.path.lexists(self.path):
-            raise ImageError("there is no such file")
+            raise ImageError("file not found")
         try:
             # An absolute path is never mistaken for a camera index.
             return next(open_source(str(self.path.absolute()), loop=False).frames).image

@@ -131,7 +131,7 @@ class Recording:
             )
             raise RecordingError(
                 f"{self.path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
-                "Record the topic of the camera."
+                "Record the image topic of the camera."
             )
         return self.one_of(topics, name, what="image topic", option="--topic")
 
@@ -146,8 +146,8 @@ class Recording:
             f"\n  {in_one_line(topic.name)}  {topic.type_name}  {topic.count}" for topic in topics
         )
         if name is None:
-            raise RecordingError(f"{self.path}: say with {option} which of its {what}s:{listing}")
-        raise RecordingError(f"{self.path}: there is no {what} {name}; name one of these:{listing}")
+            raise RecordingError(f"{self.path}: choose one of its {what}s with {option}:{listing}")
+        raise RecordingError(f"{self.path}: there is no {what} {name}; choose one of these:{listing}")
 
     def images(self, topic: RecordedTopic) -> Iterator[RecordedImage]:
         """Every image of `topic` in recording order; raises RecordingError if the file is damaged."""

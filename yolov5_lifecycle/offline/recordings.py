@@ -62,15 +62,15 @@ def _expanded(source: Path, output: Path) -> list[Path]:
     elif source.exists():
         found = list(_recordings_at(source))
     else:
-        raise SourceError(f"{source}: there is no such file or folder")
+        raise SourceError(f"{source}: file or folder not found")
     own = Path(os.path.realpath(output))
     others = [path for path in found if not Path(os.path.realpath(path)).is_relative_to(own)]
     if found and not others:
         raise SourceError(
-            f"{source}: all recordings in it lie in the folder of results, {output}: choose another --output."
+            f"{source}: all its recordings are in the folder of results {output}: choose another --output."
         )
     if not found:
-        raise SourceError(f"{source}: expected recordings of ros2 bag, found no .mcap and no .db3 file.")
+        raise SourceError(f"{source}: expected ros2 bag recordings, found no .mcap or .db3 file.")
     return others
 
 
@@ -127,8 +127,8 @@ def _check_names(found: Sequence[SourceRecording]) -> None:
     if same:
         told = "".join(f"\n  {', '.join(map(str, paths[:_MAX_TOLD]))}" for paths in same[:_MAX_TOLD])
         raise SourceError(
-            f"{len(same)} name(s) belong to several recordings, whose results would have the same name; "
-            f"give them in runs with outputs of their own, or rename them:{told}"
+            f"{len(same)} name(s) belong to several recordings, so their results would have the same name; "
+            f"use a separate run and --output for each, or rename them:{told}"
         )
     for recording in found:
         is_reserved = recording.name.startswith("summary.") or not recording.name.strip(".")

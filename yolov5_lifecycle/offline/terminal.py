@@ -53,7 +53,7 @@ class Terminal:
             self.close()
             complain(self._command, f"{label}: {outcome.value}: {error}")
         if self._lost == _MAX_TOLD:
-            complain(self._command, "further ones are only counted")
+            complain(self._command, "further problems are only counted")
 
     def progress(self, account: Account) -> None:
         if self._shows_progress:
@@ -73,7 +73,7 @@ class Terminal:
 def report(account: Account) -> str:
     """Summary of a run for the user, one fact per line."""
     balance, objects = account.balance, account.objects
-    missing = f" of {account.expected} announced" if balance.received < account.expected else ""
+    missing = f" of {account.expected} expected" if balance.received < account.expected else ""
     return (
         f"images    {balance.received}{missing}: {balance[Outcome.DETECTED]} detected, "
         f"{balance[Outcome.REJECTED]} rejected, {balance[Outcome.FAILED]} failed\n"

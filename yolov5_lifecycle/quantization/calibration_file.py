@@ -128,7 +128,7 @@ def path_beside(weights: Path) -> Path:
 def remedy(weights: Path) -> str:
     """What makes a calibration for the file `weights`."""
     return (
-        f"Make one with `calibrate {shlex.quote(str(weights))} DATA`, where DATA is a folder of images, a "
+        f"Create one with `calibrate {shlex.quote(str(weights))} DATA`, where DATA is a folder of images, a "
         "video or a recording; or use precision 'fp32'"
     )
 
@@ -141,7 +141,7 @@ def read_calibration(path: Path, *, weights: Path, weights_sha256: str) -> Calib
     try:
         calibration = Calibration.model_validate_json(read_regular_file(path, MAX_FILE_BYTES))
     except FileNotFoundError:
-        raise CalibrationError(f"{path}: there is no such calibration. {remedy(weights)}.") from None
+        raise CalibrationError(f"{path}: calibration not found. {remedy(weights)}.") from None
     except RegularFileError as error:
         problem = str(error)
     except OSError as error:
@@ -155,7 +155,7 @@ def read_calibration(path: Path, *, weights: Path, weights_sha256: str) -> Calib
                 f"{calibration.weights_sha256[:12]}..., not {weights_sha256[:12]}...). {remedy(weights)}."
             )
         return calibration
-    raise CalibrationError(f"{path}: this is no calibration that can be used: {problem}. {remedy(weights)}.")
+    raise CalibrationError(f"{path}: this is not a usable calibration: {problem}. {remedy(weights)}.")
 
 
 def find_calibration(
@@ -171,7 +171,7 @@ def find_calibration(
     folders of the user. With auto one that cannot be used is only logged; other precisions need none.
     """
     if not _is_considered(precision, device):
-        return "int8 is not asked for"
+        return "int8 was not requested"
     path = path_beside(weights.path)
     if precision == "auto" and not os.path.lexists(path):
         return f"int8 was not calibrated: there is no {path}"

@@ -208,7 +208,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_written_twice(tmp_path: Pa
     tally = detect_recordings(recordings_of([drives], output), plan, new_workers=new_workers, watch=notes)
     assert (workers[0].killed, begun) == (["long"], [True])
     (remark,) = notes.remarks
-    assert remark == "long: the worker died (signal 9); another worker begins it again"
+    assert remark == "long: the worker died (signal 9); another worker retries it"
     assert {result.recording: (result.state, result.images) for result in tally.results.values()} == {
         "long": ("done", LONG),
         "short": ("done", COUNT),
@@ -232,7 +232,7 @@ def test_a_recording_that_kills_its_workers_is_set_aside(tmp_path: Path) -> None
         "harmless": "done",
     }
     (result,) = notes.aside
-    assert result.reason == ("the worker died (signal 9) 2 times while it read this recording")
+    assert result.reason == ("the worker died (signal 9) 2 times while reading this recording")
     assert not (output / "deadly").exists()
     assert not has_unfinished_outputs(output)
 

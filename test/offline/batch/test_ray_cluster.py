@@ -85,7 +85,7 @@ def test_a_killed_actor_loses_nothing(head: RayHead, tmp_path: Path) -> None:
         os.kill(actor, signal.SIGKILL)
     code, told = ended(process)
     assert code == 0, told
-    assert "another worker begins it again" in told
+    assert "another worker retries it" in told
     assert states(output) == {"long": "done", "short": "done"}
     found = [topic for topic, _, _ in messages(output / "long")]
     assert found.count("/yolov5/detections") == 10 * LONG

@@ -150,18 +150,18 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        pytest.param(["best.safetensors", "nowhere"], "nowhere: there is no such file", id="no data"),
+        pytest.param(["best.safetensors", "nowhere"], "nowhere: file or folder not found", id="no data"),
         pytest.param(["nowhere.pt", "images"], "nowhere.pt", id="no weights"),
         pytest.param(["best.safetensors", "empty"], "empty", id="no images"),
         pytest.param(
             ["best.safetensors", "images", "--topic", "/x"],
-            "which has no use for --topic",
+            "--topic does not apply to ",
             id="topic of a folder",
         ),
         pytest.param(
             ["best.safetensors", "images", "--image-size", "65"], "multiple of 32", id="size of no network"
         ),
-        pytest.param(["best.safetensors", "images", "-o", "gone/a.json"], "make it first", id="no folder"),
+        pytest.param(["best.safetensors", "images", "-o", "gone/a.json"], "create it first", id="no folder"),
         pytest.param(["best.safetensors", "images", "-o", "empty"], "found a folder", id="folder"),
         pytest.param(["best.safetensors", "best.safetensors"], "best.safetensors", id="weights as data"),
     ],

@@ -137,7 +137,7 @@ def test_images_alone_have_no_labels(data: Path) -> None:
 )
 def test_an_option_without_use_is_refused(name: str, options: DataOptions, useless: str, copy: Path) -> None:
     as_coco(copy)
-    with pytest.raises(DataError, match=f"which has no use for --{useless}"):
+    with pytest.raises(DataError, match=f"--{useless} does not apply to"):
         read(copy / name, options=options)
 
 
@@ -197,8 +197,8 @@ def _crowds(data: Path) -> Path:
     ("change", "reason"),
     [
         pytest.param(_with_names, "The data set has the classes dog", id="other classes"),
-        pytest.param(_without_objects, "there is no object of the classes", id="no objects"),
-        pytest.param(_crowds, "there is no object of the classes", id="crowds"),
+        pytest.param(_without_objects, "images has an object of the classes", id="no objects"),
+        pytest.param(_crowds, "images has an object of the classes", id="crowds"),
     ],
 )
 def test_labels_of_no_use_leave_the_loss_unknown(

@@ -94,9 +94,11 @@ class RecordingTask:
                 record.model_copy(update={"recording_files": files}).write(target)
                 return skipped(record, source)
         elif record is None and target.exists():
-            raise OutputError(f"{target} exists and has no record of detect_bag: move it, or remove it.")
+            raise OutputError(f"{target} exists and has no record of detect_bag: move or remove it.")
         if record is not None and (added := record.added(target)):
-            raise OutputError(f"{target} is not replaced, as it also has {', '.join(added)}: move that.")
+            raise OutputError(
+                f"{target} is not replaced because it also contains {', '.join(added)}: move that elsewhere."
+            )
         with whole_output(target, replace=record is not None) as unfinished:
             account = self._detect(source.path, unfinished, watch)
             result = self._row(source, account, watch, time.monotonic() - begun_s)

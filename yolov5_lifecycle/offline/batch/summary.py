@@ -45,7 +45,9 @@ def remove_summary(folder: Path) -> None:
     if not _is_summary(json_file):
         foreign = next((file for file in (json_file, table) if os.path.lexists(file)), None)
         if foreign is not None:
-            raise OutputError(f"{foreign} is no summary of detect_bag: move it, or choose another --output.")
+            raise OutputError(
+                f"{foreign} is not a summary of detect_bag: move it, or choose another --output."
+            )
     for file in (table, json_file):
         file.unlink(missing_ok=True)
 
@@ -64,7 +66,7 @@ def write_summary(plan: Plan, results: Sequence[RecordingResult]) -> list[str]:
     text = json.dumps(summary(plan, results), indent=1, ensure_ascii=False)
     write_whole(plan.output / JSON_NAME, text.encode(), b"\n")
     if absence := absence_of("pyarrow"):
-        return [f"{PARQUET_NAME} is not written, only {JSON_NAME}: {absence}"]
+        return [f"{PARQUET_NAME} was not written, only {JSON_NAME}: {absence}"]
     write_whole(plan.output / PARQUET_NAME, _parquet(results))
     return []
 

@@ -152,4 +152,4 @@ def _event(number: int, line: bytes) -> Event:
 def _reason(code: int) -> str:
     if code < 0:
         return f"the worker died (signal {-code})"
-    return f"the worker ended by itself (exit code {code})"
+    return f"the worker exited (code {code})"

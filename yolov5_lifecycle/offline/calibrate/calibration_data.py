@@ -53,7 +53,7 @@ def read_calibration_data(
     with _opened(path, options, problems) as (source, data):
         chosen = diverse_images(source, count, fit, lost=lost, seen=seen)
     if not chosen:
-        raise DataError(f"{path}: not one image of it can be used")
+        raise DataError(f"{path}: none of its images can be used")
     labelled = _compared(data, chosen) if data is not None else None
     return CalibrationData(of_one_size([each.image for each in chosen]), labelled)
 
@@ -67,7 +67,7 @@ def _check_options(path: Path, options: DataOptions) -> None:
         found = "a folder without labels, an image or a video"
         useless = [name for name, value in vars(options).items() if value is not None]
     if useless:
-        raise DataError(f"{path} is {found}, which has no use for --{useless[0]}")
+        raise DataError(f"--{useless[0]} does not apply to {path}, {found}")
 
 
 @contextmanager

@@ -110,7 +110,7 @@ def evaluate_models(
     common = sorted(set(found[0]).intersection(*found[1:]))
     if all(found[0][number].truth.is_crowd.all() for number in common):
         raise DataError(
-            f"In {len(common)} images there is no object of the classes that data and model share: "
+            f"None of {len(common)} images has an object of the classes that data and model share: "
             f"{', '.join(classes.names[:10])}. {problems.summary}"
         )
     times = _times_ms(models, list(timed.values()))

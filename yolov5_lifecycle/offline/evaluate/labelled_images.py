@@ -53,12 +53,12 @@ class DataOptions:
 def add_data_options(parser: argparse.ArgumentParser) -> None:
     """Add the options split, root and topic."""
     parser.add_argument(
-        "--split", choices=("train", "val", "test"), help="which images of data.yaml (default: val)"
+        "--split", choices=("train", "val", "test"), help="images of data.yaml to use (default: val)"
     )
     parser.add_argument(
         "--root",
         type=Path,
         metavar="FOLDER",
-        help="folder of labelled images, beyond which nothing is read (default: that of data.yaml or JSON)",
+        help="folder of the labelled images; nothing outside it is read (default: that of data.yaml or JSON)",
     )
-    parser.add_argument("--topic", help="which images of a recording (default: the only ones)")
+    parser.add_argument("--topic", help="image topic of a recording (default: the only one)")

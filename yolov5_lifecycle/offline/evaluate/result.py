@@ -186,7 +186,7 @@ class EvaluationResult:
         ]
         if self._classes.left_out:
             shown = ", ".join(in_one_line(name, 40) for name in self._classes.left_out[:_MAX_CONFUSED])
-            lines.append(f"left out, not in the model or its settings: {shown}")
+            lines.append(f"left out, not in the model or not selected by its settings: {shown}")
         if self._problems.counts:
             lines.append(f"not evaluated: {self._problems.summary}")
         return "".join(f"{line}\n" for line in lines)
@@ -226,7 +226,7 @@ def _thresholds(evaluation: Evaluation) -> str:
     """The threshold of the model, and of how many classes it is another one."""
     usual = evaluation.settings.confidence_threshold
     others = np.count_nonzero(evaluation.thresholds != usual)
-    return f"{usual:g}, of {others} classes their own," if others else f"{usual:g}"
+    return f"{usual:g} (own thresholds for {others} classes)" if others else f"{usual:g}"
 
 
 def _median_ms(evaluation: Evaluation) -> str:
