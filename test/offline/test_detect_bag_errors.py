@@ -1,4 +1,4 @@
-"""What `detect_bag` says when it cannot go on; it leaves nothing half-written behind."""
+"""Errors of `detect_bag`: each has a reason, and nothing half-written is left behind."""
 
 from __future__ import annotations
 

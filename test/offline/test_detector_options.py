@@ -60,7 +60,9 @@ def test_an_override_without_effect_offline_needs_no_camera(tmp_path: Path) -> N
         pytest.param("left", "cameras: expected one of front, rear, but --camera is 'left'.", id="another"),
     ],
 )
-def test_a_camera_that_cannot_be_meant_is_refused(camera: str | None, told: str, parameters: Path) -> None:
+def test_a_camera_that_is_missing_or_unknown_is_refused(
+    camera: str | None, told: str, parameters: Path
+) -> None:
     with pytest.raises(SettingsError) as refused:
         wanted_settings(parameters, [], "/yolov5", camera)
     assert [str(problem) for problem in refused.value.problems] == [told]

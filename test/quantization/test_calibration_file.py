@@ -33,7 +33,7 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
-def test_it_lies_beside_the_weights() -> None:
+def test_it_is_stored_beside_the_weights() -> None:
     assert path_beside(WEIGHTS) == Path("/models/my best.calibration.json")
 
 

@@ -1,4 +1,4 @@
-"""Network streams: which sources are streams, when they are connected again, and what is said of failures."""
+"""Network streams: which sources are streams, when they are reconnected, and how failures are reported."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def test_a_file_that_is_no_video_is_refused(tmp_path: Path, name: str) -> None:
         ("x" * 5000, "is neither 'synthetic'"),
     ],
 )
-def test_a_device_that_is_not_there_is_refused(source: str, told: str) -> None:
+def test_a_missing_device_is_refused(source: str, told: str) -> None:
     with pytest.raises(SourceError, match=told):
         open_source(source)
 

@@ -1,6 +1,6 @@
 """Command `convert IN.pt OUT.safetensors`: convert a YOLOv5 checkpoint to a file that holds only data.
 
-`convert --describe FILE` tells what a file holds.
+`convert --describe FILE` shows what a file contains.
 """
 
 from __future__ import annotations

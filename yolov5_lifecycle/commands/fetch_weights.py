@@ -27,7 +27,7 @@ from yolov5_lifecycle.settings.settings import Settings, validated
 from yolov5_lifecycle.unfinished import open_itself
 
 MODELS = (*SIZES, *(f"{size}-seg" for size in SIZES if len(size) == 1))
-"""The official ones that detect, and those that segment."""
+"""The official models: for detection, then for segmentation."""
 URL = "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5{size}.pt"
 URL_VARIABLE = "YOLOV5_WEIGHTS_URL"
 _LICENCE = "The official YOLOv5 weights are by Ultralytics, under AGPL-3.0 or a licence bought from them.\n"
@@ -48,9 +48,8 @@ def fetch(
     """Load yolov5`model`.pt from `folder`, downloading it if it does not exist.
 
     `url` contains the placeholder `{size}`. The resulting file is complete, readable and, with `sha256`, has
-    that digest. A download that is unfinished or could not be checked is kept beside it and resumed by the
-    next call; one with another digest or without a model in it is removed. Raises DownloadError, WeightsError
-    or OSError.
+    that digest. An unfinished or unchecked download is kept beside it and resumed by the next call; one with
+    another digest or without a model is removed. Raises DownloadError, WeightsError or OSError.
     """
     target = folder / f"yolov5{model}.pt"
     if os.path.lexists(target):

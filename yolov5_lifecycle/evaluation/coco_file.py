@@ -31,7 +31,7 @@ from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 MAX_BYTES = 256 << 20
 MAX_CONTAINERS = 8_000_000
-"""Objects and lists of a file; each takes Python 60 bytes and more. Those of COCO's 5,000 images: 200,000."""
+"""Objects and lists in a file, each 60 bytes or more in Python. COCO's file of 5,000 images has 200,000."""
 _MAX_NAME = 200
 _MAX_PX = 1e6
 
@@ -39,10 +39,10 @@ _MAX_PX = 1e6
 def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) -> LabelledFolder:
     """The images and labels of the COCO file at `path`.
 
-    The names of images are relative to the folder `root` and may not leave it. None: the first that has an
-    image of the folder of `path`, `images` in it, the folder above, and there `images` and that of the split,
-    such as `val2017` for `instances_val2017.json`. Problems with single records are added to `problems`.
-    Raises DataError if nothing is left.
+    The names of images are relative to the folder `root` and may not leave it. Without `root`, it is the
+    first of these that has one of the images: the folder of `path`, `images` in it, the folder above, and
+    there `images` and the folder of the split, such as `val2017` for `instances_val2017.json`. Problems with
+    single records are added to `problems`. Raises DataError if nothing is left.
     """
     content = _content(path)
     categories = _categories(content["categories"], problems)
@@ -135,7 +135,7 @@ def _size_hw(record: Mapping[str, Any]) -> tuple[int, int] | None:
 
 
 def _folder(path: Path, images: Mapping[int, tuple[str, object]]) -> Path:
-    """Where the images lie: the first folder that has one of the first of them."""
+    """The folder of the images: the first one that has any of the first 100."""
     parent = absolute(path).parent
     split = path.stem.rpartition("_")[2]
     near = (parent, parent / "images", parent.parent, parent.parent / "images", parent.parent / split)
@@ -205,7 +205,7 @@ def _pixels(bbox: Sequence[float]) -> Iterator[float]:
 
 
 def _shown(value: object) -> str:
-    """A scalar, shortened; of anything else what it is: it may be large or nested deeply."""
+    """A scalar, shortened; of anything else only its type: it may be large or deeply nested."""
     if isinstance(value, (str, int, float, type(None))):
         return repr(value)[:40]
     return "a list" if isinstance(value, list) else "an object"

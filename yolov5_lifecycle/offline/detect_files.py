@@ -37,7 +37,7 @@ def detect_files(
     """Write a JSON line for every image of `source` to the new file `output`, or to stdout.
 
     `annotated` is a new folder if `source` is one, else a new image or video. With `masks` the lines have
-    those of a model that segments. Raises SourceError, OutputError, DetectingError and what `load` raises.
+    the masks of a segmentation model. Raises SourceError, OutputError, DetectingError and what `load` raises.
     """
     with ExitStack() as stack:
         lines = stack.enter_context(_text(output)) if output else sys.stdout

@@ -83,8 +83,8 @@ class Watch(Protocol):
 class OfflineDetector:
     """Detector that owns the model that `prepare` loads and applies `settings` to every image.
 
-    With the setting `tracker` the images of its runs that have a time are tracked, as those of one camera.
-    `with_masks`: whether the detections of a model that segments have masks; computing them takes time.
+    With the setting `tracker`, images that have a time are tracked, as the images of one camera.
+    `with_masks`: whether the detections of a segmentation model have masks; computing them takes time.
     Raises ValueError or OSError like `prepare_model`, and SettingsError for a class unknown to the model.
     """
 

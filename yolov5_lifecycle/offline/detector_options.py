@@ -24,7 +24,7 @@ def wanted_settings(
 ) -> Settings:
     """Settings of the node named `node`: the parameter file, overridden by `name=value` assignments.
 
-    `camera`: the one of its `cameras` whose settings are wanted. Raises ParameterFileError, SettingsError and
+    `camera`: which of its `cameras` the settings are for. Raises ParameterFileError, SettingsError and
     OSError.
     """
     values = file_values(parameter_file, node) if parameter_file else {}
@@ -63,7 +63,7 @@ def _without_overrides(settings: Settings) -> Settings:
 
 
 def add_detector_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options from which `wanted_settings` makes settings."""
+    """Add the options that `wanted_settings` turns into settings."""
     parser.add_argument(
         "--params-file", type=Path, metavar="FILE.yaml", help="parameter file of the detector"
     )

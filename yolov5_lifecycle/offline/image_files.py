@@ -36,7 +36,7 @@ class ImageFile:
 
     @property
     def stamp_s(self) -> None:
-        """Nobody knows how much time lies between the files of a folder, so they are not tracked."""
+        """None: the time between the files of a folder is unknown, so they are not tracked."""
 
     def load(self) -> ColourImage:
         if not os.path.lexists(self.path):

@@ -54,7 +54,7 @@ def _typestore() -> Typestore:
 
 
 TYPES = _typestore()
-"""Those of Jazzy and vision_msgs."""
+"""Message types of Jazzy and vision_msgs."""
 
 
 class RecordingError(ValueError):
@@ -114,7 +114,7 @@ class Recording:
     def __init__(self, path: Path, reader: Reader) -> None:
         self.path = path
         self._reader = reader
-        self._is_packed = reader.compression_mode == "message"  # reading changes what the reader says
+        self._is_packed = reader.compression_mode == "message"  # reading changes this attribute
 
     @property
     def storage(self) -> StoragePlugin:
@@ -138,7 +138,7 @@ class Recording:
     def one_of(
         self, topics: Sequence[RecordedTopic], name: str | None, *, what: str, option: str
     ) -> RecordedTopic:
-        """The one called `name`, or the only one; raises RecordingError with the `option` that chooses."""
+        """The topic `name`, or the only one; raises RecordingError, which names the `option` to choose."""
         wanted = [topic for topic in topics if name in (None, topic.name)]
         if len(wanted) == 1:
             return wanted[0]

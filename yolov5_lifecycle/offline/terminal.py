@@ -1,4 +1,4 @@
-"""What a command that runs over many images reports on the terminal meanwhile, and at its end."""
+"""What a command reports on the terminal while it processes many images, and at its end."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class ProgressLine:
         self._is_open = False
 
     def show(self, text: str) -> None:
-        """Show `text` if the last one has been there for some time."""
+        """Show `text`, unless the previous one has only just been shown."""
         now_s = time.monotonic()
         if now_s >= self._due_s:
             self._due_s = now_s + _PROGRESS_PERIOD_S
@@ -61,7 +61,7 @@ class Terminal:
             self._line.show(f"{account.balance.received}{of_all} images, {account.rate_hz:.1f} per second")
 
     def begin(self, task: str) -> None:
-        """Show that `task` has begun, which has no images to count."""
+        """Show the name of a `task` that has no images to count."""
         if self._shows_progress:
             self._line.show_now(task)
 
@@ -83,6 +83,6 @@ def report(account: Account) -> str:
 
 
 def objects_line(objects: Counter[str]) -> str:
-    """The line about detections of such a summary."""
+    """The line of the summary that counts detections."""
     names = ", ".join(f"{name} {count}" for name, count in objects.most_common())
     return f"detections  {objects.total()}{': ' if names else ''}{names}\n"

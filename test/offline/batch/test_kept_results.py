@@ -1,4 +1,4 @@
-"""`detect_bag` over many recordings: which results are kept, and that what is not its own is."""
+"""`detect_bag` over many recordings: it keeps finished results and the files of others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`detect_bag` over many recordings: the results of single runs, each once, whatever becomes of workers."""
+"""`detect_bag` over many recordings: the results of single runs, each once, even if workers die."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def test_images_that_cannot_be_read_are_counted_with_the_first_problem(tmp_path:
     assert result.first_problem.startswith("1700000000.540000007: rejected: Encoding '32FC1'")
 
 
-def test_a_lost_gpu_or_a_full_disk_is_no_matter_of_one_recording(drives: Path, tmp_path: Path) -> None:
+def test_a_lost_gpu_or_a_full_disk_sets_no_recording_aside(drives: Path, tmp_path: Path) -> None:
     def fail(error: Exception) -> RecordingTask:
         def on_image(_: int) -> None:
             raise error

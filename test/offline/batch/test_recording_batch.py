@@ -88,7 +88,7 @@ def test_there_are_no_more_workers_than_recordings(tmp_path: Path) -> None:
     assert len(batch.workers.runtimes) == len(SOURCES)
 
 
-def test_the_recording_of_a_dead_worker_is_begun_again(tmp_path: Path) -> None:
+def test_the_recording_of_a_dead_worker_is_retried(tmp_path: Path) -> None:
     deaths = ["a", "c"]
 
     def begin(worker: int, source: SourceRecording) -> Event:
@@ -157,7 +157,7 @@ def test_two_batches_do_not_share_a_folder(tmp_path: Path) -> None:
     assert batch.workers.runtimes == []
 
 
-def test_without_pyarrow_the_table_is_missing_and_the_remedy_is_told(
+def test_without_pyarrow_the_table_is_missing_and_the_remedy_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)

@@ -169,7 +169,7 @@ def test_what_has_changed_is_not_finished(
     assert finished_before(source, plan_for(result.parent, **settings)) is None
 
 
-def test_where_the_weights_lie_makes_no_difference(
+def test_the_place_of_the_weights_makes_no_difference(
     source: SourceRecording, result: Path, tmp_path: Path
 ) -> None:
     weights = Path(plan_for(result.parent).weights)

@@ -55,7 +55,7 @@ def chosen(levels: list[int], count: int, *, claimed: int) -> list[int]:
     return levels_of(found)
 
 
-def test_images_that_differ_are_taken_rather_than_more_of_the_same() -> None:
+def test_different_images_are_preferred_to_similar_ones() -> None:
     assert chosen([10, 10, 11, 10, 200, 10, 90, 11], 3, claimed=8) == [10, 200, 90]
     assert farthest(np.array([[0.0], [1.0], [9.0], [10.0], [5.0]]), 3) == [0, 3, 4]
 

@@ -1,4 +1,4 @@
-"""What `evaluate` says when data, settings or models cannot be used; it leaves nothing half-written."""
+"""Errors of `evaluate` for unusable data, settings or models; nothing half-written is left behind."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def prepare_raising(error: BaseException) -> Prepare:
 
 
 def spoil(data: Path) -> None:
-    """Of six images one stays usable."""
+    """Leave one of six images usable."""
     images, labels = data / "images" / "val", data / "labels" / "val"
     (images / "0000.jpg").write_bytes(b"no image")
     (images / "0001.jpg").write_bytes(claiming_too_much())

@@ -1,4 +1,4 @@
-"""What `evaluate` says of recordings whose corrected detections cannot be used."""
+"""Errors of `evaluate` for recordings whose corrected detections cannot be used."""
 
 from __future__ import annotations
 

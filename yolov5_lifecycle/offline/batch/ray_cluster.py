@@ -56,7 +56,7 @@ def ray_workers(address: str, jobs: int | None, recordings: int) -> RayWorkers:
 
 
 def _check_answer(address: str) -> None:
-    """Raise OSError unless something listens at `address`, for which Ray would wait forever."""
+    """Raise OSError unless something listens at `address`: Ray would wait for it forever."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if port.isdecimal():
         socket.create_connection((host.strip("[]"), int(port)), _ANSWER_S).close()

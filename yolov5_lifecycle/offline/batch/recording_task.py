@@ -61,7 +61,7 @@ class RecordingTask:
         return self._prepared.detector.runtime.precision
 
     def run(self, source: SourceRecording) -> RecordingResult:
-        """Write the result of `source`, unless it is there; or say why it was set aside.
+        """Write the result of `source`, unless it exists; return its row, with the reason if set aside.
 
         Raises NoRoomError, and DeviceLostError: then every other recording would fail, too.
         """
@@ -85,7 +85,7 @@ class RecordingTask:
 
     def _result(self, source: SourceRecording, watch: _Watch, begun_s: float) -> RecordingResult:
         target = self._plan.output / source.name
-        if (finished := finished_before(source, self._plan)) is not None:  # of a worker that was killed then
+        if (finished := finished_before(source, self._plan)) is not None:  # by a worker that was then killed
             return finished
         files = file_stamps(source.path)
         record = read_record(target)

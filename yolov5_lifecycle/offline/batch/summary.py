@@ -17,7 +17,7 @@ from yolov5_lifecycle.unfinished import open_itself
 
 JSON_NAME, PARQUET_NAME = "summary.json", "summary.parquet"
 CLASS_COLUMN = "detections/"
-"""How the columns of classes begin in the table."""
+"""Prefix of the columns of classes in the table."""
 _BEGIN = b'{\n "weights": "'
 _COUNTED = ("images", "detected", "rejected", "failed")
 _COLUMNS = {
@@ -39,7 +39,7 @@ _COLUMNS = {
 def remove_summary(folder: Path) -> None:
     """Remove the summary of an earlier run; raises OutputError for files of others, and OSError.
 
-    The table goes first and comes last: without the JSON file it is of somebody else.
+    The table is removed first and written last: without the JSON file it belongs to somebody else.
     """
     json_file, table = folder / JSON_NAME, folder / PARQUET_NAME
     if not _is_summary(json_file):
@@ -53,7 +53,7 @@ def remove_summary(folder: Path) -> None:
 
 
 def _is_summary(path: Path) -> bool:
-    """Whether `summary` has made the file at `path`, by how it begins."""
+    """Whether the file at `path` begins like the JSON of `summary`."""
     try:
         with open(path, "rb", opener=open_itself) as file:
             return file.read(len(_BEGIN)) == _BEGIN

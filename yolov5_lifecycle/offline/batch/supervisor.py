@@ -104,7 +104,7 @@ def detect_recordings(
 
 @contextmanager
 def _output_folder(folder: Path) -> Iterator[None]:
-    """`folder` for this process alone; made if it is missing, and then removed if nothing came into it."""
+    """Lock `folder` for this process; create it if it is missing, and then remove it if it stays empty."""
     if not is_utf8(folder):
         raise OutputError(
             f"{folder}: the name of the folder of results must be UTF-8: choose another --output."

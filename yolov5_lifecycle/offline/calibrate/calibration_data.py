@@ -1,4 +1,4 @@
-"""What a model is calibrated on: diverse images, and their labels where there are any."""
+"""The data that a model is calibrated on: diverse images, and their labels, if any."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from yolov5_lifecycle.offline.recordings import is_recording
 
 @dataclass(frozen=True, eq=False)
 class CalibrationData:
-    """Images of one size, as the network is given them.
+    """Images of one size, as the network receives them.
 
     `labelled`: the files of those that are compared with fp32, and their labels; None without labels.
     """
@@ -59,7 +59,7 @@ def read_calibration_data(
 
 
 def _check_options(path: Path, options: DataOptions) -> None:
-    """Raise DataError for an option that is of no use for `path`."""
+    """Raise DataError for an option that does not apply to `path`."""
     if has_labels(path) or is_recording(path):
         found = f"a data set of the kind {kind_of(path)}"
         useless = options.useless(kind_of(path))

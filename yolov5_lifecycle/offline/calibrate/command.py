@@ -68,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def report(calibration: Calibration, path: Path, unknown: str = "") -> str:
-    """What was measured, for the user; `unknown`: why the loss of mAP is not known, if it is not."""
+    """Summary for the user; `unknown`: why the loss of mAP is unknown, or ""."""
     lines = [f"{'':24}{'ms per image':>14}{'agreement F1':>14}{'box IoU':>10}{'mAP loss':>10}"]
     for each in calibration.measured:
         name = f"{each.precision} in {each.runtime}"
@@ -96,7 +96,7 @@ def _loss(unknown: str) -> str:
 
 
 def verdict(calibration: Calibration) -> str:
-    """What `precision: auto` makes of it."""
+    """Whether `precision: auto` will use int8, and why."""
     if problem := quality_problem(calibration, image_size=calibration.image_size):
         return f"precision auto stays fp32: {problem}"
     fp32_ms = min(each.ms_per_image for each in calibration.measured if each.precision == "fp32")
@@ -109,7 +109,7 @@ def verdict(calibration: Calibration) -> str:
 
 
 def _run(arguments: argparse.Namespace, terminal: _Terminal) -> str:
-    """Write the calibration and return what is to be told."""
+    """Write the calibration and return the summary."""
     if COARSE_RUNTIME not in installed_runtimes():
         raise RuntimeAbsentError(
             f"int8 runs in OpenVINO, which is not installed. Install it with {sys.executable} -m pip install "

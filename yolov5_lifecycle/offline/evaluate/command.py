@@ -142,7 +142,7 @@ class _Watch:
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
         if outcome is Outcome.FAILED:
             self.problems.add("failed images", label, error)
-        elif label not in self._rejected:  # each model meets it
+        elif label not in self._rejected:  # every model rejects it
             self._rejected.add(label)
             self.problems.add("unusable images", label, error)
 

@@ -1,4 +1,4 @@
-"""A recording as a labelled data set: images, and detections with the same stamps that somebody corrected."""
+"""A recording as a labelled data set: images, and corrected detections with the same stamps."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _labels(
     may_add: bool,
     problems: Problems,
 ) -> dict[Stamp, Labels]:
-    """The labels by stamp. If it `may_add`, names that occur are added to `class_ids`."""
+    """The labels by stamp. If `may_add`, class names that are new are added to `class_ids`."""
     labels: dict[Stamp, Labels] = {}
     for recorded in recording.messages(topic):
         try:
