@@ -33,7 +33,7 @@ _TINY = np.spacing(1)
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure of both models, and where the difference of the second to the first lies."""
+    """A figure of both models, and the interval of the second minus the first."""
 
     first: float
     second: float

@@ -1,4 +1,4 @@
-"""The confusion matrix: what each object was taken for."""
+"""The confusion matrix: what each object was detected as."""
 
 from __future__ import annotations
 

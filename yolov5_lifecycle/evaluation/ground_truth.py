@@ -116,7 +116,7 @@ class LabelledFolder:
 
 
 def confined_path(root: Path, base: Path, text: str) -> Path:
-    """The path `text`, relative to `base`; raises LabelError if it lies outside of the folder `root`.
+    """The path `text`, relative to `base`; raises LabelError if it is outside of the folder `root`.
 
     `root` is absolute. Links are followed, `..` is not looked up.
     """

@@ -29,7 +29,7 @@ class ClassMatches:
     is_right: NDArray[np.bool_]
     """(10, d): it matches an object, at each of the 10 IoU thresholds from 0.5 to 0.95."""
     is_ignored: NDArray[np.bool_]
-    """(10, d): it lies in a crowd and is neither right nor wrong."""
+    """(10, d): it is in a crowd, and neither right nor wrong."""
     objects: NDArray[np.int64]
     """(images,) number of objects in each image, without crowds."""
     pairs: NDArray[np.int64]

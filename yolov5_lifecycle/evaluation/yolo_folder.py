@@ -25,7 +25,7 @@ from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 YAML_SUFFIXES = (".yaml", ".yml")
 SPLITS = ("val", "test", "train")
-"""What is evaluated: the first of these that `data.yaml` has."""
+"""The first of these that `data.yaml` has is evaluated."""
 _MAX_LIST_BYTES = 256 << 20
 _NOTHING = DataDescription("", {}, None)
 

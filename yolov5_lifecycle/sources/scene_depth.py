@@ -12,11 +12,11 @@ from yolov5_lifecycle.sources.calibration import Calibration, Matrix
 from yolov5_lifecycle.sources.scene import Scene, Shape
 
 _DISTANCES_M = (1.25, 3.2)
-"""Of the shapes in the first image; later they come up to a fifth nearer or go up to a quarter farther."""
+"""Range of the shapes in the first image; later they come up to a fifth nearer or go up to a quarter farther."""
 _WALL_M = 7.0
 _MAX_SLOPE = 0.5
 _RANDOM_STREAM = 1
-"""Added to the seed, so that the image of a seed does not depend on depth."""
+"""Combined with the seed, so that the image of a seed does not depend on depth."""
 
 
 @dataclass(frozen=True, eq=False)

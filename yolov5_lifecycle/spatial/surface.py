@@ -110,7 +110,7 @@ def _shares(bins: NDArray[np.intp], first: int, count: int, *, min_valid: float)
     shares are of that many.
     """
     boxes, size = bins.shape
-    # Each box has one more place, before its bins, for what is in none of them.
+    # Each box has an extra place before its bins, for samples in none of them.
     is_counted = (bins >= first) & (bins < first + count) & (bins >= 0)
     places = np.where(is_counted, bins - first + 1, 0) + np.arange(boxes)[:, None] * (count + 1)
     counts = np.bincount(places.ravel(), minlength=boxes * (count + 1)).reshape(boxes, count + 1)[:, 1:]

@@ -1,4 +1,4 @@
-"""What is done with every recording of a batch, in a form that can be sent to its workers."""
+"""The plan for every recording of a batch, in a form that can be sent to workers."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes, load_runtime
 
 Tell = Callable[[str], None]
-"""Shows what is being done."""
+"""Shows the current step."""
 Loss = Callable[[Detector, Detector], float | None]
 """Points of mAP that the second detector, in int8, loses against the first in fp32; None if unknown."""
 _PACKAGES = ("yolov5_lifecycle", "openvino", "onnxruntime", "torch")
@@ -96,7 +96,7 @@ class Calibrating:
         )
 
     def _activations(self) -> tuple[dict[str, Activation], list[str]]:
-        """What convolutions read, and their paths, the most sensitive ones first."""
+        """The activations that convolutions read, and the paths of these, the most sensitive first."""
         network = fuse(self._weights.model.network())
         channels = self._weights.model.architecture.image_channels
         frames = [_pixels(image, channels) for image in self._learned]
@@ -126,7 +126,7 @@ class Calibrating:
         return Quantization(read, frozenset(order[: round(_FP32_SHARE * len(order))]), self._bits)
 
     def _measured(self, quantization: Quantization) -> tuple[tuple[Measurement, ...], int]:
-        """What is measured, and the number of detections in fp32."""
+        """The measurements, and the number of detections in fp32."""
         wanted: list[tuple[Runtime, Precision]] = [(COARSE_RUNTIME, "fp32"), (COARSE_RUNTIME, "int8")]
         if "onnxruntime" in installed_runtimes():
             wanted.append(("onnxruntime", "fp32"))

@@ -35,7 +35,7 @@ from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _COMMAND = "evaluate"
-_EVERYWHERE = "detections of every place and size count, as the labels do"
+_EVERYWHERE = "detections of any size count anywhere in the image, as labels do"
 _USELESS = {
     **dict.fromkeys(NOT_APPLIED, _EVERYWHERE),
     "tracker": "images are evaluated one by one",
@@ -142,7 +142,7 @@ class _Watch:
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
         if outcome is Outcome.FAILED:
             self.problems.add("failed images", label, error)
-        elif label not in self._rejected:  # every model rejects it
+        elif label not in self._rejected:  # once, although each model meets it
             self._rejected.add(label)
             self.problems.add("unusable images", label, error)
 

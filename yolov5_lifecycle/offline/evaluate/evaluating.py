@@ -98,8 +98,8 @@ def evaluate_models(
 ) -> tuple[EvaluatedClasses, list[Evaluation]]:
     """Load a model for each of the `wanted` settings and let it detect in all images of `data`.
 
-    An image that one model cannot use is left out for all. Raises DataError and
-    DetectingError if nothing is left, and what `OfflineDetector` raises.
+    An image that one model cannot use is left out for all. Raises DataError and DetectingError if nothing is
+    left, and what `OfflineDetector` raises.
     """
     models = [_Model(number, settings, watch, prepare) for number, settings in enumerate(wanted)]
     classes = EvaluatedClasses.shared(
