@@ -12,7 +12,7 @@ from yolov5_lifecycle.sources.calibration import Calibration, Matrix
 from yolov5_lifecycle.sources.scene import Scene, Shape
 
 _DISTANCES_M = (1.25, 3.2)
-"""Range of the shapes in the first image; later they come up to a fifth nearer or go up to a quarter farther."""
+"""Distances in the first image; later the shapes come up to a fifth nearer or go up to a quarter farther."""
 _WALL_M = 7.0
 _MAX_SLOPE = 0.5
 _RANDOM_STREAM = 1
