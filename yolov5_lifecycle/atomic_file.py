@@ -60,7 +60,7 @@ def whole_output(path: Path, *, replace: bool = False) -> Iterator[Path]:
     if not replace:
         _check_free(path)
     if not path.parent.is_dir():
-        raise OutputError(f"{path.parent}: there is no such folder; make it first.")
+        raise OutputError(f"{path.parent}: folder not found; create it first.")
     remove_unfinished_outputs(path.parent)
     with temporary_folder(path.parent, prefix=_OUTPUT_PREFIX) as folder:
         unfinished = folder / path.name

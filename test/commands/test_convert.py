@@ -82,7 +82,7 @@ def test_a_file_can_be_converted_onto_itself(source: Path) -> None:
         pytest.param("missing.pt", "out.safetensors", "there is no such file", id="source missing"),
         pytest.param("broken.pt", "out.safetensors", "the file is empty", id="source broken"),
         pytest.param("in.safetensors", "out.pt", "expected a name that ends in .safetensors", id="suffix"),
-        pytest.param("in.safetensors", "no/out.safetensors", "there is no such folder", id="no folder"),
+        pytest.param("in.safetensors", "no/out.safetensors", "folder not found", id="no folder"),
         pytest.param("in.safetensors", "folder.safetensors", "folder.safetensors", id="target is a folder"),
         pytest.param("in.safetensors", "x" * 300 + ".safetensors", "too long", id="name too long"),
     ],

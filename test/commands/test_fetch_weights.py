@@ -104,7 +104,7 @@ def test_an_address_that_cannot_be_used_is_one_line(
 
 def test_two_at_a_time_do_not_mix_their_files(folder: Path, checkpoint: bytes) -> None:
     def second(request: ServedRequest) -> None:
-        with pytest.raises(DownloadError, match="another fetch_weights is at work"):
+        with pytest.raises(DownloadError, match="another fetch_weights is running"):
             fetch_from(server, folder)
         sending(checkpoint)(request)
 

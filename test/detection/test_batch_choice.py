@@ -1,4 +1,4 @@
-"""Batches are used where they were measured to be faster, and the reason is told."""
+"""Batches are used where they were measured to be faster, and the reason is reported."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def test_every_runtime_is_measured(runtime_name: str) -> None:
     assert all(ms > 0 for ms in figures_ms.values())
 
 
-def test_sizes_are_measured_in_turns() -> None:
+def test_sizes_are_measured_alternately() -> None:
     runtime = scripted()
     measure_batches_ms(runtime, [2, 4], frames_hw=[VGA], max_s=math.inf)
     assert runtime.batches[:6] == [1, 1, 2, 2, 4, 4]

@@ -1,4 +1,4 @@
-"""Thresholds of classes in every runtime, which must look for what they admit and for nothing else."""
+"""Thresholds of classes in every runtime, which must find what they admit and nothing else."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def detector(model: Model, request: pytest.FixtureRequest) -> Iterator[Detector]
 
 @pytest.fixture(scope="module")
 def everything(detector: Detector, image: ColourImage) -> Detections:
-    """Of every class, down to the lowest threshold of this file; NMS of a class minds no other class."""
+    """Every class, down to the lowest threshold of this file; NMS of one class ignores the others."""
     return detector.detect(image, Selection(confidence_threshold=LOW, max_detections=30_000))
 
 

@@ -1,4 +1,4 @@
-"""Masks of detections are those of YOLOv5's own implementation, and one image tells them apart."""
+"""Masks of detections are those of YOLOv5's own implementation, and one label image has them all."""
 
 from __future__ import annotations
 

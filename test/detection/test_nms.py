@@ -1,4 +1,4 @@
-"""Selection follows YOLOv5's rules; a slow implementation says what they are."""
+"""Selection follows YOLOv5's rules, which a slow implementation spells out."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def tiny(tmp_path: Path) -> Settings:
     return Settings(weights=str(path), image_size=64, runtime="torch", device="cpu")
 
 
-def test_batches_are_measured_for_several_cameras_and_told(tiny: Settings) -> None:
+def test_batches_are_measured_for_several_cameras_and_reported(tiny: Settings) -> None:
     model = prepare_model(tiny.model_copy(update={"max_batch": 8}), [(64, 64)] * 3)
     assert set(model.detector.batch_sizes) <= {2, 3}
     told = model.facts["batches"]
@@ -58,7 +58,7 @@ def test_one_camera_or_no_batches_are_not_measured(tiny: Settings) -> None:
     assert model.detector.batch_sizes == ()
 
 
-def test_only_a_model_that_segments_is_said_to(tiny: Settings, tmp_path: Path) -> None:
+def test_only_a_model_that_segments_reports_masks(tiny: Settings, tmp_path: Path) -> None:
     path = tmp_path / "segmentation.safetensors"
     write_safetensors(random_model(0, SMALL_FAMILIES["segmentation"]), path)
     model = prepare_model(tiny.model_copy(update={"weights": str(path)}), [(64, 64)])

@@ -1,4 +1,4 @@
-"""A detector whose model segments: masks of what it reports, computed only where they are asked for."""
+"""A detector whose model segments: masks of what it reports, computed only on request."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def test_the_file_is_small_and_knows_the_classes_of_the_scene(weights_file: Weig
     assert weights_file.model.class_names == CLASS_NAMES
 
 
-def test_the_model_card_is_about_this_file(weights_file: WeightsFile) -> None:
+def test_the_model_card_describes_this_file(weights_file: WeightsFile) -> None:
     assert weights_file.sha256 in (WEIGHTS / "README.md").read_text()
 
 

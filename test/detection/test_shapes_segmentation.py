@@ -1,4 +1,4 @@
-"""The embedded model that segments detects what the other one does, and knows which pixels belong to it."""
+"""The embedded segmentation model detects what the detection model does, with the right masks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_file_is_small_and_knows_the_classes_of_the_scene(weights_file: Weig
     assert weights_file.model.architecture.mask_coefficients == 32
 
 
-def test_the_model_card_is_about_this_file(weights_file: WeightsFile) -> None:
+def test_the_model_card_describes_this_file(weights_file: WeightsFile) -> None:
     assert weights_file.sha256 in (WEIGHTS / "README.md").read_text()
 
 

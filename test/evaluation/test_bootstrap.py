@@ -1,4 +1,4 @@
-"""Resampled figures are those of the images that were drawn; intervals say what they can."""
+"""Resampled figures are those of the drawn images; verdicts need enough images."""
 
 from __future__ import annotations
 

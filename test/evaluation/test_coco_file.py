@@ -140,14 +140,14 @@ def test_a_broken_image_record_is_listed_and_the_rest_is_read(record: object, tm
     [
         pytest.param("", "expected JSON", id="empty"),
         pytest.param("{", "expected JSON", id="cut off"),
-        pytest.param("[" * 100_000, "expected JSON|nested too deep", id="deep"),
+        pytest.param("[" * 100_000, "expected JSON|nested too deeply", id="deep"),
         pytest.param('{"images": ' + "9" * 5000 + "}", "expected JSON", id="long number"),
         pytest.param("[]", "COCO's lists images, annotations, categories", id="list"),
         pytest.param({"images": [], "annotations": []}, "COCO's lists", id="no categories"),
         pytest.param({"images": {}, "annotations": [], "categories": []}, "COCO's lists", id="mapping"),
-        pytest.param(coco([], []), "its images are not beside it", id="no images"),
-        pytest.param(coco([image(1)], []), "no image with labels that can be used", id="no objects"),
-        pytest.param(coco([image(1)], [annotation(1)], []), "no image with labels", id="no classes"),
+        pytest.param(coco([], []), "its images are not next to it", id="no images"),
+        pytest.param(coco([image(1)], []), "no image has labels that can be used", id="no objects"),
+        pytest.param(coco([image(1)], [annotation(1)], []), "no image has labels", id="no classes"),
     ],
 )
 def test_a_file_of_which_nothing_can_be_used_is_refused(content: object, reason: str, tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def test_another_goal_is_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize("goal", ["f1", "recall=0.5", "precision=0.7"], ids=str)
-def test_a_threshold_gives_the_counts_that_are_told_and_none_is_better(goal: str) -> None:
+def test_a_threshold_gives_the_reported_counts_and_none_is_better(goal: str) -> None:
     wanted = Goal.parsed(goal)
     matches = match(random_images(2, 60, noise=6), CLASS_NAMES)
     _, *each = chosen_thresholds(matches, CLASS_NAMES, wanted)
@@ -137,7 +137,7 @@ def test_thresholds_are_parameters_of_the_node(tmp_path: Path) -> None:
     }
 
 
-def test_a_goal_out_of_reach_is_told_with_what_is_closest(tmp_path: Path) -> None:
+def test_a_goal_out_of_reach_is_reported_with_what_is_closest(tmp_path: Path) -> None:
     matches = match(random_images(2, 60), (*CLASS_NAMES, "unicorn"))
     goal = Goal("recall", 1.0)
     text = threshold_yaml(chosen_thresholds(matches, (*CLASS_NAMES, "unicorn"), goal), goal, "/yolov5")

@@ -1,4 +1,4 @@
-"""Whatever stands in labels, descriptions and COCO files: they are read, or refused with a reason."""
+"""Labels, descriptions and COCO files of any content are read, or refused with a reason."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def _label_name(name: str) -> str:
 
 
 class Told:
-    """Reads a data set and keeps what was wrong with it."""
+    """Reads a data set and keeps the reported problems."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -245,7 +245,7 @@ def test_a_folder_with_several_descriptions_asks_for_one(tmp_path: Path) -> None
         Told().read(data)
 
 
-def test_a_split_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_missing_split_is_refused(tmp_path: Path) -> None:
     data = data_set(tmp_path / "data", f"val: images\n{NAMES}", "images/1")
     with pytest.raises(DataError, match=r"there is no entry 'test', only: val\."):
         Told().read(data, "test")

@@ -1,4 +1,4 @@
-"""Compressed images: decoded to the colours they were made of."""
+"""Compressed images are decoded to the colours they were encoded from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Regions of an image: how they are written, which are refused, and what lies in them."""
+"""Regions of an image: how they are written, which are refused, and which points are in them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `detect_bag` says when it cannot go on; it leaves nothing half-written behind."""
+"""Errors of `detect_bag`: each has a reason, and nothing half-written is left behind."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_detection_ends_after_too_many_failed_inferences(
 def test_an_interrupt_leaves_nothing_half_written(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [str(drive), "--output", str(drive.parent / "found")]
     assert main(words, prepare=prepare_raising(KeyboardInterrupt())) == 130
-    assert capsys.readouterr().err == "detect_bag: interrupted; what was unfinished is removed\n"
+    assert capsys.readouterr().err == "detect_bag: interrupted; unfinished output was removed\n"
     assert list(drive.parent.iterdir()) == [drive]
 
 
@@ -111,27 +111,31 @@ def a_good_one(folder: Path) -> Path:
     ("make", "words", "told"),
     [
         pytest.param(no_images, [], "in it, only: /chatter. Record", id="no images"),
-        pytest.param(two_topics, [], "--topic which of its image topics:\n  /left  sensor", id="two topics"),
+        pytest.param(
+            two_topics, [], "one of its image topics with --topic:\n  /left  sensor", id="two topics"
+        ),
         pytest.param(
             two_topics,
             ["--topic", "/up"],
-            "no image topic /up; name one of these:\n  /left",
+            "no image topic /up; choose one of these:\n  /left",
             id="no such topic",
         ),
         pytest.param(
-            all_unreadable, [], "of 1 images none could be used: see why above", id="all unreadable"
+            all_unreadable, [], "none of 1 images could be used: see the reasons above", id="all unreadable"
         ),
-        pytest.param(without_messages, [], "is in it without a single message", id="no messages"),
+        pytest.param(without_messages, [], "has no messages. Did the camera", id="no messages"),
         pytest.param(without_its_end, [], "`mcap recover` may repair it", id="without its end"),
         pytest.param(with_damaged_pages, [], "the recording cannot be read", id="damaged pages"),
         pytest.param(without_metadata, [], "the recording cannot be read", id="without metadata"),
         pytest.param(not_a_recording, [], "magic is invalid", id="not a recording"),
         pytest.param(a_good_one, ["--output", "bag"], "exists and is not replaced", id="output exists"),
-        pytest.param(a_good_one, ["--output", "no/x"], "there is no such folder; make it", id="no folder"),
+        pytest.param(a_good_one, ["--output", "no/x"], "folder not found; create it", id="no folder"),
         pytest.param(a_good_one, ["--set", "classes=[circel]"], "Did you mean 'circle'?", id="class"),
         pytest.param(a_good_one, ["--set", "conf=0.4"], "'confidence_threshold'?", id="setting"),
         pytest.param(a_good_one, ["--set", "iou_threshold=2"], "from 0 to 1", id="value"),
-        pytest.param(a_good_one, ["--set", "lazy=false"], "images that arrive", id="setting of the node"),
+        pytest.param(
+            a_good_one, ["--set", "lazy=false"], "a node that receives images", id="setting of the node"
+        ),
         pytest.param(a_good_one, ["-p", "iou_threshold:=2"], "from 0 to 1", id="value as for a node"),
         pytest.param(a_good_one, ["-p", "iou_threshold"], "expected NAME=VALUE", id="no value"),
         pytest.param(a_good_one, ["-p", "classes:=[circle, 2]"], "'classes=[circle, 2]': ", id="two types"),
@@ -169,10 +173,12 @@ def test_an_error_says_what_to_do_and_leaves_nothing_behind(
     ("words", "told"),
     [
         pytest.param(["drive"], "give --output", id="recording without output"),
-        pytest.param(["drive", "--output", "x", "--annotated", "y"], "give --images", id="drawings of it"),
-        pytest.param(["shots", "--topic", "/a"], "no recording", id="topic of images"),
-        pytest.param(["shots", "--images"], "no recording", id="images of images"),
-        pytest.param(["drive", "--output", "x", "--node", "a b"], "no full name of a node", id="node"),
+        pytest.param(["drive", "--output", "x", "--annotated", "y"], "use --images", id="drawings of it"),
+        pytest.param(["shots", "--topic", "/a"], "recordings only", id="topic of images"),
+        pytest.param(["shots", "--images"], "recordings only", id="images of images"),
+        pytest.param(
+            ["drive", "--output", "x", "--node", "a b"], "expected the full name of a node", id="node"
+        ),
         pytest.param([], "SOURCE", id="nothing"),
     ],
 )

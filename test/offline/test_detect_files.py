@@ -96,10 +96,8 @@ def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytes
     [
         pytest.param("empty", [], "has no images", id="empty folder"),
         pytest.param("notes.txt", [], "neither as an image nor as a video", id="a text"),
-        pytest.param("missing", [], "there is no such file or folder", id="missing"),
-        pytest.param(
-            "missing", ["--topic", "/x"], "there is no such file or folder", id="missing, with a topic"
-        ),
+        pytest.param("missing", [], "file or folder not found", id="missing"),
+        pytest.param("missing", ["--topic", "/x"], "file or folder not found", id="missing, with a topic"),
         pytest.param("shots/0.png", ["--output", "notes.txt"], "exists and is not", id="lines exist"),
         pytest.param("shots", ["--annotated", "empty"], "exists and is not", id="drawings exist"),
         pytest.param(

@@ -105,7 +105,7 @@ def test_image_files_are_not_tracked(
     images(tmp_path / "shots")
     with pytest.raises(SystemExit, match="2"):
         run([str(tmp_path / source), *SET_MODEL, *words])
-    assert "has no time in it; only recordings and videos are tracked" in capsys.readouterr().err
+    assert "has still images; tracking needs a recording or a video" in capsys.readouterr().err
 
 
 def test_a_parameter_file_with_a_tracker_serves_image_files_too(

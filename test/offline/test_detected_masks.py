@@ -107,7 +107,7 @@ def test_a_recording_has_label_images_of_images_without_a_detection(drive: Path,
         np.testing.assert_array_equal(labels_of(message), np.zeros(SIZE_HW))
 
 
-def test_without_masks_a_recording_is_else_the_same(drive: Path, tmp_path: Path) -> None:
+def test_without_masks_a_recording_is_otherwise_the_same(drive: Path, tmp_path: Path) -> None:
     whole, smaller = tmp_path / "whole", tmp_path / "smaller"
     assert segment([str(drive), "--output", str(whole), "--images", *SET_MODEL]) == 0
     assert segment([str(drive), "--output", str(smaller), "--images", "--no-masks", *SET_MODEL]) == 0
@@ -116,7 +116,7 @@ def test_without_masks_a_recording_is_else_the_same(drive: Path, tmp_path: Path)
     assert bag_of(smaller) == {**bag_of(whole), MASKS: []}
 
 
-def test_without_masks_lines_are_else_the_same(tmp_path: Path) -> None:
+def test_without_masks_lines_are_otherwise_the_same(tmp_path: Path) -> None:
     source, whole, smaller = images(tmp_path / "shots"), tmp_path / "whole.jsonl", tmp_path / "smaller.jsonl"
     assert segment([str(source), "--output", str(whole), *SET_MODEL]) == 0
     assert segment([str(source), "--output", str(smaller), "--no-masks", *SET_MODEL]) == 0

@@ -53,21 +53,23 @@ def test_an_override_without_effect_offline_needs_no_camera(tmp_path: Path) -> N
     [
         pytest.param(
             None,
-            "front.classes: it is for one camera only: say which one has taken the images, --camera front or "
-            "--camera rear.",
+            "front.classes: it applies to one camera only: give the one that took the images, --camera front "
+            "or --camera rear.",
             id="none is chosen",
         ),
         pytest.param("left", "cameras: expected one of front, rear, but --camera is 'left'.", id="another"),
     ],
 )
-def test_a_camera_that_cannot_be_meant_is_refused(camera: str | None, told: str, parameters: Path) -> None:
+def test_a_camera_that_is_missing_or_unknown_is_refused(
+    camera: str | None, told: str, parameters: Path
+) -> None:
     with pytest.raises(SettingsError) as refused:
         wanted_settings(parameters, [], "/yolov5", camera)
     assert [str(problem) for problem in refused.value.problems] == [told]
 
 
 def test_a_camera_needs_parameters_that_name_it() -> None:
-    with pytest.raises(SettingsError, match="there are none, but --camera is 'front'"):
+    with pytest.raises(SettingsError, match="there are no cameras, but --camera is 'front'"):
         wanted_settings(None, [], "/yolov5", "front")
 
 

@@ -209,7 +209,7 @@ def test_a_pipe_is_no_video(tmp_path: Path) -> None:
         pytest.param(lambda path: path.touch(), "neither as an image nor", id="empty"),
         pytest.param(
             lambda path: os.truncate(video(path), 400),
-            "neither as an image nor|without an image",
+            "neither as an image nor|without a readable image",
             id="cut off",
         ),
     ],

@@ -33,7 +33,7 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
-def test_it_lies_beside_the_weights() -> None:
+def test_it_is_stored_beside_the_weights() -> None:
     assert path_beside(WEIGHTS) == Path("/models/my best.calibration.json")
 
 
@@ -51,7 +51,7 @@ def test_one_of_other_weights_is_refused_with_the_command_that_makes_another(tmp
 
 
 def test_a_missing_one_is_refused_with_the_command_that_makes_it(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match=r"no such calibration.*calibrate '/models/my best.pt' DATA"):
+    with pytest.raises(CalibrationError, match=r"calibration not found.*calibrate '/models/my best.pt' DATA"):
         read(tmp_path / "best.calibration.json")
 
 
@@ -129,7 +129,7 @@ def test_a_file_that_holds_no_calibration_is_refused(
     with pytest.raises(CalibrationError, match=reason) as refusal:
         read(path)
     told = str(refusal.value)
-    assert told.startswith(f"{path}: this is no calibration that can be used: ")
+    assert told.startswith(f"{path}: this is not a usable calibration: ")
     assert "calibrate '/models/my best.pt' DATA" in told
     assert told.isprintable()
     assert len(told) < 600 + len(str(path))
@@ -141,5 +141,5 @@ def test_what_is_no_small_regular_file_is_refused_at_once(
 ) -> None:
     path = tmp_path / "best.calibration.json"
     make(path)
-    with pytest.raises(CalibrationError, match="no calibration that can be used"):
+    with pytest.raises(CalibrationError, match="not a usable calibration"):
         read(path)

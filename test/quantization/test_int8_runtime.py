@@ -46,7 +46,7 @@ def calibration(weights: WeightsFile) -> Calibration:
 
 @pytest.fixture
 def copied(tmp_path: Path) -> Path:
-    """The weights alone, in a folder of the test's."""
+    """A copy of the weights alone, in the test's own folder."""
     return Path(shutil.copy(SHAPES, tmp_path / "best.safetensors"))
 
 
@@ -144,7 +144,7 @@ def test_bf16_finds_the_shapes(weights: WeightsFile) -> None:
 
 
 def test_int8_without_a_calibration_is_refused_with_the_command_to_type(copied: Path) -> None:
-    with pytest.raises(CalibrationError, match=rf"no such calibration.*`calibrate {copied} DATA`"):
+    with pytest.raises(CalibrationError, match=rf"calibration not found.*`calibrate {copied} DATA`"):
         load_model(copied, precision="int8", device="cpu", image_size=64)
 
 
@@ -195,7 +195,7 @@ def test_auto_stays_fp32_and_says_why(content: bytes | None, reason: str, copied
     model.close()
 
 
-def test_int8_is_told_in_the_facts(copied: Path) -> None:
+def test_int8_is_among_the_facts(copied: Path) -> None:
     shutil.copy(path_beside(SHAPES), path_beside(copied))
     model = prepare_model(
         Settings(weights=str(copied), image_size=64, device="cpu", precision="int8"), SIZES_HW

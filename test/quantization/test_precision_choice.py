@@ -122,7 +122,7 @@ def test_ranges_of_another_network_leave_it_at_fp32(tmp_path: Path) -> None:
     ],
     ids=str,
 )
-def test_what_is_set_is_taken(wish: Wish, expected: tuple[str, ...]) -> None:
+def test_what_is_set_is_used(wish: Wish, expected: tuple[str, ...]) -> None:
     used = choose(random_model(), wish, "there is none", image_size=64, frame_hw=(64, 96))
     assert expected == (
         *(used.runtime.runtime, used.runtime.reason),

@@ -1,4 +1,4 @@
-"""Rounding to integers, and the rules for which network ranges are."""
+"""Rounding to integers, and the rules for which network a set of ranges fits."""
 
 from __future__ import annotations
 

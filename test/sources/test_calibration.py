@@ -1,4 +1,4 @@
-"""Calibration files of cameras: what is read, and what is refused with which words."""
+"""Calibration files of cameras: what is read, and what is refused with which message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Network streams: which sources are streams, when they are connected again, and what is said of failures."""
+"""Network streams: which sources are streams, when they are reconnected, and how failures are reported."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_a_stream_that_breaks_off_is_connected_again() -> None:
     assert camera.numbers(5) == [0, 1, 2, 3, 4]
     assert camera.waits_s == [1.0]
     assert camera.reports == [
-        "'rtsp://user:***@camera/stream' gives no more images. Connecting again in 1 s.",
+        "'rtsp://user:***@camera/stream' delivers no more images. Reconnecting in 1 s.",
         "'rtsp://user:***@camera/stream' is connected again.",
     ]
     assert camera.captures[0].is_released

@@ -94,11 +94,11 @@ def test_a_file_that_is_no_video_is_refused(tmp_path: Path, name: str) -> None:
     [
         ("4711", "Device 4711 cannot be opened"),
         ("/dev/video4711", "There is no device /dev/video4711. There "),
-        ("/dev/zero", "/dev/zero is a device, but no camera. There "),
+        ("/dev/zero", "/dev/zero is a device, but not a camera. There "),
         ("x" * 5000, "is neither 'synthetic'"),
     ],
 )
-def test_a_device_that_is_not_there_is_refused(source: str, told: str) -> None:
+def test_a_missing_device_is_refused(source: str, told: str) -> None:
     with pytest.raises(SourceError, match=told):
         open_source(source)
 
@@ -181,5 +181,5 @@ def test_a_video_that_goes_away_ends_with_the_reason(video: Path) -> None:
     frames = open_source(str(video), loop=True).frames
     assert len(list(islice(frames, len(GREYS)))) == len(GREYS)
     video.unlink()
-    with pytest.raises(SourceError, match="can be read no longer"):
+    with pytest.raises(SourceError, match="can no longer be read"):
         next(frames)

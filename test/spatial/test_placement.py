@@ -168,7 +168,7 @@ OTHER_SIZE = Intrinsics(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, (480, 640))
     ],
 )
 @pytest.mark.parametrize("count", [0, 1, 3])
-def test_every_detection_is_told_what_is_missing(
+def test_every_detection_says_what_is_missing(
     image_size_hw: tuple[int, int], has_depth: bool, camera: Intrinsics | None, reason: Unplaced, count: int
 ) -> None:
     depth = in_metres(board_before_wall()) if has_depth else None

@@ -17,7 +17,7 @@ SLOP_S = 0.02
 
 
 def pairing(*stamps_ms: int, slop_s: float = SLOP_S) -> DepthPairing[str]:
-    """With one depth image for each stamp, called after it."""
+    """A pairing with one depth image per stamp, named after it."""
     depths = DepthPairing[str](slop_s)
     for stamp_ms in stamps_ms:
         depths.add(stamp_ms * MS, f"at {stamp_ms}")
@@ -55,7 +55,9 @@ def test_the_nearest_depth_image_within_the_slop_is_chosen(
         pytest.param([150, 160, 170], Unpaired.PASSED, id="all are newer"),
     ],
 )
-def test_a_colour_image_without_a_depth_image_is_told_why(received_ms: list[int], reason: Unpaired) -> None:
+def test_a_colour_image_without_a_depth_image_gets_the_reason(
+    received_ms: list[int], reason: Unpaired
+) -> None:
     assert pairing(*received_ms).pair(100 * MS) is reason
 
 

@@ -56,7 +56,7 @@ def camera() -> Camera:
 
 @pytest.fixture
 def following() -> Camera:
-    """It follows an object that stands at x = 100 and has the id 1."""
+    """A camera that tracks an object at x = 100 with the id 1."""
     camera = Camera()
     assert [camera.sees(one(100)) for _ in range(5)] == [("",), *[("1",)] * 4]
     return camera

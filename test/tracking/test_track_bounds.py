@@ -1,4 +1,4 @@
-"""How well identities are kept where they are known; `python -m benchmark.tracking` measures more of it."""
+"""How well known identities are kept; `python -m benchmark.tracking` measures more."""
 
 from __future__ import annotations
 

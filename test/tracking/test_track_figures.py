@@ -84,7 +84,7 @@ def test_hota_falls_with_the_overlap_and_idf1_asks_for_half() -> None:
     assert half.hota == pytest.approx((HOTA_IOUS < 0.501).mean())
 
 
-def test_a_pair_goes_on_while_it_overlaps_although_another_fits_better() -> None:
+def test_a_pair_continues_while_it_overlaps_although_another_fits_better() -> None:
     found = counts((ONE, {"a": 0.0}), (ONE, {"a": 3.0, "b": 0.0}))
     assert found.switches == 0
 

@@ -161,7 +161,7 @@ def test_the_published_detections_are_those_of_their_threshold(
     assert [tracked.scores[int(row)] for row in found.track_ids] == expected.scores.tolist()
 
 
-def test_a_missed_score_that_is_noise_is_not_told() -> None:
+def test_a_missed_score_that_is_noise_is_not_reported() -> None:
     noise = Detections(np.zeros((1, 4), np.float32), np.array([0.03], np.float32), np.zeros(1, np.int64))
     found = published(noise, [""], Selection())
     assert (len(found), found.best_missed, found.track_ids) == (0, 0.0, ())

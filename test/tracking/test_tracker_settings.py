@@ -1,4 +1,4 @@
-"""The tracker's settings say what is wrong with them."""
+"""Invalid settings of the tracker are refused with the reason."""
 
 from __future__ import annotations
 
@@ -43,5 +43,5 @@ def test_a_value_out_of_range_is_refused(values: dict[str, Any], expected: str) 
     ],
     ids=["default", "highest", "lowest"],
 )
-def test_a_value_in_range_is_taken(values: dict[str, Any]) -> None:
+def test_a_value_in_range_is_accepted(values: dict[str, Any]) -> None:
     assert vars(TrackerSettings(**values)).items() >= values.items()

@@ -18,7 +18,7 @@ def version_line(command: str) -> str:
     try:
         return f"{command} {version('yolov5_lifecycle')} (yolov5_lifecycle)"
     except PackageNotFoundError:
-        return f"{command}, of a yolov5_lifecycle that is not installed and so has no version"
+        return f"{command}, unknown version: yolov5_lifecycle is not installed"
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -30,7 +30,7 @@ class CommandParser(argparse.ArgumentParser):
             "--version",
             action="version",
             version=version_line(command),
-            help="print the version and end",
+            help="print the version and exit",
         )
 
     def error(self, message: str) -> NoReturn:

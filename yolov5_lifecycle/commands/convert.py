@@ -1,6 +1,6 @@
 """Command `convert IN.pt OUT.safetensors`: convert a YOLOv5 checkpoint to a file that holds only data.
 
-`convert --describe FILE` tells what a file holds.
+`convert --describe FILE` shows what a file contains.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def convert(source: Path, target: Path, *, overwrite: bool) -> WeightsFile:
     if os.path.lexists(target) and not overwrite:
         raise WeightsError(f"{target} exists; give --force to replace it.")
     if not target.parent.is_dir():
-        raise WeightsError(f"{target.parent}: there is no such folder; make it first.")
+        raise WeightsError(f"{target.parent}: folder not found; create it first.")
     write_safetensors(load_weights(source).model, target)
     return load_weights(target)
 
@@ -63,19 +63,22 @@ def _describe(path: Path) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = CommandParser(
         "convert",
-        description="Convert a YOLOv5 checkpoint to .safetensors, without running what is in it.",
+        description="Convert a YOLOv5 checkpoint to .safetensors, without running any code in it.",
         usage="%(prog)s IN.pt OUT.safetensors [--force]\n       %(prog)s --describe FILE",
     )
     parser.add_argument("source", type=Path, metavar="IN.pt", nargs="?")
     parser.add_argument("target", type=Path, metavar="OUT.safetensors", nargs="?")
-    parser.add_argument("--force", action="store_true", help="replace OUT.safetensors if it is there")
+    parser.add_argument("--force", action="store_true", help="replace OUT.safetensors if it exists")
     parser.add_argument(
-        "--describe", type=Path, metavar="FILE", help="tell what a weights file holds, and why it is refused"
+        "--describe",
+        type=Path,
+        metavar="FILE",
+        help="show what a weights file contains and, if it is refused, why",
     )
     arguments = parser.parse_args(argv)
     if arguments.describe is not None:
         if arguments.source is not None:
-            parser.error("--describe takes one file and writes none")
+            parser.error("--describe takes a single file and writes none")
         return _describe(arguments.describe)
     if arguments.target is None:
         parser.error("the following arguments are required: IN.pt, OUT.safetensors")

@@ -16,7 +16,7 @@ _CHUNK_BYTES = 1 << 14
 _PARTIAL_CONTENT = 206
 _RANGE_NOT_SATISFIABLE = 416
 _MAX_SHOWN = 200
-_AGAIN = "give the command again, it goes on from there"
+_AGAIN = "run the command again to resume"
 
 Progress = Callable[[int, "int | None"], object]
 """Called with the bytes received so far and the total, None unless the server sends it."""
@@ -39,7 +39,9 @@ def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progre
     with _answer(url, file.tell(), stall_s) as response:
         start = _start_byte(response, url)
         if start > file.tell():
-            raise DownloadError(f"{url}: asked from byte {file.tell()} on, got byte {start} on; try a mirror")
+            raise DownloadError(
+                f"{url}: requested bytes from {file.tell()} on, got them from {start} on; try a mirror"
+            )
         file.truncate(start)
         total = None if response.length is None else start + response.length
         _check_size(url, total or 0, max_bytes)
@@ -62,7 +64,7 @@ def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
         if error.code == _RANGE_NOT_SATISFIABLE and start:
             return _answer(url, 0, stall_s)
         raise DownloadError(
-            f"{url}: the server answers {error.code} {_short(error.reason)}; check it"
+            f"{url}: the server answers {error.code} {_short(error.reason)}; check the address"
         ) from None
     except RedirectError as error:
         raise DownloadError(
@@ -93,14 +95,14 @@ def _start_byte(response: HTTPResponse, url: str) -> int:
 
 def _check_size(url: str, size_bytes: int, max_bytes: int) -> None:
     if size_bytes > max_bytes:
-        raise DownloadError(f"{url}: {size_bytes} bytes or more, at most {max_bytes} are taken; check it")
+        raise DownloadError(f"{url}: {size_bytes} bytes or more, the limit is {max_bytes}; check the address")
 
 
 def _next_chunk(response: HTTPResponse, url: str, done_bytes: int, stall_s: float) -> bytes:
     try:
         return response.read(_CHUNK_BYTES)
     except TimeoutError:
-        reason = f"nothing came for {stall_s:g} s"
+        reason = f"no data for {stall_s:g} s"
     except (OSError, HTTPException, ValueError, OverflowError) as error:
         reason = f"the connection broke ({type(error).__name__})"
     raise DownloadError(f"{url}: {reason}, after {done_bytes} bytes; {_AGAIN}")

@@ -1,6 +1,6 @@
 """Entry points of the commands: prepare the process before numpy, torch or rclpy are imported, then run.
 
-Those of the nodes prepare it in `ros/entry_points.py`.
+The nodes have theirs in `ros/entry_points.py`.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from yolov5_lifecycle.settings.settings import Settings, validated
 from yolov5_lifecycle.unfinished import open_itself
 
 MODELS = (*SIZES, *(f"{size}-seg" for size in SIZES if len(size) == 1))
-"""The official ones that detect, and those that segment."""
+"""The official models: for detection, then for segmentation."""
 URL = "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5{size}.pt"
 URL_VARIABLE = "YOLOV5_WEIGHTS_URL"
 _LICENCE = "The official YOLOv5 weights are by Ultralytics, under AGPL-3.0 or a licence bought from them.\n"
@@ -48,9 +48,8 @@ def fetch(
     """Load yolov5`model`.pt from `folder`, downloading it if it does not exist.
 
     `url` contains the placeholder `{size}`. The resulting file is complete, readable and, with `sha256`, has
-    that digest. A download that is unfinished or could not be checked is kept beside it and resumed by the
-    next call; one with another digest or without a model in it is removed. Raises DownloadError, WeightsError
-    or OSError.
+    that digest. An unfinished or unchecked download is kept beside it and resumed by the next call; one with
+    another digest or without a model is removed. Raises DownloadError, WeightsError or OSError.
     """
     target = folder / f"yolov5{model}.pt"
     if os.path.lexists(target):
@@ -92,7 +91,7 @@ def listing(folder: Path) -> str:
     """The weights files in `folder`, one per line with its size; unfinished downloads are marked."""
     files = sorted(path for suffix in (".pt", ".safetensors") for path in folder.glob(f"*{suffix}"))
     if not files:
-        return f"no weights in {folder}; `fetch_weights n --dir {folder}` gets the smallest.\n"
+        return f"no weights in {folder}; `fetch_weights n --dir {folder}` downloads the smallest.\n"
     return "".join(
         f"{path.stat().st_size / 1e6:8.1f} MB  {in_one_line(str(path))}"
         f"{'  (unfinished: fetch it again)' if path.name.endswith(_UNFINISHED) else ''}\n"
@@ -135,12 +134,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "model", nargs="?", choices=MODELS, metavar="MODEL", help=f"one of {', '.join(MODELS)}"
     )
-    parser.add_argument("--list", action="store_true", help="only show which weights are in the folder")
+    parser.add_argument("--list", action="store_true", help="list the weights files in the folder and exit")
     parser.add_argument(
         "--dir",
         type=Path,
         default=Path(Settings().weights_dir),
-        help="folder for the file, the detector's parameter weights_dir (default: %(default)s)",
+        help="folder for the file, like the detector's parameter weights_dir (default: %(default)s)",
     )
     parser.add_argument(
         "--sha256", type=_digest, default="", metavar="HEX", help="accept only a file with this digest"
@@ -149,7 +148,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--url",
         default=os.environ.get(URL_VARIABLE) or URL,
-        help="address with {size} in it, for a mirror; so is the environment variable "
+        help="address of a mirror, with {size} in it; or set the environment variable "
         f"{URL_VARIABLE} (default: %(default)s)",
     )
     return parser
@@ -169,7 +168,9 @@ def _alone(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise DownloadError(f"another fetch_weights is at work in {folder}: wait for its end") from None
+            raise DownloadError(
+                f"another fetch_weights is running in {folder}: wait until it has finished"
+            ) from None
         yield
 
 
@@ -202,7 +203,7 @@ def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
     try:
         return load_weights(path, sha256=sha256)
     except UncheckedError as error:
-        raise UncheckedError(f"{error} The download is kept: then give the command again.") from None
+        raise UncheckedError(f"{error} The download is kept: then run the command again.") from None
     except WeightsError as error:
         path.unlink()
         raise WeightsError(f"{url}: {str(error).removeprefix(f'{path}: ')} It was removed.") from None

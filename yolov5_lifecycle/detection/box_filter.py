@@ -1,4 +1,4 @@
-"""Which of the boxes that were found count: those in regions of the image and of a certain size."""
+"""Which boxes count: those in certain regions of the image and of certain sizes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class BoxFilter:
     min_box_size: float = 0.0
     """Minimum longer side of a box: up to 1 a fraction of the image's longer side, above 1 pixels."""
     max_box_size: float = 0.0
-    """The maximum, alike; 0 for none."""
+    """Maximum longer side, in the same units; 0 for none."""
 
     def admits(self, boxes_xyxy: NDArray[np.float32], size_hw: tuple[int, int]) -> NDArray[np.bool_]:
         """Which of the boxes (n, 4), in pixels of an image of `size_hw`, count."""

@@ -29,7 +29,7 @@ class Detections:
     track_ids: tuple[str, ...] = ()
     """(n,) identities, "" where there is none; empty without a tracker."""
     masks: Masks | None = None
-    """Of n detections; None unless the model segments and masks were asked for."""
+    """Masks of the n detections; None unless the model segments and masks were requested."""
     best_filtered: float = 0.0
     """Without detections: the highest score above the threshold, of a box that does not count, else 0."""
 

@@ -36,9 +36,9 @@ class Detector:
     `class_names` by class id. `image_size`: longer side of the network input in pixels, a multiple of
     `stride`, the largest stride of the model; else ValueError. `choice` and `precision_choice`: why this
     runtime and its precision were selected.
-    `mask_coefficients`: those of each prediction, 0 if the model does not segment.
-    `selection`: the thresholds and classes of a call; may be replaced. `batches`: what is worth
-    running as one; may be replaced.
+    `mask_coefficients`: their number per prediction, 0 if the model does not segment.
+    `selection`: the thresholds and classes of a call; may be replaced. `batches`: the batch sizes
+    worth using; may be replaced.
     """
 
     def __init__(
@@ -202,7 +202,7 @@ def _masks(
     coefficients: NDArray[np.float32],
     source_hw: tuple[int, int],
 ) -> Masks:
-    """The masks of detections; without any, no prototypes are computed. Raises InferenceError."""
+    """The masks of detections; without detections, no prototypes are computed. Raises InferenceError."""
     if not len(coefficients):
         return Masks(np.empty((coefficients.shape[1], 1, 1), np.float32), coefficients, source_hw)
     prototypes = compute_prototypes()

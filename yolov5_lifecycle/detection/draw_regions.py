@@ -14,12 +14,12 @@ from yolov5_lifecycle.images.region import Region
 LINE_OPACITY = 0.5
 """Share of white in the pixels of a line, from 0 to 1."""
 IGNORED_BRIGHTNESS = 0.6
-"""Share that is left of the pixels in a region that is ignored."""
+"""Share of its brightness that a pixel keeps in an ignored region."""
 
 _WHITE, _BLACK = 255, 0
 _SUBPIXEL_BITS = 4
 _HATCHING_STEP = 16
-"""Between two lines, in widths of a line."""
+"""Distance between two lines, in line widths."""
 
 
 def draw_regions(canvas: NDArray[np.uint8], box_filter: BoxFilter, *, line_px: int) -> None:
@@ -35,7 +35,7 @@ def draw_regions(canvas: NDArray[np.uint8], box_filter: BoxFilter, *, line_px: i
     outlines = [*_corners(box_filter.regions, size_hw), *ignored]
     covered = np.zeros(size_hw, np.uint8)
     if ignored:
-        for corners in ignored:  # one by one: of two in one call, the part that both cover would stay
+        for corners in ignored:  # one by one: a single call leaves out where two overlap
             cv2.fillPoly(covered, [corners], 255, shift=_SUBPIXEL_BITS)
         cv2.copyTo(cv2.convertScaleAbs(canvas, alpha=IGNORED_BRIGHTNESS), covered, canvas)
     shades = {_BLACK: np.zeros(size_hw, np.uint8), _WHITE: _hatching(covered, line_px)}

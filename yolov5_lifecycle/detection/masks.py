@@ -15,7 +15,7 @@ MAX_LABEL = int(np.iinfo(np.uint16).max)
 
 @dataclass(frozen=True, eq=False)
 class Masks:
-    """Masks of the detections of one image; each is computed when it is asked for.
+    """Masks of the detections of one image; each is computed on request.
 
     As in YOLOv5 for masks of the size of the source image (`process_mask_native`): a combination of
     prototypes, put through the logistic function, resized to the image, cut off at the box, above 0.5.
@@ -26,7 +26,7 @@ class Masks:
     coefficients: NDArray[np.float32]
     """(n, M), a row for each detection."""
     size_hw: tuple[int, int]
-    """Of the image, in pixels."""
+    """Size of the image in pixels."""
 
     @classmethod
     def in_image(
@@ -49,7 +49,7 @@ class Masks:
         return len(self.coefficients)
 
     def of(self, rows: NDArray[np.int64]) -> Masks:
-        """Those of the detections with the indices `rows` (n,)."""
+        """The masks of the detections with the indices `rows` (n,)."""
         return Masks(self.prototypes, self.coefficients[rows], self.size_hw)
 
     def inside_box(self, row: int, box_xyxy: NDArray[np.float32]) -> tuple[Window, NDArray[np.bool_]]:
@@ -90,9 +90,9 @@ class Window(NamedTuple):
 
 
 class _Span(NamedTuple):
-    """One axis of a part of an image that is resized alone, with the same result as the whole image.
+    """One axis of an image part that is resized alone, with the same result as in the whole image.
 
-    That needs cells that begin where a pixel begins, and at least one more on each side than is `wanted`.
+    This requires cells that begin where a pixel begins, and at least one more on each side than `wanted`.
     """
 
     cells: slice
@@ -102,7 +102,7 @@ class _Span(NamedTuple):
 
     @classmethod
     def of(cls, low: float, high: float, *, cells: int, pixels: int) -> _Span:
-        """That of the pixel indices from `low` to below `high`, of `pixels` that are made of `cells`."""
+        """The axis for pixel indices from `low` to below `high`, where `cells` are resized to `pixels`."""
         first, end = (min(max(math.ceil(bound), 0), pixels) for bound in (low, max(low, high)))
         blocks = math.gcd(cells, pixels)
         block_cells, block_pixels = cells // blocks, pixels // blocks

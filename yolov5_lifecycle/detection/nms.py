@@ -29,11 +29,11 @@ class Selection:
     """NMS and filter parameters; thresholds in [0, 1], `classes` None means all."""
 
     confidence_threshold: float = 0.25
-    """Of the classes without a threshold of their own."""
+    """Threshold of the classes without their own."""
     class_thresholds: tuple[tuple[int, float], ...] = ()
     """Class ids, each once, and their own thresholds."""
     tracked_threshold: float | None = None
-    """Scores above it are reported, too, after those that the thresholds admit: a tracker wants them."""
+    """Scores above it are reported, too, after those that the thresholds admit: a tracker needs them."""
     iou_threshold: float = 0.45
     max_detections: int = 1000
     classes: frozenset[int] | None = None
@@ -45,7 +45,7 @@ class Selection:
 
     @property
     def min_score(self) -> float:
-        """The lowest threshold of a class that is wanted."""
+        """The lowest threshold that applies to a selected class."""
         wanted = self.classes
         own = [value for class_id, value in self.class_thresholds if wanted is None or class_id in wanted]
         others = [] if wanted and len(own) == len(wanted) else [self.confidence_threshold]
@@ -121,7 +121,7 @@ class _Candidates(NamedTuple):
     scores: NDArray[np.float32]
     class_ids: NDArray[np.int64]
     priorities: NDArray[np.float32]
-    """In NMS the higher one goes first: the scores, unless `_by_priority` says otherwise."""
+    """NMS takes the highest first: the scores, unless `_by_priority` raises some."""
 
     def at(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> _Candidates:
         scores = self.scores[chosen]
@@ -142,7 +142,7 @@ def _scored(raw: NDArray[np.float32], threshold: float, classes: frozenset[int] 
 
 
 def _by_priority(found: _Candidates, selection: Selection) -> _Candidates:
-    """The MAX_CANDIDATES that go first in NMS, in this order, of those that `selection` wants.
+    """The MAX_CANDIDATES that go first in NMS, in this order, of those that `selection` needs.
 
     With thresholds of classes and a tracker at the same time, those that are published go first: a higher
     score below its threshold must not replace one above its own.
@@ -158,7 +158,7 @@ def _by_priority(found: _Candidates, selection: Selection) -> _Candidates:
 
 
 def _best_missed(raw: NDArray[np.float32], selection: Selection, counts: Counts | None) -> float:
-    """The highest score worth telling that is not above its threshold, of a box that counts."""
+    """The highest score worth reporting that is not above its threshold, of a box that counts."""
     found = _scored(raw, WORTH_TELLING, selection.classes)
     if counts is not None:
         is_below = ~selection.admits(found.scores, found.class_ids)

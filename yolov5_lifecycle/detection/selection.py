@@ -98,7 +98,7 @@ def class_ids(entries: Sequence[str], class_names: Sequence[str]) -> frozenset[i
 
 
 def class_thresholds(entries: Sequence[str], class_names: Sequence[str]) -> tuple[tuple[int, float], ...]:
-    """Class ids and the thresholds that `entries`, such as "person: 0.5", give them.
+    """Class ids and their thresholds from `entries` such as "person: 0.5".
 
     Raises ClassFilterError naming the first that are not classes of the model, or a class with two.
     """
@@ -114,7 +114,7 @@ def class_thresholds(entries: Sequence[str], class_names: Sequence[str]) -> tupl
 
 
 def _ids_by_entry(entries: Sequence[str], class_names: Sequence[str]) -> dict[str, list[int]]:
-    """Class ids by the names and indices that are `entries`; ClassFilterError."""
+    """The class ids of each of `entries`, names or indices; raises ClassFilterError."""
     ids_by_name: defaultdict[str, list[int]] = defaultdict(list)
     for class_id, name in enumerate(class_names):
         ids_by_name[name].append(class_id)
@@ -128,7 +128,7 @@ _MODEL_DEPENDENT: Mapping[str, Callable[[Sequence[str], Sequence[str]], object]]
     "classes": class_ids,
     "class_thresholds": class_thresholds,
 }
-"""What reads a setting with the names of the classes and raises ClassFilterError, by its name."""
+"""By setting: the function that resolves it with the class names, or raises ClassFilterError."""
 
 
 def _index(entry: str, count: int) -> list[int]:

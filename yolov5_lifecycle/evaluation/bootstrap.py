@@ -1,10 +1,10 @@
 """How much figures would vary with other images: a paired bootstrap over the images.
 
-1,000 times as many images as there are, drawn with replacement, are evaluated again. An image that is drawn
-twice counts twice. Detections are matched within their image, so this needs no new matching: the right and
-wrong detections of an image are weighted with how often it was drawn. The result is that of pycocotools for
-the drawn images, to rounding. Two models are evaluated on the same draws: what an image contributes to both,
-such as being difficult, cancels in the difference.
+The figures are computed for 1,000 samples, each of as many images as there are, drawn with replacement. An
+image that is drawn twice counts twice. Detections are matched within their image, so this needs no new
+matching: the right and wrong detections of an image are weighted with how often it was drawn. Up to rounding,
+the result is that of pycocotools for the drawn images. Two models are evaluated on the same draws: what an
+image contributes to both, such as being difficult, cancels in the difference.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from yolov5_lifecycle.evaluation.matching import ClassMatches, Matches
 RESAMPLES = 1000
 SEED = 20_240_229
 SHARE = 0.95
-"""Of the resamples that lie within an interval."""
+"""Share of the resamples that lie within an interval."""
 MIN_IMAGES = 10
-"""With fewer images nothing is concluded."""
+"""With fewer images there is no verdict."""
 _RECALLS = np.linspace(0.0, 1.00, int(np.round((1.00 - 0.0) / 0.01)) + 1, endpoint=True)
 """As in pycocotools."""
 MAX_ELEMENTS = 4_000_000
-"""Of an array: resamples are computed in portions."""
+"""Maximum size of an array: resamples are computed in portions."""
 _TINY = np.spacing(1)
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure of both models, and where the difference of the second to the first lies."""
+    """A figure of both models, and the interval of the second minus the first."""
 
     first: float
     second: float
@@ -44,7 +44,7 @@ class Interval:
 
 
 Samples = Mapping[str, NDArray[np.float64]]
-"""By metric (resamples, 1 + classes): that of all classes, then of each; NaN where there are no objects."""
+"""By metric, (resamples, 1 + classes): all classes together, then each; NaN without objects."""
 
 
 def drawn_weights(image_count: int, resamples: int = RESAMPLES) -> NDArray[np.int32]:

@@ -31,7 +31,7 @@ from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 MAX_BYTES = 256 << 20
 MAX_CONTAINERS = 8_000_000
-"""Objects and lists of a file; each takes Python 60 bytes and more. Those of COCO's 5,000 images: 200,000."""
+"""Objects and lists in a file, each 60 bytes or more in Python. COCO's file of 5,000 images has 200,000."""
 _MAX_NAME = 200
 _MAX_PX = 1e6
 
@@ -39,10 +39,10 @@ _MAX_PX = 1e6
 def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) -> LabelledFolder:
     """The images and labels of the COCO file at `path`.
 
-    The names of images are relative to the folder `root` and may not leave it. None: the first that has an
-    image of the folder of `path`, `images` in it, the folder above, and there `images` and that of the split,
-    such as `val2017` for `instances_val2017.json`. Problems with single records are added to `problems`.
-    Raises DataError if nothing is left.
+    The names of images are relative to the folder `root` and may not leave it. Without `root`, it is the
+    first of these that has one of the images: the folder of `path`, `images` in it, the folder above, and
+    there `images` and the folder of the split, such as `val2017` for `instances_val2017.json`. Problems with
+    single records are added to `problems`. Raises DataError if nothing is left.
     """
     content = _content(path)
     categories = _categories(content["categories"], problems)
@@ -61,7 +61,7 @@ def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) 
             continue
         found.append(LabelledPath(image_path, Labels(_boxes(objects[image_id]), size_hw=size_hw)))
     if not found or not any(len(image.labels.boxes) for image in found):
-        raise DataError(f"{path}: there is no image with labels that can be used. {problems.summary}".strip())
+        raise DataError(f"{path}: no image has labels that can be used. {problems.summary}".strip())
     return LabelledFolder(tuple(categories.names), tuple(found))
 
 
@@ -75,7 +75,7 @@ def _content(path: Path) -> Mapping[str, list[Any]]:
         problem = error.strerror if isinstance(error, OSError) else str(error)
         raise DataError(f"{path}: {problem}.") from None
     except RecursionError:
-        raise DataError(f"{path}: the JSON is nested too deep.") from None
+        raise DataError(f"{path}: the JSON is nested too deeply.") from None
     except DataError:
         raise
     except ValueError as error:
@@ -103,7 +103,7 @@ def _categories(records: Sequence[Any], problems: Problems) -> _Categories:
                     categories.ids[number] = len(categories.names)
                     categories.names.append(name)
                     continue
-        reason = f"expected an id of its own and a name, found {_shown(record)}"
+        reason = f"expected a unique id and a name, found {_shown(record)}"
         problems.add("unusable entries", "categories", reason)
     return categories
 
@@ -120,7 +120,7 @@ def _images(records: Sequence[Any], problems: Problems) -> dict[int, tuple[str, 
         problems.add(
             "unusable entries",
             "images",
-            f"expected an id of its own and an image file, found {_shown(record)}",
+            f"expected a unique id and an image file, found {_shown(record)}",
         )
     return images
 
@@ -135,7 +135,7 @@ def _size_hw(record: Mapping[str, Any]) -> tuple[int, int] | None:
 
 
 def _folder(path: Path, images: Mapping[int, tuple[str, object]]) -> Path:
-    """Where the images lie: the first folder that has one of the first of them."""
+    """The folder of the images: the first one that has any of the first 100."""
     parent = absolute(path).parent
     split = path.stem.rpartition("_")[2]
     near = (parent, parent / "images", parent.parent, parent.parent / "images", parent.parent / split)
@@ -144,7 +144,7 @@ def _folder(path: Path, images: Mapping[int, tuple[str, object]]) -> Path:
         if any(_is_there(folder, name) for name in names):
             return folder
     shown = f", such as {names[0][:200]!r}," if names else ""
-    raise DataError(f"{path}: its images{shown} are not beside it: give their folder with --root.")
+    raise DataError(f"{path}: its images{shown} are not next to it: give their folder with --root.")
 
 
 def _is_there(folder: Path, name: str) -> bool:
@@ -171,7 +171,7 @@ def _objects(
         image_id = record.get("image_id") if isinstance(record, dict) else None
         try:
             if not isinstance(image_id, int) or image_id not in image_ids:
-                raise LabelError("it belongs to no image that can be used")
+                raise LabelError("its image is missing or cannot be used")
             objects[image_id].append(_object(record, categories))
             if len(objects[image_id]) > MAX_BOXES_PER_IMAGE:
                 raise LabelError(f"its image has more than {MAX_BOXES_PER_IMAGE} objects")
@@ -205,7 +205,7 @@ def _pixels(bbox: Sequence[float]) -> Iterator[float]:
 
 
 def _shown(value: object) -> str:
-    """A scalar, shortened; of anything else what it is: it may be large or nested deeply."""
+    """A scalar, shortened; of anything else only its type: it may be large or deeply nested."""
     if isinstance(value, (str, int, float, type(None))):
         return repr(value)[:40]
     return "a list" if isinstance(value, list) else "an object"

@@ -1,4 +1,4 @@
-"""The confusion matrix: what each object was taken for."""
+"""The confusion matrix: what each object was detected as."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ def confusion_matrix(
 ) -> NDArray[np.int64]:
     """(classes + 1, classes + 1) numbers of objects by true class, a row each, and detected class.
 
-    The last column has the objects that were missed, the last row the detections where there is no object. Of
-    each class, objects are first matched with detections of their own class, so the diagonal has the right
-    detections of the table; then the rest with one another, pairs of the highest IoU first.
+    The last column has the objects that were missed, the last row the detections without an object.
+    Objects are first matched with detections of their own class, so the diagonal has the right detections of
+    the table; then the rest are matched with one another, highest IoU first.
     """
     class_count = len(matches.classes)
     counts = np.zeros((class_count + 1, class_count + 1), np.int64)
@@ -64,7 +64,7 @@ def _add(
     """Add the detections and objects of one image to `counts`, in place."""
     found, truth, background = image.found, image.truth, len(counts) - 1
     is_free = found.scores > thresholds[found.class_ids]
-    for class_id in np.unique(found.class_ids):  # what COCO does not look at
+    for class_id in np.unique(found.class_ids):  # COCO ignores the rest
         is_free[np.flatnonzero(found.class_ids == class_id)[MAX_DETECTIONS:]] = False
     is_free[crowded] = False
     is_missed = ~truth.is_crowd

@@ -123,7 +123,7 @@ def _finish(axes: Axes) -> None:
 
 
 def _plain(label: str) -> str:
-    """`label` without what matplotlib interprets: formulas, and a first underscore, which hides it."""
+    """`label` without what matplotlib interprets: formulas, and a leading underscore, which would hide it."""
     text = label.replace("$", r"\$")
     return f" {text}" if text.startswith("_") else text
 
@@ -147,7 +147,7 @@ def _axes(path: Path, title: str, x_label: str, y_label: str) -> Iterator[Axes]:
 
 @contextmanager
 def _matplotlib_folder() -> Iterator[None]:
-    """While it is open, matplotlib writes its settings and font list to a folder that is removed again.
+    """Within the context, matplotlib writes its settings and font list to a temporary folder.
 
     Unless the user has set MPLCONFIGDIR.
     """

@@ -24,10 +24,10 @@ _NO_PATH = ("", "~", "null", "Null", "NULL")
 
 @dataclass(frozen=True)
 class DataDescription:
-    """The entries of a `data.yaml` that count here."""
+    """The entries of a `data.yaml` that are used here."""
 
     folder: str
-    """The entry `path`: what the others are relative to; "" if there is none."""
+    """The entry `path`, which the others are relative to; "" without one."""
     splits: Mapping[str, tuple[str, ...]]
     """Folders and lists of images by `train`, `val` and `test`; without those that are empty."""
     class_names: tuple[str, ...] | None
@@ -69,7 +69,7 @@ def _node(events: Iterator[yaml.Event], event: yaml.Event, depth: int) -> object
     if isinstance(event, yaml.SequenceStartEvent):
         return [_node(events, item, depth + 1) for item in _until(events, yaml.SequenceEndEvent)]
     keys = _until(events, yaml.MappingEndEvent)
-    # The value of a key is what follows it.
+    # The event after a key begins its value.
     pairs = ((_node(events, key, depth + 1), _node(events, next(events), depth + 1)) for key in keys)
     return {key if isinstance(key, str) else "": value for key, value in pairs}
 
@@ -82,7 +82,7 @@ def _until(events: Iterator[yaml.Event], end: type[yaml.Event]) -> Iterator[yaml
 
 
 def _texts(value: object) -> tuple[str, ...]:
-    """One text or a list of them; without those that are no paths."""
+    """The paths in a text or a list of texts."""
     texts = value if isinstance(value, list) else [value]
     if any(isinstance(text, (list, dict)) for text in texts):
         raise ValueError("train, val and test must be paths or lists of paths")

@@ -1,4 +1,4 @@
-"""Images with their ground truth and what a model found in them, in the classes that both know."""
+"""Images with their ground truth and what a model found in them, in the classes that both have."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAX_SHOWN = 10
 class EvaluatedClasses:
     """The classes that the data set and the models share, by name.
 
-    `of_data` and `of_model` map class ids of theirs to indices into `names`; others are left out.
+    `of_data` and `of_model` map their class ids to indices into `names`; others are left out.
     """
 
     names: tuple[str, ...]
@@ -36,7 +36,7 @@ class EvaluatedClasses:
         data_names: Sequence[str] | None,
         models: Sequence[tuple[Sequence[str], frozenset[int] | None]],
     ) -> EvaluatedClasses:
-        """Those in `data_names` and in each of `models`: its names and the ids that are wanted, None: all.
+        """The classes in `data_names` and in each of `models`: its names and selected ids (None: all).
 
         Without `data_names` the ids of the data set are those of the first model. Raises DataError if there
         is none.
@@ -111,11 +111,11 @@ def _mapped(
 
 
 def _nothing_shared(data_names: Sequence[str], model_names: Sequence[str]) -> str:
-    """What to tell if data set and model have no class in common."""
+    """The message if data set and model have no class in common."""
     hint = did_you_mean(data_names[0], model_names) if data_names else ""
     return (
-        f"The data set has the classes {_listed(data_names)}, the model {_listed(model_names)}: with the "
-        f"settings none is left that both have.{hint} Classes are compared by name."
+        f"The data set has the classes {_listed(data_names)}, the model {_listed(model_names)}: they share "
+        f"none that the settings select.{hint} Classes are compared by name."
     )
 
 

@@ -1,4 +1,4 @@
-"""Ground truth of images, whatever it was read from, and what was wrong with it."""
+"""Ground truth of images, whatever it was read from, and the problems found in it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAX_BOXES_PER_IMAGE = 10_000
 MAX_IMAGES = 1_000_000
 MAX_CLASSES = 10_000
 MAX_LISTED = 10
-"""Number of problems that are told one by one; further ones are only counted."""
+"""Number of problems that are reported one by one; further ones are only counted."""
 _MAX_SHOWN = 300
 
 Kind = Literal[
@@ -80,12 +80,12 @@ class Boxes:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """What is written about an image: boxes in pixels, or in fractions of its width and height."""
+    """Labels of an image: boxes in pixels, or in fractions of its width and height."""
 
     boxes: Boxes
     in_fractions: bool = False
     size_hw: tuple[int, int] | None = None
-    """Height and width that the labels are made for, if they say so."""
+    """Height and width of the image that the labels were made for, if known."""
 
     def in_pixels(self, size_hw: tuple[int, int]) -> Boxes:
         """The boxes in an image of `size_hw`; raises LabelError if they are for another size."""
@@ -101,7 +101,7 @@ class Labels:
 
 @dataclass(frozen=True, eq=False)
 class LabelledPath:
-    """An image file and what is written about it."""
+    """An image file and its labels."""
 
     path: Path
     labels: Labels
@@ -116,7 +116,7 @@ class LabelledFolder:
 
 
 def confined_path(root: Path, base: Path, text: str) -> Path:
-    """The path `text`, relative to `base`; raises LabelError if it lies outside of the folder `root`.
+    """The path `text`, relative to `base`; raises LabelError if it is outside of the folder `root`.
 
     `root` is absolute. Links are followed, `..` is not looked up.
     """

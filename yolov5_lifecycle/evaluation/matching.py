@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
 
 MAX_DETECTIONS = 100
-"""Detections of an image and class that count, the best ones, as in COCO's evaluation."""
+"""Only this many of the best detections per image and class count, as in COCO's evaluation."""
 _ANY_AREA = [0, 1e10]
 
 
@@ -29,7 +29,7 @@ class ClassMatches:
     is_right: NDArray[np.bool_]
     """(10, d): it matches an object, at each of the 10 IoU thresholds from 0.5 to 0.95."""
     is_ignored: NDArray[np.bool_]
-    """(10, d): it lies in a crowd and is neither right nor wrong."""
+    """(10, d): it is in a crowd, and neither right nor wrong."""
     objects: NDArray[np.int64]
     """(images,) number of objects in each image, without crowds."""
     pairs: NDArray[np.int64]
@@ -166,7 +166,7 @@ def _class_matches(
     row_of_object: NDArray[np.int64],
     row_of_detection: NDArray[np.int64],
 ) -> ClassMatches:
-    """What COCOeval says of one class: for each image a result, or None without objects and detections."""
+    """COCOeval's results for one class: one per image, None without objects and detections."""
     present = [(image, result) for image, result in enumerate(results) if result is not None]
     objects = np.zeros(len(results), np.int64)
     scores, images, right, ignored = [], [], [], []

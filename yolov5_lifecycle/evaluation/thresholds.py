@@ -15,7 +15,7 @@ from yolov5_lifecycle.evaluation.matching import Matches
 
 
 class GoalError(ValueError):
-    """Text that is no goal; the message has the goals that there are."""
+    """A text that is not a goal; the message lists the possible goals."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def _chosen(name: str, counts: Sweep, goal: Goal) -> Threshold:
 
 
 def _between(scores: NDArray[np.float64], last: int) -> float:
-    """A threshold below the score number `last` and not below the next, with as few digits as will do."""
+    """A threshold below the score number `last` and not below the next, with as few digits as possible."""
     upper = float(scores[last])
     lower = float(scores[last + 1]) if last + 1 < len(scores) else 0.0
     for digits in range(2, 12):
@@ -93,7 +93,7 @@ def _between(scores: NDArray[np.float64], last: int) -> float:
 
 
 def threshold_yaml(thresholds: Sequence[Threshold], goal: Goal, node: str) -> str:
-    """The thresholds as a parameter file of the node with the full name `node`, with what they give."""
+    """The thresholds and their figures as a parameter file of the node with the full name `node`."""
     head = f"# Chosen for {goal}, on the evaluated images; on others it may be missed.\n"
     missed = "".join(
         f"# {_quoted(one.name)}: out of reach, the closest is {_described(one.counts)}\n"

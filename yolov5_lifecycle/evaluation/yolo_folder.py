@@ -25,7 +25,7 @@ from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 YAML_SUFFIXES = (".yaml", ".yml")
 SPLITS = ("val", "test", "train")
-"""What is evaluated: the first of these that `data.yaml` has."""
+"""The first of these that `data.yaml` has is evaluated."""
 _MAX_LIST_BYTES = 256 << 20
 _NOTHING = DataDescription("", {}, None)
 
@@ -35,8 +35,8 @@ def read_yolo_folder(
 ) -> LabelledFolder:
     """The images and labels of `data`: a folder, or the `data.yaml` of one.
 
-    `split`: which entry of `data.yaml`; None: the first of SPLITS that is there. Nothing outside of the
-    folder `root` is read; None: that of `data.yaml`. Problems with single files are added to `problems`.
+    `split`: which entry of `data.yaml`; None: the first of SPLITS that it has. Nothing outside of the folder
+    `root` is read; None: the folder of `data.yaml`. Problems with single files are added to `problems`.
     Raises DataError if nothing is left.
     """
     description_path = _description_path(data)
@@ -59,7 +59,9 @@ def read_yolo_folder(
             f"{_label_path(path, reader.root)} for {path}."
         )
     if not images:
-        raise DataError(f"{data}: the labels of none of {len(paths)} images can be used: {problems.summary}.")
+        raise DataError(
+            f"{data}: none of {len(paths)} images has labels that can be used: {problems.summary}."
+        )
     return LabelledFolder(description.class_names, tuple(images))
 
 
@@ -77,12 +79,12 @@ def _description_path(data: Path) -> Path | None:
     found = [file for file in sorted(data.iterdir()) if file.suffix.lower() in YAML_SUFFIXES]
     if len(found) > 1:
         names = ", ".join(file.name for file in found[:10])
-        raise DataError(f"{data}: expected one data.yaml, found {names}: give the one that is meant.")
+        raise DataError(f"{data}: expected one data.yaml, found {names}: give the path of one of them.")
     return found[0] if found else None
 
 
 def _entries(description: DataDescription, data: Path, split: str | None) -> tuple[str, ...]:
-    """What holds the images: paths of folders and of lists."""
+    """The entries that name the images: paths of folders and of lists."""
     splits = description.splits
     if split is None:
         usual = "images" if (data if data.is_dir() else data.parent).joinpath("images").is_dir() else "."
@@ -125,7 +127,7 @@ class _Reader:
         return LabelledPath(path, labels or Labels(Boxes.of([], [])))
 
     def _located(self, entry: str, base: str) -> Path | None:
-        """The path of an entry; without a leading `../` where that is what exists, as YOLOv5 reads it."""
+        """The path of an entry; like in YOLOv5, without a leading `../` if only that path exists."""
         below = self._below(base)
         problem: LabelError | None = None
         for text in dict.fromkeys((entry, entry.removeprefix("../"))):
@@ -137,12 +139,12 @@ class _Reader:
                     continue
                 if os.path.exists(path):  # noqa: PTH110 - Path.exists raises if a name is too long
                     return path
-                problem = problem or LabelError(f"there is no {path}")
+                problem = problem or LabelError(f"{path} not found")
         self._problems.add("unusable entries", f"'{entry}' in data.yaml", problem)
         return None
 
     def _below(self, base: str) -> Path:
-        """The folder that `data.yaml` calls `path`; its own folder if that is elsewhere."""
+        """The folder `path` of `data.yaml`; the folder of `data.yaml` if `path` is outside of the root."""
         if not base:
             return self._folder
         try:
@@ -188,7 +190,7 @@ def _images_below(folder: Path) -> list[Path]:
 
 
 def _label_path(path: Path, root: Path) -> Path:
-    """Where the labels of an image lie: in `labels/` instead of the last `images/`, else beside it.
+    """Where the labels of an image are: in `labels/` instead of the last `images/`, else beside it.
 
     Above `root`, `images/` only counts if the labels are there: `images/val` may be given as the folder.
     """

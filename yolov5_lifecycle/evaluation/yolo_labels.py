@@ -15,15 +15,15 @@ from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 
 _MAX_BYTES = 16 << 20
 _TOLERANCE = 1e-4
-"""How far beyond the image a fraction may be: tools round."""
+"""How far outside of the image a fraction may be, as tools round."""
 _MIN_POLYGON_FIELDS = 7
 
 
 def read_labels(path: Path, class_count: int) -> Labels | None:
-    """The labels in the file at `path`, None if there is no such file.
+    """The labels in the file at `path`; None if it does not exist.
 
-    Equal lines count once. Raises LabelError, with the line, if one is broken: with a part of the objects
-    unknown, nothing could be said about the image.
+    Equal lines count once. Raises LabelError, with the line, if one is broken: an image with unknown
+    objects cannot be evaluated.
     """
     try:
         text = read_regular_file(path, _MAX_BYTES).decode()

@@ -17,7 +17,7 @@ PointXY = tuple[float, float]
 MIN_POINTS = 3
 MAX_POINTS = 64
 MAX_CHARACTERS = 4096
-"""Of the text of a region."""
+"""Length limit of the text of a region."""
 BORDER = 1e-6
 """A point at most this far from a line lies on it; far less than a pixel, more than float32 rounds."""
 
@@ -30,7 +30,7 @@ _AT_ONCE = 512
 
 
 class RegionError(ValueError):
-    """The points are not those of a polygon within the image; the message says why, and which."""
+    """The points form no polygon within the image; the message says which ones and why."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Region:
 
 
 def _parsed(number: int, word: str) -> PointXY:
-    """The point that is written as `word`."""
+    """The point that `word` describes."""
     parts = word.split(",")
     if len(parts) != 2 or not all(map(_NUMBER.fullmatch, parts)):
         shown = in_one_line(word, _MAX_SHOWN)
@@ -123,7 +123,7 @@ def _sides(points: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _first_crossing(points: NDArray[np.int64], sides: NDArray[np.int64]) -> tuple[int, int] | None:
-    """Indices of the first two lines with a common point, besides that of lines which follow each other."""
+    """Indices of the first two lines with a common point, other than the shared end of adjacent lines."""
     ends = np.roll(points, -1, axis=0)
     low, high = np.minimum(points, ends), np.maximum(points, ends)
     is_divided = sides * np.roll(sides, -1, axis=1) <= 0  # whether line i has not all of line j on one side

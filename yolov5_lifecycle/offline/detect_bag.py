@@ -44,9 +44,9 @@ examples:
   detect_bag holidays --annotated drawn --output holidays.jsonl
   detect_bag 'drives/*' --output found --jobs 4 --set weights=best.pt
 
-Of many recordings (several paths, a quoted pattern, or a folder of them) each gets its own in the folder
-PATH, and summary.json and summary.parquet count the detections of each. The same command again does only
-what is missing. A recording that cannot be used is set aside; the exit code is then 3.
+With many recordings (several paths, a quoted pattern, or a folder of recordings), PATH is a folder. It gets
+a new recording for each, and summary.json and summary.parquet with the detection counts. Run again, the same
+command does only what is missing. A recording that cannot be used is set aside; the exit code is then 3.
 """
 
 
@@ -58,7 +58,7 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
             return _run_many(parser, arguments)
         (source,) = arguments.sources
         if not source.exists():
-            return _complain(f"{source}: there is no such file or folder")
+            return _complain(f"{source}: file or folder not found")
         if problem := _usage_problem(source, arguments):
             parser.error(problem)
         with (
@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     except (ValueError, OSError, ImportError, DetectingError, InferenceError) as error:
         return _complain(str(error))
     except KeyboardInterrupt:
-        _complain("interrupted; what was unfinished is removed")
+        _complain("interrupted; unfinished output was removed")
         return 130
     sys.stderr.write(report(account))
     return 0
@@ -113,7 +113,7 @@ def _rosbags() -> Iterator[None]:
         yield
     except ImportError as error:
         raise ImportError(
-            f"a package is missing that reads recordings ({error}). Install it with "
+            f"a package needed to read recordings is missing ({error}). Install it with "
             f"{sys.executable} -m pip install rosbags"
         ) from None
 
@@ -124,9 +124,9 @@ def _settings(arguments: argparse.Namespace) -> Settings:
 
 def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.output is None:
-        parser.error("give --output, the folder of the results of many recordings")
+        parser.error("give --output, the folder for the results of many recordings")
     if arguments.annotated:
-        parser.error("recordings have no use for --annotated; give --images")
+        parser.error("--annotated does not apply to recordings; use --images")
     output = Path(os.path.abspath(arguments.output))  # noqa: PTH100
     settings = _settings(arguments)
     sources = recordings_of(arguments.sources, output)
@@ -165,12 +165,12 @@ def _usage_problem(source: Path, arguments: argparse.Namespace) -> str:
     """The conflict between command-line arguments, or ""."""
     if is_recording(source):
         if arguments.output is None:
-            return "give --output, the recording to be written"
-        return "a recording has no use for --annotated; give --images" if arguments.annotated else ""
+            return "give --output, the new recording to write"
+        return "--annotated does not apply to recordings; use --images" if arguments.annotated else ""
     if _TRACK in arguments.assignments and has_still_images(source):
-        return f"{source} has no time in it; only recordings and videos are tracked"
+        return f"{source} has still images; tracking needs a recording or a video"
     useless = [name for name in ("topic", "images") if getattr(arguments, name)]
-    return f"{source} is no recording; only those have a use for --{useless[0]}" if useless else ""
+    return f"--{useless[0]} applies to recordings only, and {source} is not one" if useless else ""
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -186,28 +186,30 @@ def command_parser() -> argparse.ArgumentParser:
         nargs="+",
         type=Path,
         metavar="SOURCE",
-        help="a recording of ros2 bag, a video, an image or a folder of images; or many recordings",
+        help="a ros2 bag recording, a video, an image or a folder of images; or many recordings",
     )
     parser.add_argument(
         "--output",
         type=Path,
         metavar="PATH",
-        help="new recording with the detections; for images, new file with JSON lines (default: stdout); for "
-        "many recordings, a folder",
+        help="new recording with the detections; for images or a video, new file of JSON lines (default: "
+        "stdout); for many recordings, a folder",
     )
     parser.add_argument(
         "--jobs",
         type=_job_count,
         metavar="N",
-        help="processes for many recordings (default: one for each core and GiB of free memory)",
+        help="processes for many recordings (default: one per core, but at most one per GiB of free memory)",
     )
     parser.add_argument(
         "--ray",
         metavar="ADDRESS",
-        help="let an existing Ray cluster process many recordings, such as auto or 10.0.0.1:6379",
+        help="process many recordings on the Ray cluster at ADDRESS, such as auto or 10.0.0.1:6379",
     )
-    parser.add_argument("--topic", help="which images of the recording (default: the only ones)")
-    parser.add_argument("--images", action="store_true", help="put annotated images into the new recording")
+    parser.add_argument("--topic", help="image topic of the recording (default: the only one)")
+    parser.add_argument(
+        "--images", action="store_true", help="also write annotated images to the new recording"
+    )
     parser.add_argument(
         "--annotated", type=Path, metavar="PATH", help="new annotated video, image or folder of images"
     )
@@ -215,7 +217,7 @@ def command_parser() -> argparse.ArgumentParser:
         "--no-masks",
         action="store_false",
         dest="masks",
-        help="write no masks of a model that segments; annotated images show them all the same",
+        help="do not write the masks of a segmentation model; annotated images still show them",
     )
     add_detector_options(parser)
     parser.add_argument(
@@ -230,5 +232,7 @@ def command_parser() -> argparse.ArgumentParser:
 
 def _job_count(text: str) -> int:
     if not text.isascii() or not text.isdecimal() or not 1 <= int(text[:9]) <= _MAX_JOBS:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of processes from 1 to {_MAX_JOBS}")
+        raise argparse.ArgumentTypeError(
+            f"expected a number of processes from 1 to {_MAX_JOBS}, found {text!r}"
+        )
     return int(text)

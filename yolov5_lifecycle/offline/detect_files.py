@@ -37,7 +37,7 @@ def detect_files(
     """Write a JSON line for every image of `source` to the new file `output`, or to stdout.
 
     `annotated` is a new folder if `source` is one, else a new image or video. With `masks` the lines have
-    those of a model that segments. Raises SourceError, OutputError, DetectingError and what `load` raises.
+    the masks of a segmentation model. Raises SourceError, OutputError, DetectingError and what `load` raises.
     """
     with ExitStack() as stack:
         lines = stack.enter_context(_text(output)) if output else sys.stdout
@@ -109,7 +109,7 @@ class VideoOutput:
 
     def __init__(self, path: Path, rate_hz: float) -> None:
         if path.suffix.lower() not in _CODECS:
-            raise OutputError(f"{path.name}: expected a video that ends in {' or '.join(_CODECS)}.")
+            raise OutputError(f"{path.name}: expected a video file name that ends in {' or '.join(_CODECS)}.")
         self._path = path
         self._rate_hz = rate_hz
         self._writer: Any = None
@@ -134,7 +134,9 @@ class VideoOutput:
         writer = cv2.VideoWriter(str(self._path), codec, self._rate_hz, size_hw[::-1])
         if not writer.isOpened():
             others = " or ".join(suffix for suffix in _CODECS if suffix != self._path.suffix.lower())
-            raise OutputError(f"{self._path.name}: this OpenCV cannot write such a video; try {others}.")
+            raise OutputError(
+                f"{self._path.name}: this OpenCV build cannot write this video format; try {others}."
+            )
         return writer
 
 

@@ -44,8 +44,9 @@ def detect_recording(
 ) -> Account:
     """Write the detections in the images of `source` to the new recording `output`, as the node `node`.
 
-    With `images` annotated images, too; with `masks` those of a model that segments. Uses the storage format
-    of the source. Raises RecordingError, OutputError, DetectingError and what `load` raises.
+    With `images`, annotated images are written, too; with `masks`, the masks of a segmentation model. Uses
+    the storage format of the source. Raises RecordingError, OutputError, DetectingError and what `load`
+    raises.
     """
     with open_recording(source) as recording, whole_output(output) as unfinished:
         return write_detections(
@@ -63,7 +64,7 @@ def write_detections(
     masks: bool,
     load: LoadDetector,
 ) -> Account:
-    """`detect_recording` for an open `recording`; what it has written to `output` stays when it fails."""
+    """`detect_recording` for an open `recording`; on failure, what it has written to `output` stays."""
     image_topic = recording.image_topic(topic)
     images_of_topic = _not_empty(recording.path, image_topic, recording.images(image_topic))
     detector = load()
@@ -87,8 +88,8 @@ def _not_empty(
     first = next(images, None)
     if first is None:
         raise RecordingError(
-            f"{source}: the topic {topic.name} is in it without a single message. "
-            "Did the camera publish while it was recorded? `ros2 bag info` shows the counts."
+            f"{source}: the topic {topic.name} has no messages. "
+            "Did the camera publish during the recording? `ros2 bag info` shows the counts."
         )
     return chain([first], images)
 
@@ -96,8 +97,8 @@ def _not_empty(
 class DetectionBag:
     """Adds detections, labels and, with `images`, annotated images to the recording of `writer`.
 
-    With `masks`, which all detections must then have, these too, as label images. Topics and QoS are those
-    of the node named `node`.
+    With `masks`, masks too, as label images; all detections must then have masks. Topics and QoS are those of
+    the node named `node`.
     """
 
     def __init__(

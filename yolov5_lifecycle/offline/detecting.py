@@ -83,8 +83,8 @@ class Watch(Protocol):
 class OfflineDetector:
     """Detector that owns the model that `prepare` loads and applies `settings` to every image.
 
-    With the setting `tracker` the images of its runs that have a time are tracked, as those of one camera.
-    `with_masks`: whether the detections of a model that segments have masks; computing them takes time.
+    With the setting `tracker`, images that have a time are tracked, as the images of one camera.
+    `with_masks`: whether the detections of a segmentation model have masks; computing them takes time.
     Raises ValueError or OSError like `prepare_model`, and SettingsError for a class unknown to the model.
     """
 
@@ -130,7 +130,7 @@ class OfflineDetector:
             self._watch.progress(account)
         if not account.balance[Outcome.DETECTED]:
             raise DetectingError(
-                f"of {account.balance.received} images none could be used: see why above, or choose others"
+                f"none of {account.balance.received} images could be used: see the reasons above"
             )
         return account
 

@@ -24,13 +24,13 @@ def wanted_settings(
 ) -> Settings:
     """Settings of the node named `node`: the parameter file, overridden by `name=value` assignments.
 
-    `camera`: the one of its `cameras` whose settings are wanted. Raises ParameterFileError, SettingsError and
+    `camera`: which of its `cameras` the settings are for. Raises ParameterFileError, SettingsError and
     OSError.
     """
     values = file_values(parameter_file, node) if parameter_file else {}
     assigned = dict(assigned_value(assignment) for assignment in assignments)
     useless = [
-        Problem(name, "it is about a node and images that arrive; here every image is taken from its file.")
+        Problem(name, "it applies to a node that receives images; here every image is read from a file.")
         for name in _OF_THE_NODE
         if name in assigned
     ]
@@ -42,7 +42,9 @@ def wanted_settings(
 
 def _of_camera(settings: Settings, camera: str) -> Settings:
     if camera not in settings.cameras:
-        expected = f"expected one of {', '.join(settings.cameras)}" if settings.cameras else "there are none"
+        expected = (
+            f"expected one of {', '.join(settings.cameras)}" if settings.cameras else "there are no cameras"
+        )
         raise SettingsError([Problem("cameras", f"{expected}, but --camera is {camera!r}.")])
     return settings.for_camera(camera)
 
@@ -51,7 +53,7 @@ def _without_overrides(settings: Settings) -> Settings:
     """`settings` if they are the same for all cameras; raises SettingsError."""
     choices = " or ".join(f"--camera {name}" for name in settings.cameras)
     problems = [
-        Problem(name, f"it is for one camera only: say which one has taken the images, {choices}.")
+        Problem(name, f"it applies to one camera only: give the one that took the images, {choices}.")
         for name in settings.overrides
         if name.rpartition(SEPARATOR)[2] not in _OF_THE_NODE
     ]
@@ -61,9 +63,9 @@ def _without_overrides(settings: Settings) -> Settings:
 
 
 def add_detector_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options from which `wanted_settings` makes settings."""
+    """Add the options that `wanted_settings` turns into settings."""
     parser.add_argument(
-        "--params-file", type=Path, metavar="FILE.yaml", help="parameters as the detector is given them"
+        "--params-file", type=Path, metavar="FILE.yaml", help="parameter file of the detector"
     )
     for option, form in (("--set", "NAME=VALUE"), ("-p", "NAME:=VALUE")):
         parser.add_argument(
@@ -73,16 +75,16 @@ def add_detector_options(parser: argparse.ArgumentParser) -> None:
             type=_assignment,
             dest="assignments",
             metavar=form,
-            help="a parameter of the detector, over those of the file; may be repeated",
+            help="a parameter of the detector, overrides the file; may be repeated",
         )
     parser.add_argument(
         "--node",
         type=_node_name,
         default="/yolov5",
-        help="name of the detector in the file and in topics (default: %(default)s)",
+        help="name of the detector in the parameter file and in topics (default: %(default)s)",
     )
     parser.add_argument(
-        "--camera", metavar="NAME", help="the one of the parameter `cameras` that has taken the images"
+        "--camera", metavar="NAME", help="the camera, of the parameter `cameras`, that took the images"
     )
 
 
@@ -94,7 +96,9 @@ def _assignment(text: str) -> str:
 
 def _node_name(text: str) -> str:
     if not re.fullmatch(r"(/[A-Za-z_]\w*)+", text, re.ASCII):
-        raise argparse.ArgumentTypeError(f"{text!r} is no full name of a node, such as /robot/yolov5")
+        raise argparse.ArgumentTypeError(
+            f"expected the full name of a node, such as /robot/yolov5, found {text!r}"
+        )
     return text
 
 

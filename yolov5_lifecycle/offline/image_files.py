@@ -36,11 +36,11 @@ class ImageFile:
 
     @property
     def stamp_s(self) -> None:
-        """Nobody knows how much time lies between the files of a folder, so they are not tracked."""
+        """None: the time between the files of a folder is unknown, so they are not tracked."""
 
     def load(self) -> ColourImage:
         if not os.path.lexists(self.path):
-            raise ImageError("there is no such file")
+            raise ImageError("file not found")
         try:
             # An absolute path is never mistaken for a camera index.
             return next(open_source(str(self.path.absolute()), loop=False).frames).image

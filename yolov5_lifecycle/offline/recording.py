@@ -54,7 +54,7 @@ def _typestore() -> Typestore:
 
 
 TYPES = _typestore()
-"""Those of Jazzy and vision_msgs."""
+"""Message types of Jazzy and vision_msgs."""
 
 
 class RecordingError(ValueError):
@@ -114,7 +114,7 @@ class Recording:
     def __init__(self, path: Path, reader: Reader) -> None:
         self.path = path
         self._reader = reader
-        self._is_packed = reader.compression_mode == "message"  # reading changes what the reader says
+        self._is_packed = reader.compression_mode == "message"  # reading changes this attribute
 
     @property
     def storage(self) -> StoragePlugin:
@@ -131,14 +131,14 @@ class Recording:
             )
             raise RecordingError(
                 f"{self.path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
-                "Record the topic of the camera."
+                "Record the image topic of the camera."
             )
         return self.one_of(topics, name, what="image topic", option="--topic")
 
     def one_of(
         self, topics: Sequence[RecordedTopic], name: str | None, *, what: str, option: str
     ) -> RecordedTopic:
-        """The one called `name`, or the only one; raises RecordingError with the `option` that chooses."""
+        """The topic `name`, or the only one; raises RecordingError, which names the `option` to choose."""
         wanted = [topic for topic in topics if name in (None, topic.name)]
         if len(wanted) == 1:
             return wanted[0]
@@ -146,8 +146,8 @@ class Recording:
             f"\n  {in_one_line(topic.name)}  {topic.type_name}  {topic.count}" for topic in topics
         )
         if name is None:
-            raise RecordingError(f"{self.path}: say with {option} which of its {what}s:{listing}")
-        raise RecordingError(f"{self.path}: there is no {what} {name}; name one of these:{listing}")
+            raise RecordingError(f"{self.path}: choose one of its {what}s with {option}:{listing}")
+        raise RecordingError(f"{self.path}: there is no {what} {name}; choose one of these:{listing}")
 
     def images(self, topic: RecordedTopic) -> Iterator[RecordedImage]:
         """Every image of `topic` in recording order; raises RecordingError if the file is damaged."""

@@ -1,4 +1,4 @@
-"""Which recordings a command is about: those that are named, that patterns match, and that lie in folders."""
+"""The recordings that a command processes: given by path, by pattern, or as a folder of recordings."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def recordings_of(sources: Iterable[Path], output: Path) -> list[SourceRecording
     """The recordings that `sources` stand for, each once, in order; none of those in the folder `output`.
 
     Raises SourceError for a source without any, for two of the same name, and for a name that is reserved or
-    no UTF-8.
+    not UTF-8.
     """
     paths = {Path(os.path.abspath(path)): None for source in sources for path in _expanded(source, output)}  # noqa: PTH100
     # `**` matches a recording and its files.
@@ -62,15 +62,15 @@ def _expanded(source: Path, output: Path) -> list[Path]:
     elif source.exists():
         found = list(_recordings_at(source))
     else:
-        raise SourceError(f"{source}: there is no such file or folder")
+        raise SourceError(f"{source}: file or folder not found")
     own = Path(os.path.realpath(output))
     others = [path for path in found if not Path(os.path.realpath(path)).is_relative_to(own)]
     if found and not others:
         raise SourceError(
-            f"{source}: all recordings in it lie in the folder of results, {output}: choose another --output."
+            f"{source}: all its recordings are in the folder of results {output}: choose another --output."
         )
     if not found:
-        raise SourceError(f"{source}: expected recordings of ros2 bag, found no .mcap and no .db3 file.")
+        raise SourceError(f"{source}: expected ros2 bag recordings, found no .mcap or .db3 file.")
     return others
 
 
@@ -83,7 +83,7 @@ def _recordings_at(path: Path) -> Iterator[Path]:
 
 
 def _matches(path: Path) -> list[Path]:
-    """What matches `path` as a pattern; nothing if there is a file of that name."""
+    """The paths that match `path` as a pattern; none if a file has this very name."""
     if os.path.lexists(path) or not any(wildcard in str(path) for wildcard in _WILDCARDS):
         return []
     return list(map(Path, sorted(glob.glob(str(path), recursive=True))))  # noqa: PTH207
@@ -104,7 +104,7 @@ def _children(folder: Path) -> list[Path]:
 
 
 def _may_be_recording(path: Path) -> bool:
-    """`is_recording`; a folder that cannot be listed may be one, and says why when it is read."""
+    """Like `is_recording`; true for a folder that cannot be listed: reading it will report why."""
     try:
         return is_storage(path) if path.is_file() else is_recording(path)
     except OSError:
@@ -112,7 +112,7 @@ def _may_be_recording(path: Path) -> bool:
 
 
 def _name(path: Path) -> str:
-    """Name of the folder, or that of the file without what tells its format."""
+    """Name of the folder, or of the file without the extensions of its format."""
     if path.is_dir():
         return path.name
     name = path.name.removesuffix(_PACKED)
@@ -127,8 +127,8 @@ def _check_names(found: Sequence[SourceRecording]) -> None:
     if same:
         told = "".join(f"\n  {', '.join(map(str, paths[:_MAX_TOLD]))}" for paths in same[:_MAX_TOLD])
         raise SourceError(
-            f"{len(same)} name(s) belong to several recordings, whose results would have the same name; "
-            f"give them in runs with outputs of their own, or rename them:{told}"
+            f"{len(same)} name(s) belong to several recordings, so their results would have the same name; "
+            f"use a separate run and --output for each, or rename them:{told}"
         )
     for recording in found:
         is_reserved = recording.name.startswith("summary.") or not recording.name.strip(".")
@@ -137,7 +137,7 @@ def _check_names(found: Sequence[SourceRecording]) -> None:
 
 
 def is_utf8(path: Path) -> bool:
-    """Whether the name of `path` is a text, which can be sent as JSON."""
+    """Whether the name of `path` is valid UTF-8, as JSON needs it."""
     try:
         str(path).encode()
     except UnicodeEncodeError:

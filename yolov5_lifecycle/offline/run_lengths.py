@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.masks import Window
 
 _MAX_CHARACTERS = 7
-"""Of one number. With 5 bits each, these hold the difference of any two runs of up to 2**32 pixels."""
+"""Characters per number, of 5 bits each: enough for the difference of any two runs of up to 2**32 pixels."""
 
 
 def coco_rle(window: Window, inside: NDArray[np.bool_], size_hw: tuple[int, int]) -> dict[str, object]:
@@ -28,7 +28,7 @@ def run_lengths(window: Window, inside: NDArray[np.bool_], size_hw: tuple[int, i
     """
     height, width = size_hw
     changes = _changes_down_columns(inside)
-    # What ends at the bottom of a column and begins at the top of the next one is one run.
+    # A run that ends at the bottom of a column continues in one that begins at the top of the next.
     places, times = np.unique(
         (window.columns.start + changes.columns) * height + window.rows.start + changes.rows,
         return_counts=True,
@@ -55,7 +55,7 @@ def counts_string(counts: NDArray[np.int64]) -> str:
     """Run lengths as text: from the fourth on, the difference from the last but one.
 
     A number is written as in signed LEB128, but with 5 bits a character, lowest first: bit 5 says that the
-    number goes on, and 48 is added to make it ASCII.
+    number continues, and 48 is added to make it ASCII.
     """
     numbers = counts.copy()
     numbers[3:] -= counts[1:-2]

@@ -1,4 +1,4 @@
-"""What a command that runs over many images reports on the terminal meanwhile, and at its end."""
+"""What a command reports on the terminal while it processes many images, and at its end."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class ProgressLine:
         self._is_open = False
 
     def show(self, text: str) -> None:
-        """Show `text` if the last one has been there for some time."""
+        """Show `text`, unless the previous one has only just been shown."""
         now_s = time.monotonic()
         if now_s >= self._due_s:
             self._due_s = now_s + _PROGRESS_PERIOD_S
@@ -53,7 +53,7 @@ class Terminal:
             self.close()
             complain(self._command, f"{label}: {outcome.value}: {error}")
         if self._lost == _MAX_TOLD:
-            complain(self._command, "further ones are only counted")
+            complain(self._command, "further problems are only counted")
 
     def progress(self, account: Account) -> None:
         if self._shows_progress:
@@ -61,7 +61,7 @@ class Terminal:
             self._line.show(f"{account.balance.received}{of_all} images, {account.rate_hz:.1f} per second")
 
     def begin(self, task: str) -> None:
-        """Show that `task` has begun, which has no images to count."""
+        """Show the name of a `task` that has no images to count."""
         if self._shows_progress:
             self._line.show_now(task)
 
@@ -73,7 +73,7 @@ class Terminal:
 def report(account: Account) -> str:
     """Summary of a run for the user, one fact per line."""
     balance, objects = account.balance, account.objects
-    missing = f" of {account.expected} announced" if balance.received < account.expected else ""
+    missing = f" of {account.expected} expected" if balance.received < account.expected else ""
     return (
         f"images    {balance.received}{missing}: {balance[Outcome.DETECTED]} detected, "
         f"{balance[Outcome.REJECTED]} rejected, {balance[Outcome.FAILED]} failed\n"
@@ -83,6 +83,6 @@ def report(account: Account) -> str:
 
 
 def objects_line(objects: Counter[str]) -> str:
-    """The line about detections of such a summary."""
+    """The line of the summary that counts detections."""
     names = ", ".join(f"{name} {count}" for name, count in objects.most_common())
     return f"detections  {objects.total()}{': ' if names else ''}{names}\n"

@@ -51,7 +51,7 @@ class _Record(BaseModel):
 
 
 class Measurement(_Record):
-    """A runtime in one precision on the calibration images; what is compared is compared with fp32."""
+    """A runtime in one precision, measured on the calibration images and compared with fp32."""
 
     runtime: Literal["onnxruntime", "openvino"]
     precision: Literal["fp32", "int8", "bf16"]
@@ -70,7 +70,7 @@ class Calibration(_Record):
     format: Literal["yolov5_lifecycle calibration 1"] = "yolov5_lifecycle calibration 1"
     weights_sha256: Digest
     data_sha256: Digest
-    """Of the pixels of the calibration images."""
+    """Digest of the pixels of the calibration images."""
     images: Annotated[int, Field(ge=1, le=1_000_000)]
     image_size: Annotated[int, Field(ge=32, le=4096)]
     confidence_threshold: Share
@@ -78,18 +78,18 @@ class Calibration(_Record):
     weight_bits: Literal[7, 8]
     """Bits of the weights when it was measured; 7 on x86 without VNNI."""
     ranges: Annotated[dict[Name, Range], Field(min_length=1, max_length=MAX_TENSORS)]
-    """Of what each convolution reads, by its path in the network, which is that of its weights."""
+    """Range of what each convolution reads, by its path in the network, as in the names of its weights."""
     means: Annotated[dict[Name, tuple[Figure, ...]], Field(max_length=MAX_TENSORS)]
-    """Of each channel of the same."""
+    """Mean of each channel that the convolution reads."""
     fp32_layers: Annotated[tuple[Name, ...], Field(max_length=MAX_TENSORS)]
     """Paths of the convolutions that stay in fp32."""
     detections: Annotated[int, Field(ge=0, le=1_000_000_000)]
-    """That fp32 found in the compared images; the fewer, the less is known."""
+    """Detections of fp32 in the compared images; the fewer, the less is known."""
     measured: Annotated[tuple[Measurement, ...], Field(max_length=20)]
     processor: Annotated[str, Field(max_length=200)]
     abilities: Annotated[tuple[Name, ...], Field(max_length=50)]
     versions: Annotated[dict[Name, Name], Field(max_length=20)]
-    """By the name of the package."""
+    """Version by package name."""
 
     @field_validator("ranges")
     @classmethod
@@ -121,14 +121,14 @@ class Calibration(_Record):
 
 
 def path_beside(weights: Path) -> Path:
-    """Where the calibration for the file `weights` lies."""
+    """Path of the calibration for the file `weights`."""
     return weights.with_name(weights.stem + SUFFIX)
 
 
 def remedy(weights: Path) -> str:
-    """What makes a calibration for the file `weights`."""
+    """How to create a calibration for the file `weights`."""
     return (
-        f"Make one with `calibrate {shlex.quote(str(weights))} DATA`, where DATA is a folder of images, a "
+        f"Create one with `calibrate {shlex.quote(str(weights))} DATA`, where DATA is a folder of images, a "
         "video or a recording; or use precision 'fp32'"
     )
 
@@ -141,7 +141,7 @@ def read_calibration(path: Path, *, weights: Path, weights_sha256: str) -> Calib
     try:
         calibration = Calibration.model_validate_json(read_regular_file(path, MAX_FILE_BYTES))
     except FileNotFoundError:
-        raise CalibrationError(f"{path}: there is no such calibration. {remedy(weights)}.") from None
+        raise CalibrationError(f"{path}: calibration not found. {remedy(weights)}.") from None
     except RegularFileError as error:
         problem = str(error)
     except OSError as error:
@@ -155,7 +155,7 @@ def read_calibration(path: Path, *, weights: Path, weights_sha256: str) -> Calib
                 f"{calibration.weights_sha256[:12]}..., not {weights_sha256[:12]}...). {remedy(weights)}."
             )
         return calibration
-    raise CalibrationError(f"{path}: this is no calibration that can be used: {problem}. {remedy(weights)}.")
+    raise CalibrationError(f"{path}: this is not a usable calibration: {problem}. {remedy(weights)}.")
 
 
 def find_calibration(
@@ -165,13 +165,13 @@ def find_calibration(
     device: str,
     allowed: Callable[[Path], Path] | None = None,
 ) -> Calibration | str:
-    """The calibration beside `weights`, or why there is none that could be used.
+    """The calibration beside `weights`, or why none can be used.
 
-    Precision int8 needs one: raises CalibrationError, and what `allowed` raises for a path outside the
-    folders of the user. With auto one that cannot be used is only logged; other precisions need none.
+    Precision int8 needs one: raises CalibrationError without it, and what `allowed` raises for a path outside
+    the folders of the user. With auto, an unusable calibration is only logged; other precisions need none.
     """
     if not _is_considered(precision, device):
-        return "int8 is not asked for"
+        return "int8 was not requested"
     path = path_beside(weights.path)
     if precision == "auto" and not os.path.lexists(path):
         return f"int8 was not calibrated: there is no {path}"
@@ -188,9 +188,9 @@ def find_calibration(
 
 
 def calibration_digest(weights: Path, *, precision: str, device: str) -> str | None:
-    """SHA-256 of the calibration beside the file `weights`; None if there is none or none is asked for.
+    """SHA-256 of the calibration beside the file `weights`; None if it is missing or not needed.
 
-    One that cannot be read counts as none: `find_calibration` says what is wrong with it.
+    A file that cannot be read counts as missing: `find_calibration` reports the problem.
     """
     if not _is_considered(precision, device):
         return None

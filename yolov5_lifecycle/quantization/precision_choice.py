@@ -65,7 +65,7 @@ def choose(
     image_size: int,
     frame_hw: tuple[int, int],
 ) -> Used:
-    """Runtime and precision for `wish`; `calibration`: that of the model, or why there is none.
+    """Runtime and precision for `wish`; `calibration`: the model's, or why there is none.
 
     Raises DeviceError, and InferenceError when measuring fails.
     """
@@ -109,8 +109,8 @@ def choose_precision(
 ) -> PrecisionChoice:
     """int8 if it is good according to `calibration` and faster here than fp32 in `runtime`, else fp32.
 
-    `is_free`: whether the runtime may be another one for int8. The speed is measured once and kept with the
-    choice of the runtime, in `folder`.
+    `is_free`: whether int8 may use another runtime. The speed is measured once and kept with the choice of
+    the runtime, in `folder`.
     """
     problem = _absence(runtime, is_free=is_free) or quality_problem(calibration, image_size=image_size)
     if problem:
@@ -181,7 +181,7 @@ def _figures_ms(
     folder: Path | None,
     measure: Callable[..., dict[str, float]],
 ) -> tuple[dict[str, float], str]:
-    """Milliseconds in fp32 and in int8, and where they are from."""
+    """Milliseconds in fp32 and in int8, and where they come from."""
     quantization = calibration.quantization
     key = choice_key(model, installed_runtimes(), frame_hw, "int8", runtime, quantization.digest)
     record = (folder or cache_folder("choices")) / f"{key}.json"

@@ -1,4 +1,4 @@
-"""Which convolutions lose most in int8, for what they would cost in fp32."""
+"""Which convolutions lose most in int8, relative to their cost in fp32."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ def most_sensitive(
 ) -> list[str]:
     """Paths of all convolutions of the fused `network`, the most sensitive one first.
 
-    Sensitive is one that changes the features much for each of its multiplications. With these in fp32
-    yolov5n agreed as well as with those that change them most, for half the multiplications in fp32.
+    A convolution is sensitive if int8 changes the features much for each of its multiplications. With these
+    in fp32, yolov5n agreed as well as with those that change the features most, for half the multiplications
+    in fp32.
 
     Each is computed in int8 alone, on `frames` (n, c, h, w), floats in [0, 1]. `progress` is given the number
     of convolutions done.
@@ -49,7 +50,7 @@ def most_sensitive(
 
 @contextmanager
 def _counted(network: Network) -> Iterator[dict[str, int]]:
-    """The multiplications of each convolution for one image, of what the network computes meanwhile."""
+    """The multiplications of each convolution for one image, counted while the network runs."""
     products: dict[str, int] = {}
 
     def count(path: str, module: nn.Module, result: Tensor) -> None:
@@ -77,7 +78,7 @@ def _noise(features: list[Tensor], exact: list[Tensor]) -> float:
 
 @contextmanager
 def _rounded(module: nn.Conv2d, read: Activation, weight_bits: int) -> Iterator[None]:
-    """Let `module` compute what it would in int8."""
+    """Let `module` compute as if in int8."""
     assert module.bias is not None
     weight, bias = module.weight.data, module.bias.data
     integers, steps = quantized_weight(weight.numpy(), weight_bits)

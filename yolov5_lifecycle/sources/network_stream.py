@@ -105,7 +105,7 @@ def open_stream(
         capture.release()
         raise SourceError(
             f"'{without_secrets(source)}' cannot be opened: is the address right, does the camera answer, "
-            "and does it want a user and a password? OpenCV's own message is above."
+            "and does it need a user name and a password? OpenCV's own message is above."
         )
     is_file = capture.get(cv2.CAP_PROP_FRAME_COUNT) > 0
     rate_hz = capture.get(cv2.CAP_PROP_FPS)
@@ -130,7 +130,7 @@ def _frames(
         if not reconnects:
             return
         while True:
-            report(f"'{without_secrets(source)}' gives no more images. Connecting again in {delay_s:g} s.")
+            report(f"'{without_secrets(source)}' delivers no more images. Reconnecting in {delay_s:g} s.")
             if wait(delay_s):
                 return
             delay_s = min(2 * delay_s, MAX_DELAY_S)

@@ -1,4 +1,4 @@
-"""The scene in space: its shapes as tilted boards before a sloped wall, as a depth camera measures them."""
+"""The scene in space, as a depth camera measures it: tilted boards in front of a sloped wall."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from yolov5_lifecycle.sources.calibration import Calibration, Matrix
 from yolov5_lifecycle.sources.scene import Scene, Shape
 
 _DISTANCES_M = (1.25, 3.2)
-"""Of the shapes in the first image; later ones come up to a fifth nearer or go up to a quarter farther."""
+"""Distances in the first image; later the shapes come up to a fifth nearer or go up to a quarter farther."""
 _WALL_M = 7.0
 _MAX_SLOPE = 0.5
 _RANDOM_STREAM = 1
-"""Beside the seed, so that the image of a seed does not depend on depth."""
+"""Combined with the seed, so that the image of a seed does not depend on depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,18 +30,18 @@ class DepthFrame:
     depth_mm: NDArray[np.uint16]
     """(H, W) distances along z in millimetres."""
     centres_xyz_m: NDArray[np.float64]
-    """(n, 3) of the boxes around the shapes."""
+    """(n, 3) centres of the boxes around the shapes."""
     sizes_xyz_m: NDArray[np.float64]
-    """(n, 3)."""
+    """(n, 3) sizes of these boxes."""
     calibration: Calibration
-    """Of both cameras."""
+    """The same for both cameras."""
 
 
 class SceneDepth:
-    """The shapes of a `Scene` as flat boards, each of a size, a tilt and a distance of its own.
+    """The shapes of a `Scene` as flat boards, each with its own size, tilt and distance.
 
-    A shape that grows in the image comes nearer. Of two shapes in one pixel the nearer is measured; all are
-    before the wall.
+    A shape that grows in the image comes nearer. Where two shapes overlap, the nearer one is measured; all
+    are in front of the wall.
 
     Deterministic, like the scene itself.
     """

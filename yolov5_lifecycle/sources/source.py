@@ -71,7 +71,7 @@ def open_source(
     if not _exists(path):
         raise SourceError(
             f"'{in_one_line(source)}' is neither '{SYNTHETIC}', nor the number of a device, nor a URL, "
-            "nor a file or folder that exists."
+            "nor an existing file or folder."
         )
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
         return ImageSource(_images(image_paths(path), size_hw, loop, report), IMAGE_RATE_HZ)
@@ -95,7 +95,7 @@ def _device_number(source: str) -> int | None:
     if not (_exists(path) and path.is_char_device()):
         return None
     if (named := re.fullmatch(r"/dev/video(\d+)", str(path.resolve()))) is None:
-        raise SourceError(f"{in_one_line(source)} is a device, but no camera.{_devices()}")
+        raise SourceError(f"{in_one_line(source)} is a device, but not a camera.{_devices()}")
     return int(named[1])
 
 
@@ -123,7 +123,7 @@ def _device(number: int, size_hw: tuple[int, int] | None) -> ImageSource:
     capture = cv2.VideoCapture(number)
     if not capture.isOpened():
         raise SourceError(
-            f"Device {number} cannot be opened: is it plugged in, free, and may you read it?{_devices()}"
+            f"Device {number} cannot be opened: is it plugged in and free, and may you read it?{_devices()}"
         )
     if size_hw is not None:
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size_hw[0])
@@ -131,7 +131,7 @@ def _device(number: int, size_hw: tuple[int, int] | None) -> ImageSource:
 
     def frames() -> Iterator[SourceFrame]:
         yield from _captured(capture, size_hw)
-        raise SourceError(f"Device {number} gives no more images: was it unplugged?")
+        raise SourceError(f"Device {number} delivers no more images: was it unplugged?")
 
     return ImageSource(frames(), rate_hz=None)
 
@@ -154,7 +154,7 @@ def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> ImageSour
     captured = _captured(capture, size_hw)
     first = next(captured, None)
     if first is None:
-        raise SourceError(f"{path} is a video without an image that can be read.")
+        raise SourceError(f"{path} is a video without a readable image.")
     repeated = _repeated(path, size_hw) if loop else ()
     return ImageSource(itertools.chain([first], captured, repeated), rate_hz)
 
@@ -166,7 +166,7 @@ def _repeated(path: Path, size_hw: tuple[int, int] | None) -> Iterator[SourceFra
         captured = _captured(cv2.VideoCapture(str(path)), size_hw)
         first = next(captured, None)
         if first is None:
-            raise SourceError(f"{path} can be read no longer: was it moved or unplugged?")
+            raise SourceError(f"{path} can no longer be read: was it moved or unplugged?")
         yield first
         yield from captured
 
@@ -239,9 +239,7 @@ def _file_pixels(path: Path) -> NDArray[np.uint8]:
             raise SourceError(f"{path} is not a regular file of at most {_MAX_FILE_BYTES >> 20} MiB.")
         return decode_image_file(np.fromfile(path, np.uint8)).pixels
     except (OSError, ImageError) as error:
-        raise SourceError(
-            f"{path} cannot be read as an image: replace it, or take it away. {error}"
-        ) from None
+        raise SourceError(f"{path} cannot be read as an image: replace or remove it. {error}") from None
 
 
 def _frame(pixels: NDArray[np.uint8], size_hw: tuple[int, int] | None) -> SourceFrame:

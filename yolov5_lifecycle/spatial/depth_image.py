@@ -38,7 +38,7 @@ class DepthImage:
     """
 
     values: NDArray[Any]
-    """(H, W), possibly a view with padded rows in either byte order; what is no measurement is included."""
+    """(H, W), possibly a view with padded rows in either byte order; not every value is a measurement."""
     metres_per_unit: float
 
     def __post_init__(self) -> None:

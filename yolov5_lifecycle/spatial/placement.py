@@ -14,7 +14,7 @@ from yolov5_lifecycle.spatial.intrinsics import Intrinsics
 from yolov5_lifecycle.spatial.surface import sampled, surface_extents_m
 
 MAX_BOXES_AT_ONCE = 64
-"""More are placed in turns, so that the arrays stay small whatever the number of boxes."""
+"""More boxes are placed in several passes, so that the arrays stay small."""
 
 
 @dataclass(frozen=True)

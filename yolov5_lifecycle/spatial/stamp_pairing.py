@@ -24,7 +24,7 @@ class Unpaired(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Stamped(Generic[Item]):
-    """A depth image, or what one can be made of, with its stamp in nanoseconds."""
+    """A depth image, or the data to create one from, with its stamp in nanoseconds."""
 
     stamp_ns: int
     item: Item

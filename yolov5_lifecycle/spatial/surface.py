@@ -1,9 +1,9 @@
-"""The surface of the object in each box: depth is sampled, and the samples of the object are found.
+"""Finds the surface of the object in each box from samples of its depth.
 
 The samples lie on a grid in and around the box, so that the cost does not depend on the size of the box.
 
-A box also holds background, and often something nearer that hides a part of the object. Both go on beyond the
-box, the object does not: so depths count for as much as they are more frequent in the box than around it.
+A box also holds background, and often something nearer that hides a part of the object. Both extend beyond
+the box, the object does not: a depth counts by how much more frequent it is in the box than around it.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ _INSIDE = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
 _BIN_WIDTH = math.log(1.025)
 """Depths are counted in bins of 2.5 %, so that near and far objects are resolved equally well."""
 _RING_WEIGHT = 2.5
-"""More than 1: a slope behind the object has other depths around the box than in it."""
+"""More than 1, because a slope behind the object has other depths around the box than in it."""
 _MIN_RING_SHARE = 0.25
-"""Of the samples around a box; fewer count for less, as at the edge of the image."""
+"""Share of the samples around a box; fewer count for less, as at the edge of the image."""
 _MIN_EXCESS = 0.03
-"""Of the samples in a box; less is noise, and the depths in the box count alone."""
+"""Share of the samples in a box; less is noise: then only the depths in the box count."""
 _MIN_OF_PEAK = 0.2
-"""Of the highest peak's excess: the nearest peak that reaches this is the object."""
+"""Share of the excess of the highest peak: the nearest peak that reaches it is the object."""
 _SURFACE_END = 0.2
-"""Of its peak's excess: the surface ends where the excess falls below."""
+"""Share of the excess of the surface's peak: the surface ends where the excess falls below it."""
 _MIN_VALID = 0.05
-"""Of the samples in a box that must be measurements."""
+"""Share of the samples in a box that must be measurements."""
 _MIN_VALID_ALONE = 0.5
-"""The same where the ring does not tell the object apart: a black one has no depth but its background's."""
+"""The same if the ring does not single out the object: a black object has only its background's depth."""
 _OUTLIERS = 0.03
-"""Of a surface's samples, left out at each end: pixels between two surfaces, and noise."""
+"""Share of a surface's samples left out at each end: pixels between two surfaces, and noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def _shares(bins: NDArray[np.intp], first: int, count: int, *, min_valid: float)
     shares are of that many.
     """
     boxes, size = bins.shape
-    # Each box has one more place, before its bins, for what is in none of them.
+    # Each box has an extra place before its bins, for samples in none of them.
     is_counted = (bins >= first) & (bins < first + count) & (bins >= 0)
     places = np.where(is_counted, bins - first + 1, 0) + np.arange(boxes)[:, None] * (count + 1)
     counts = np.bincount(places.ravel(), minlength=boxes * (count + 1)).reshape(boxes, count + 1)[:, 1:]

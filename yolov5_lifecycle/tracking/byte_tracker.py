@@ -18,17 +18,17 @@ from yolov5_lifecycle.tracking.assignment import Indices, Solver, best_pairs, io
 from yolov5_lifecycle.tracking.tracks import UNCONFIRMED, Tracks
 
 MAX_DETECTIONS = 1000
-"""Detections of an image that are tracked, highest scores first; it bounds the time of an image."""
+"""Detections tracked per image, highest scores first; bounds the time per image."""
 MAX_TRACKS = 2 * MAX_DETECTIONS
-"""Tracks that are kept, those seen last; it bounds time and memory."""
+"""Tracks that are kept, the most recently seen; bounds time and memory."""
 STEP_WITHOUT_TIME_S = 1 / 30
-"""Time between two images of equal stamps: some cameras give none."""
+"""Assumed time between two images with equal stamps: some cameras set none."""
 MAX_TIMEOUT_S = 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerSettings:
-    """What a user may choose; any of it may change between two frames without losing tracks.
+    """The settings of the user; each may change between two frames without losing tracks.
 
     Raises ValueError on construction when a value is out of range.
     """

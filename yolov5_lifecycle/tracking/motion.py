@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 MEASUREMENT_STD = 0.03
 """Standard deviation of a detected coordinate in box sizes, for a score of 1; see `measurement_std`."""
 SAME_ERROR_S = 0.2
-"""Time for which a detector makes the same error; more images in it do not tell more."""
+"""Time for which a detector repeats the same error; more images within it add no information."""
 MIN_SCORE = 0.05
 """Scores below count as this one."""
 START_SPEED_STD = np.array((2.0, 2.0, 0.25, 0.25))
@@ -31,7 +31,7 @@ ACCELERATION_DENSITY = np.array((0.5, 0.5, 0.05, 0.05)) ** 2
 """Variance that the velocity gains per second, in (box sizes / s)^2 / s. DeepSORT's at 30 Hz is 1.05: with it
 the velocity follows the box of an object that shrinks because it passes behind another one."""
 MAX_MARGIN = 0.5
-"""Of a predicted box, in box sizes."""
+"""Largest margin of a predicted box, in box sizes."""
 MIN_SIZE_PX = 1.0
 """Smallest size that scales the noise, so that an empty box has some, too."""
 
@@ -43,9 +43,9 @@ class Motion:
     position: Array
     velocity: Array
     variance: Array
-    """Of the position."""
+    """Variance of the position."""
     covariance: Array
-    """Of position and velocity."""
+    """Covariance of position and velocity."""
     velocity_variance: Array
 
     @classmethod
@@ -115,7 +115,7 @@ class Motion:
 
     @property
     def arrays(self) -> tuple[Array, ...]:
-        """The five, in the order of the fields."""
+        """All five arrays, in the order of the fields."""
         return self.position, self.velocity, self.variance, self.covariance, self.velocity_variance
 
 
@@ -130,8 +130,8 @@ def measurement_std(boxes_cxcywh: Array, scores: NDArray[np.floating], step_s: f
     """(n, 1) standard deviation in pixels of boxes (n, 4) with `scores` (n,), `step_s` after the last image.
 
     It grows with a falling score, as in the NSA Kalman filter (Du et al. 2021): an object seen in part has a
-    lower score and a box of that part alone, which says less of where it is and how it moves. It also grows
-    with the number of images in SAME_ERROR_S, which together say what one would: all rates behave alike.
+    lower score and a box of that part alone, which says less about its position and motion. It also grows
+    with the number of images in SAME_ERROR_S, so that together they count as one: all rates behave alike.
     """
     trust = np.maximum(scores.astype(np.float64)[:, None], MIN_SCORE) ** 2
     images = max(SAME_ERROR_S / step_s, 1.0)

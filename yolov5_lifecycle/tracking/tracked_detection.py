@@ -1,4 +1,4 @@
-"""Detection with identities: the detector reports what continues a track, too, the tracker tells which."""
+"""Detection with identities: the detector also reports lower scores, which may continue a track."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 
 @dataclass(frozen=True)
 class TrackedDetection:
-    """The tracker of one camera with its current settings; other settings need a new one for the tracker."""
+    """The tracker of one camera with its current settings; for others, create a new one with this tracker."""
 
     tracker: ByteTracker
     settings: TrackerSettings
@@ -32,11 +32,11 @@ class TrackedDetection:
         return self.follow(detector.detect(image, self.wider(selection)), selection, stamp_s)
 
     def wider(self, selection: Selection) -> Selection:
-        """`selection` and, besides, what may continue a track."""
+        """`selection`, extended by what may continue a track."""
         return replace(selection, tracked_threshold=self.settings.track_low_threshold)
 
     def follow(self, found: Detections, selection: Selection, stamp_s: float) -> Detections:
-        """What `selection` admits of what was `found` with the wider one, and `track_ids`."""
+        """The detections that `selection` admits, with `track_ids`; `found`: those of the wider selection."""
         ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings)
         return published(found, ids, selection)
 
@@ -44,9 +44,9 @@ class TrackedDetection:
 def published(detections: Detections, ids: Sequence[str], selection: Selection) -> Detections:
     """Those of `detections` that the thresholds of `selection` admit, with their `ids`.
 
-    NMS lets no lower score remove a higher one, nor one that is not admitted an admitted one, so these are
-    what NMS would give with the thresholds alone. Without any, `best_missed` is the highest score that is
-    worth telling, as it is there.
+    In NMS no lower score removes a higher one, and none that is not admitted removes an admitted one, so
+    these are the same as with the thresholds alone. Without any, `best_missed` is the highest score worth
+    reporting, as it would be there.
     """
     rows = np.flatnonzero(selection.admits(detections.scores, detections.class_ids))
     best_missed = detections.best_missed

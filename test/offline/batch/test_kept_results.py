@@ -1,4 +1,4 @@
-"""`detect_bag` over many recordings: which results are kept, and that what is not its own is."""
+"""`detect_bag` over many recordings: it keeps finished results and the files of others."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_result_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path)
     kept.parent.mkdir()
     kept.write_text("mine")
     result = task(tmp_path).run(SourceRecording("east", drives / "east"))
-    assert result.reason == f"{kept.parent} exists and has no record of detect_bag: move it, or remove it."
+    assert result.reason == f"{kept.parent} exists and has no record of detect_bag: move or remove it."
     assert kept.read_text() == "mine"
 
 
@@ -44,7 +44,8 @@ def test_what_somebody_adds_to_a_result_is_not_lost(drives: Path, tmp_path: Path
     (tmp_path / "east" / "notes.txt").write_text("mine")
     assert task(tmp_path).run(source).state == "skipped"
     result = task(tmp_path, classes=["star"]).run(source)
-    assert result.reason == f"{tmp_path / 'east'} is not replaced, as it also has notes.txt: move that."
+    east = tmp_path / "east"
+    assert result.reason == f"{east} is not replaced because it also contains notes.txt: move that elsewhere."
     assert (tmp_path / "east" / "notes.txt").read_text() == "mine"
 
 
@@ -67,7 +68,7 @@ def test_a_summary_of_somebody_else_is_not_replaced(
 ) -> None:
     make(tmp_path / name)
     assert main([str(drives), "--output", str(tmp_path), *SET_MODEL]) == 1
-    told = f"{tmp_path / name} is no summary of detect_bag: move it, or choose another --output."
+    told = f"{tmp_path / name} is not a summary of detect_bag: move it, or choose another --output."
     assert told in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
@@ -76,7 +77,7 @@ def test_a_folder_of_results_whose_name_is_no_text_is_refused(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([str(drives), "--output", str(tmp_path / "found\udcff"), *SET_MODEL]) == 1
-    assert "the folder of results needs a name in UTF-8" in capsys.readouterr().err
+    assert "the name of the folder of results must be UTF-8" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,4 +1,4 @@
-"""`detect_bag` over many recordings: the results of single runs, each once, whatever becomes of workers."""
+"""`detect_bag` over many recordings: the results of single runs, each once, even if workers die."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def test_images_that_cannot_be_read_are_counted_with_the_first_problem(tmp_path:
     assert result.first_problem.startswith("1700000000.540000007: rejected: Encoding '32FC1'")
 
 
-def test_a_lost_gpu_or_a_full_disk_is_no_matter_of_one_recording(drives: Path, tmp_path: Path) -> None:
+def test_a_lost_gpu_or_a_full_disk_sets_no_recording_aside(drives: Path, tmp_path: Path) -> None:
     def fail(error: Exception) -> RecordingTask:
         def on_image(_: int) -> None:
             raise error
@@ -208,7 +208,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_written_twice(tmp_path: Pa
     tally = detect_recordings(recordings_of([drives], output), plan, new_workers=new_workers, watch=notes)
     assert (workers[0].killed, begun) == (["long"], [True])
     (remark,) = notes.remarks
-    assert remark == "long: the worker died (signal 9); another worker begins it again"
+    assert remark == "long: the worker died (signal 9); another worker retries it"
     assert {result.recording: (result.state, result.images) for result in tally.results.values()} == {
         "long": ("done", LONG),
         "short": ("done", COUNT),
@@ -232,7 +232,7 @@ def test_a_recording_that_kills_its_workers_is_set_aside(tmp_path: Path) -> None
         "harmless": "done",
     }
     (result,) = notes.aside
-    assert result.reason == ("the worker died (signal 9) 2 times while it read this recording")
+    assert result.reason == ("the worker died (signal 9) 2 times while reading this recording")
     assert not (output / "deadly").exists()
     assert not has_unfinished_outputs(output)
 

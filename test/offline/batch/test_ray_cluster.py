@@ -1,4 +1,4 @@
-"""Many recordings on a Ray cluster: the same results, also when a worker is killed or the command is."""
+"""Many recordings on a Ray cluster: the same results, even if a worker or the command is killed."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def states(output: Path) -> dict[str, str]:
     return {row["recording"]: row["state"] for row in rows}
 
 
-def test_a_cluster_gives_the_results_of_single_runs_and_skips_them_then(
+def test_a_cluster_gives_the_results_of_single_runs_and_then_skips_them(
     head: RayHead, tmp_path: Path
 ) -> None:
     drives = record_drives(tmp_path / "drives", {"a": COUNT, "b": COUNT})
@@ -85,7 +85,7 @@ def test_a_killed_actor_loses_nothing(head: RayHead, tmp_path: Path) -> None:
         os.kill(actor, signal.SIGKILL)
     code, told = ended(process)
     assert code == 0, told
-    assert "another worker begins it again" in told
+    assert "another worker retries it" in told
     assert states(output) == {"long": "done", "short": "done"}
     found = [topic for topic, _, _ in messages(output / "long")]
     assert found.count("/yolov5/detections") == 10 * LONG

@@ -88,7 +88,7 @@ def test_there_are_no_more_workers_than_recordings(tmp_path: Path) -> None:
     assert len(batch.workers.runtimes) == len(SOURCES)
 
 
-def test_the_recording_of_a_dead_worker_is_begun_again(tmp_path: Path) -> None:
+def test_the_recording_of_a_dead_worker_is_retried(tmp_path: Path) -> None:
     deaths = ["a", "c"]
 
     def begin(worker: int, source: SourceRecording) -> Event:
@@ -117,7 +117,7 @@ def test_the_recording_at_which_workers_die_is_set_aside(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("event", "told"),
     [
-        pytest.param(lambda worker: Died(worker, "it died"), "it died while it loaded the model", id="dies"),
+        pytest.param(lambda worker: Died(worker, "it died"), "it died while loading the model", id="dies"),
         pytest.param(lambda worker: Refused(worker, "no such class"), "no such class", id="refuses"),
     ],
 )
@@ -138,7 +138,7 @@ def test_a_worker_for_which_there_is_no_room_is_left_out(tmp_path: Path) -> None
     batch = Batch(tmp_path, 2, on_start=start)
     assert batch.run().in_state("done") == 4
     (remark,) = batch.notes.remarks
-    assert remark == "going on with 1 worker(s), as one more could not start: not enough memory"
+    assert remark == "continuing with 1 worker(s): another one could not start: not enough memory"
 
 
 def test_a_full_disk_ends_the_batch(tmp_path: Path) -> None:
@@ -152,12 +152,12 @@ def test_two_batches_do_not_share_a_folder(tmp_path: Path) -> None:
     batch.output.mkdir()
     held = open_itself(batch.output)
     assert hold(held, batch.output)
-    with pytest.raises(OutputError, match="another detect_bag writes to it"):
+    with pytest.raises(OutputError, match="another detect_bag is writing to it"):
         batch.run()
     assert batch.workers.runtimes == []
 
 
-def test_without_pyarrow_the_table_is_missing_and_the_remedy_is_told(
+def test_without_pyarrow_the_table_is_missing_and_the_remedy_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
@@ -184,10 +184,12 @@ def test_workers_share_the_cores() -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        pytest.param(["a", "b"], "give --output, the folder of the results", id="no output"),
-        pytest.param(["a", "b", "--output", "x", "--annotated", "y"], "give --images", id="drawings"),
-        pytest.param(["a", "--jobs", "0", "--output", "x"], "no number of processes from 1", id="no jobs"),
-        pytest.param(["a", "--jobs", "many", "--output", "x"], "no number of processes", id="word"),
+        pytest.param(["a", "b"], "give --output, the folder for the results", id="no output"),
+        pytest.param(["a", "b", "--output", "x", "--annotated", "y"], "use --images", id="drawings"),
+        pytest.param(
+            ["a", "--jobs", "0", "--output", "x"], "expected a number of processes from 1 to", id="no jobs"
+        ),
+        pytest.param(["a", "--jobs", "many", "--output", "x"], ", found 'many'", id="word"),
     ],
 )
 def test_wrong_usage_is_one_line(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -201,13 +203,15 @@ def test_wrong_usage_is_one_line(words: list[str], told: str, capsys: pytest.Cap
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        pytest.param(["nothing", "drive"], "nothing: there is no such file or folder", id="missing"),
-        pytest.param(["drive", "--jobs", "1", "--output", "no/x"], "no such folder; make it", id="no folder"),
-        pytest.param(["drive", "--jobs", "1", "--output", "file"], "file is no folder", id="file"),
+        pytest.param(["nothing", "drive"], "nothing: file or folder not found", id="missing"),
+        pytest.param(
+            ["drive", "--jobs", "1", "--output", "no/x"], "folder not found; create it", id="no folder"
+        ),
+        pytest.param(["drive", "--jobs", "1", "--output", "file"], "file is not a folder", id="file"),
         pytest.param(
             ["copy.mcap", "--jobs", "1", "--output", "drive"], "drive is a recording", id="recording"
         ),
-        pytest.param(["drive", "--ray", "127.0.0.1:1"], "no Ray cluster that answers", id="no cluster"),
+        pytest.param(["drive", "--ray", "127.0.0.1:1"], "no Ray cluster answers", id="no cluster"),
         pytest.param(
             ["drive", "--jobs", "1", "--set", "weights_sha256=" + "f" * 64], "its sha256 is", id="pin"
         ),

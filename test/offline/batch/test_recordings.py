@@ -66,13 +66,13 @@ def test_sources_stand_for_recordings(sources: list[str], names: list[str], home
 @pytest.mark.parametrize(
     ("sources", "told"),
     [
-        pytest.param(["sunday"], "sunday: there is no such file or folder", id="missing"),
-        pytest.param(["sun*"], r"sun\*: there is no such file or folder", id="pattern of nothing"),
+        pytest.param(["sunday"], "sunday: file or folder not found", id="missing"),
+        pytest.param(["sun*"], r"sun\*: file or folder not found", id="pattern of nothing"),
+        pytest.param(["shots/*.png"], r"png: expected ros2 bag recordings, found no", id="pattern of images"),
         pytest.param(
-            ["shots/*.png"], r"png: expected recordings of ros2 bag, found no", id="pattern of images"
+            ["monday/notes.txt", "files"], "notes.txt: expected ros2 bag recordings", id="no recording"
         ),
-        pytest.param(["monday/notes.txt", "files"], "notes.txt: expected recordings", id="no recording"),
-        pytest.param(["found"], "found: all recordings in it lie in the folder of results", id="results"),
+        pytest.param(["found"], "found: all its recordings are in the folder of results", id="results"),
         pytest.param(["dots/..mcap"], "dots/..mcap: its result cannot have that name", id="dots"),
         pytest.param(["*day"], r"1 name\(s\) belong to several .*\n.*monday/a, .*tuesday/a", id="same names"),
         pytest.param(["summary.json"], "its result cannot have that name", id="reserved name"),
@@ -169,7 +169,7 @@ def test_what_has_changed_is_not_finished(
     assert finished_before(source, plan_for(result.parent, **settings)) is None
 
 
-def test_where_the_weights_lie_makes_no_difference(
+def test_the_place_of_the_weights_makes_no_difference(
     source: SourceRecording, result: Path, tmp_path: Path
 ) -> None:
     weights = Path(plan_for(result.parent).weights)

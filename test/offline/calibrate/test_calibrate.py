@@ -55,7 +55,7 @@ def chosen(levels: list[int], count: int, *, claimed: int) -> list[int]:
     return levels_of(found)
 
 
-def test_images_that_differ_are_taken_rather_than_more_of_the_same() -> None:
+def test_different_images_are_preferred_to_similar_ones() -> None:
     assert chosen([10, 10, 11, 10, 200, 10, 90, 11], 3, claimed=8) == [10, 200, 90]
     assert farthest(np.array([[0.0], [1.0], [9.0], [10.0], [5.0]]), 3) == [0, 3, 4]
 
@@ -150,18 +150,18 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        pytest.param(["best.safetensors", "nowhere"], "nowhere: there is no such file", id="no data"),
+        pytest.param(["best.safetensors", "nowhere"], "nowhere: file or folder not found", id="no data"),
         pytest.param(["nowhere.pt", "images"], "nowhere.pt", id="no weights"),
         pytest.param(["best.safetensors", "empty"], "empty", id="no images"),
         pytest.param(
             ["best.safetensors", "images", "--topic", "/x"],
-            "which has no use for --topic",
+            "--topic does not apply to ",
             id="topic of a folder",
         ),
         pytest.param(
             ["best.safetensors", "images", "--image-size", "65"], "multiple of 32", id="size of no network"
         ),
-        pytest.param(["best.safetensors", "images", "-o", "gone/a.json"], "make it first", id="no folder"),
+        pytest.param(["best.safetensors", "images", "-o", "gone/a.json"], "create it first", id="no folder"),
         pytest.param(["best.safetensors", "images", "-o", "empty"], "found a folder", id="folder"),
         pytest.param(["best.safetensors", "best.safetensors"], "best.safetensors", id="weights as data"),
     ],

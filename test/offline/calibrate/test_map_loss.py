@@ -76,7 +76,7 @@ def test_data_sets_have_labels(
 
 
 class Notes:
-    """A watch that remembers what it is told."""
+    """A watch that keeps what is reported to it."""
 
     def __init__(self) -> None:
         self.told: list[str] = []
@@ -135,14 +135,16 @@ def test_images_alone_have_no_labels(data: Path) -> None:
         pytest.param(".", DataOptions(topic="/image"), "topic", id="YOLO"),
     ],
 )
-def test_an_option_without_use_is_refused(name: str, options: DataOptions, useless: str, copy: Path) -> None:
+def test_an_option_that_does_not_apply_is_refused(
+    name: str, options: DataOptions, useless: str, copy: Path
+) -> None:
     as_coco(copy)
-    with pytest.raises(DataError, match=f"which has no use for --{useless}"):
+    with pytest.raises(DataError, match=f"--{useless} does not apply to"):
         read(copy / name, options=options)
 
 
 def loss_on(path: Path) -> MapLoss:
-    """That of the embedded model on all images of `path`."""
+    """The loss of the embedded model on all images of `path`."""
     problems = Problems(lambda _: None)
     with labelled_data(path, DataOptions(), problems) as found:
         return MapLoss(
@@ -197,11 +199,11 @@ def _crowds(data: Path) -> Path:
     ("change", "reason"),
     [
         pytest.param(_with_names, "The data set has the classes dog", id="other classes"),
-        pytest.param(_without_objects, "there is no object of the classes", id="no objects"),
-        pytest.param(_crowds, "there is no object of the classes", id="crowds"),
+        pytest.param(_without_objects, "images has an object of the classes", id="no objects"),
+        pytest.param(_crowds, "images has an object of the classes", id="crowds"),
     ],
 )
-def test_labels_of_no_use_leave_the_loss_unknown(
+def test_unusable_labels_leave_the_loss_unknown(
     change: Callable[[Path], Path], reason: str, copy: Path, detector: Detector
 ) -> None:
     loss = loss_on(change(copy))
@@ -214,7 +216,9 @@ def calibrate(data: Path, output: Path, *words: str) -> int:
 
 
 @needs_openvino
-def test_the_loss_is_written_and_told(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_loss_is_written_and_reported(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "best.calibration.json"
     assert calibrate(data, path) == 0
     told = capsys.readouterr().out
@@ -231,7 +235,7 @@ def test_the_loss_is_written_and_told(data: Path, tmp_path: Path, capsys: pytest
 
 
 @needs_openvino
-def test_without_pycocotools_labels_are_not_used_and_the_remedy_is_told(
+def test_without_pycocotools_labels_are_not_used_and_the_remedy_is_given(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pycocotools.cocoeval", None)

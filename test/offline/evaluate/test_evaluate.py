@@ -209,7 +209,7 @@ def test_only_the_classes_that_are_set_are_evaluated(data: Path, tmp_path: Path)
 
 
 def test_classes_are_compared_by_name(data: Path, tmp_path: Path) -> None:
-    """The ids of the data set are others than those of the model, and it has a class more."""
+    """The data set has other ids than the model, and one more class."""
     changed = tmp_path / "changed"
     changed.mkdir()
     for number, file in enumerate(sorted((data / "labels" / "val").iterdir())):

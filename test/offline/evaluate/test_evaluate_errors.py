@@ -1,4 +1,4 @@
-"""What `evaluate` says when data, settings or models cannot be used; it leaves nothing half-written."""
+"""Errors of `evaluate` for unusable data, settings or models; nothing half-written is left behind."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def prepare_raising(error: BaseException) -> Prepare:
 
 
 def spoil(data: Path) -> None:
-    """Of six images one stays usable."""
+    """Leave one of six images usable."""
     images, labels = data / "images" / "val", data / "labels" / "val"
     (images / "0000.jpg").write_bytes(b"no image")
     (images / "0001.jpg").write_bytes(claiming_too_much())
@@ -161,21 +161,23 @@ def damaged(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("make", "words", "reason"),
     [
-        pytest.param(no_data, [], "there is no such file or folder", id="missing"),
+        pytest.param(no_data, [], "file or folder not found", id="missing"),
         pytest.param(a_text, [], "expected a folder with images/ and labels/", id="a text"),
         pytest.param(an_empty_folder, [], "there are no images (", id="empty folder"),
-        pytest.param(all_unreadable, [], "of 2 images none could be used", id="unreadable"),
+        pytest.param(all_unreadable, [], "none of 2 images could be used", id="unreadable"),
         pytest.param(other_classes, [], "Did you mean 'circle'?", id="other classes"),
-        pytest.param(ids_beyond_the_model, [], "there is no object of the classes", id="unknown ids"),
-        pytest.param(crowds_only, [], "there is no object of the classes", id="crowds only"),
-        pytest.param(absent_image, [], "val/absent.jpg: there is no such file", id="absent image"),
-        pytest.param(json_bomb, [], "nested too deep", id="JSON bomb"),
+        pytest.param(ids_beyond_the_model, [], "images has an object of the classes", id="unknown ids"),
+        pytest.param(crowds_only, [], "images has an object of the classes", id="crowds only"),
+        pytest.param(absent_image, [], "val/absent.jpg: file not found", id="absent image"),
+        pytest.param(json_bomb, [], "nested too deeply", id="JSON bomb"),
         pytest.param(without_detections, [], "there are no detections (", id="no detections"),
-        pytest.param(two_truths, [], "say with --truth-topic which of its detection topics", id="two truths"),
+        pytest.param(
+            two_truths, [], "choose one of its detection topics with --truth-topic", id="two truths"
+        ),
         pytest.param(two_truths, ["--truth-topic", "/c"], "there is no detection topic /c", id="other truth"),
         pytest.param(two_truths, ["--topic", "/c"], "there is no image topic /c", id="other topic"),
-        pytest.param(without_images, [], "of 0 images none could be used", id="no images"),
-        pytest.param(other_stamps, [], "of 0 images none could be used", id="other stamps"),
+        pytest.param(without_images, [], "none of 0 images could be used", id="no images"),
+        pytest.param(other_stamps, [], "none of 0 images could be used", id="other stamps"),
         pytest.param(damaged, [], "the recording cannot be read", id="damaged"),
     ],
 )
@@ -200,16 +202,16 @@ def test_data_of_which_nothing_can_be_used_ends_it_with_a_reason(
     ("words", "reason"),
     [
         pytest.param(["--output", "shapes"], "exists and is not replaced", id="output exists"),
-        pytest.param(["--output", "a/b"], "a: there is no such folder", id="no folder for the output"),
+        pytest.param(["--output", "a/b"], "a: folder not found", id="no folder for the output"),
         pytest.param(["--set", "confidence_threshold=2"], "confidence_threshold: 2", id="setting"),
         pytest.param(["--set", "classes=[circel]"], "Did you mean 'circle'?", id="class"),
-        pytest.param(["--set", "max_rate=5"], "it is about a node", id="useless setting"),
+        pytest.param(["--set", "max_rate=5"], "it applies to a node", id="useless setting"),
         pytest.param(["--compare", "image_size=321"], "image_size: 321", id="compared setting"),
         pytest.param(["--compare", "imagesize=320"], "Did you mean 'image_size'?", id="compared name"),
         pytest.param(["--compare", "missing.pt"], "missing.pt", id="compared weights"),
         pytest.param(
             ["--compare", "classes=[star],agnostic_nms=true", "--set", "classes=[circle]"],
-            "none is left",
+            "none that the settings select",
             id="no class in common",
         ),
         pytest.param(["--split", "train"], "there is no entry 'train', only: val.", id="split"),
@@ -232,8 +234,8 @@ def test_a_wrong_argument_ends_it_with_a_reason(
     ("words", "reason"),
     [
         pytest.param(["--thresholds", "best"], "expected f1, recall=0.9 or precision=0.95", id="goal"),
-        pytest.param(["--topic", "/x"], "kind YOLO, which has no use for --topic", id="topic"),
-        pytest.param(["--truth-topic", "/x"], "no use for --truth-topic", id="truth topic"),
+        pytest.param(["--topic", "/x"], "--topic does not apply to ", id="topic"),
+        pytest.param(["--truth-topic", "/x"], "--truth-topic does not apply to ", id="truth topic"),
         pytest.param(["--split", "mine"], "invalid choice: 'mine'", id="split"),
         pytest.param(["--set", "weights=a.pt"], "weights has no effect: the model is WEIGHTS", id="weights"),
         pytest.param(["--set", "max_box_size=0.5"], "max_box_size has no effect: detections", id="size"),
@@ -265,7 +267,7 @@ def test_inference_that_fails_again_and_again_ends_it(data: Path, capsys: pytest
 def test_an_interrupt_leaves_nothing_half_written(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [WEIGHTS, str(data), "--output", str(data.parent / "out")]
     assert main(words, prepare=prepare_raising(KeyboardInterrupt())) == 130
-    assert capsys.readouterr().err == "evaluate: interrupted; what was unfinished is removed\n"
+    assert capsys.readouterr().err == "evaluate: interrupted; unfinished output was removed\n"
     assert list(data.parent.iterdir()) == [data]
 
 

@@ -1,4 +1,4 @@
-"""What `evaluate` says of recordings whose corrected detections cannot be used."""
+"""Errors of `evaluate` for recordings whose corrected detections cannot be used."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def no_message(_: Any) -> Any:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        pytest.param(nan_box, "no finite numbers", id="NaN"),
+        pytest.param(nan_box, "not finite", id="NaN"),
         pytest.param(negative_size, "a size of", id="negative"),
         pytest.param(no_class, "a detection has no class", id="no class"),
         pytest.param(unknown_class, "the class 'unicorn' is not in its label_info", id="unknown class"),

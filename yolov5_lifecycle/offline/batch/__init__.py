@@ -1,1 +1,1 @@
-"""Detection in many recordings: what is done, by whom, and what became of it."""
+"""Detection in many recordings: the plan, the workers, and the results."""

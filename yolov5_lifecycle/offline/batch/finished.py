@@ -25,7 +25,7 @@ FileStamp = tuple[str, int, int]
 
 
 class Record(BaseModel):
-    """What a result was made from, what it consists of and what it has."""
+    """What a result was made from, its files, and its row of the summary."""
 
     model_config = ConfigDict(frozen=True, strict=True)
 
@@ -43,7 +43,7 @@ class Record(BaseModel):
         return same and self.result_bytes.items() <= result_bytes(folder).items()
 
     def added(self, folder: Path) -> list[str]:
-        """Names of what somebody has put into the `folder` of the result since; raises OSError."""
+        """Names of files that were added to the `folder` of the result since; raises OSError."""
         return sorted(result_bytes(folder).keys() - self.result_bytes.keys())
 
     def write(self, folder: Path) -> None:
@@ -65,7 +65,7 @@ def result_bytes(folder: Path) -> dict[str, int]:
 
 
 def finished_before(source: SourceRecording, plan: Plan) -> RecordingResult | None:
-    """The row of a recording whose result is there already, if its files have not been changed since.
+    """The row of a recording that already has a result, if its files have not been changed since.
 
     Reads no content: a file of the same name, size and time of change counts as the same.
     """

@@ -1,4 +1,4 @@
-"""What is done with every recording of a batch, in a form that can be sent to its workers."""
+"""The plan for every recording of a batch, in a form that can be sent to workers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from yolov5_lifecycle.quantization.calibration_file import calibration_digest
 from yolov5_lifecycle.settings.settings import Settings, validated
 
 _PLACE_OF_WEIGHTS = {"model_size", "weights", "weights_dir", "weights_dirs", "weights_sha256"}
-"""Settings that say where the model is, and not which one it is."""
+"""Settings that say where the model is, not which one it is."""
 
 
 class Plan(BaseModel):
@@ -27,10 +27,10 @@ class Plan(BaseModel):
     weights: str
     weights_sha256: str
     calibration_sha256: str | None = None
-    """Of the calibration beside the weights, if int8 may come of it."""
+    """Digest of the calibration beside the weights, if it may lead to int8."""
     settings: dict[str, object]
     runtime: str
-    """The one that is set, or that the first worker has chosen; so is the precision."""
+    """The runtime that is set, or that the first worker has chosen; likewise the precision."""
     precision: str
     topic: str | None
     node: str
@@ -47,7 +47,7 @@ class Plan(BaseModel):
         """Digest of everything but model and recording that the results depend on."""
         settings = {name: value for name, value in self.settings.items() if name not in _PLACE_OF_WEIGHTS}
         options = {"topic": self.topic, "node": self.node, "images": self.images, "masks": self.masks}
-        # Without a calibration the digest is that of results which were made before there were any.
+        # Without a calibration, the digest equals that of results from before calibrations were introduced.
         calibration = [self.calibration_sha256] if self.calibration_sha256 else []
         text = json.dumps([settings, options, *calibration], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()

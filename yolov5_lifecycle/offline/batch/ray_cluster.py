@@ -45,18 +45,18 @@ def ray_workers(address: str, jobs: int | None, recordings: int) -> RayWorkers:
         signal.signal(signal.SIGTERM, handler)  # Ray's would end this process with code 15
     except Exception as error:  # it raises whatever its parts raise
         raise ClusterError(
-            f"--ray {address}: there is no Ray cluster that answers ({error}). `ray start --head` starts one "
-            "on this machine, `ray status` shows whether it runs."
+            f"--ray {address}: no Ray cluster answers ({error}). `ray start --head` starts one on this "
+            "machine, `ray status` shows whether it runs."
         ) from error
     processors = int(ray.cluster_resources().get("CPU", 0))
     if not processors:
         ray.shutdown()
-        raise ClusterError(f"--ray {address}: the cluster has no processor; start a node with some.")
+        raise ClusterError(f"--ray {address}: the cluster has no CPUs; start a Ray node that has some.")
     return RayWorkers(max(1, min(jobs or processors, processors, recordings)))
 
 
 def _check_answer(address: str) -> None:
-    """Raise OSError unless something listens at `address`, for which Ray would wait forever."""
+    """Raise OSError unless something listens at `address`: Ray would wait for it forever."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if port.isdecimal():
         socket.create_connection((host.strip("[]"), int(port)), _ANSWER_S).close()

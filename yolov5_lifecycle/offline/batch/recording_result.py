@@ -15,10 +15,10 @@ class RecordingResult(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True)
 
     recording: str
-    """Its name, which is that of its result."""
+    """Its name, also the name of its result."""
     path: str
     state: State
-    """Skipped: its result was there already, and the rest of the row is of the run that wrote it."""
+    """Skipped: it already had a result; the rest of the row is from the run that wrote it."""
     reason: str = ""
     """Why it was set aside."""
     images: int = 0
@@ -26,7 +26,7 @@ class RecordingResult(BaseModel):
     rejected: int = 0
     failed: int = 0
     first_problem: str = ""
-    """Of the first image that was rejected or failed."""
+    """What was wrong with the first image that was rejected or failed."""
     seconds: float = 0.0
     runtime: str = ""
     detections: dict[str, int] = {}

@@ -61,7 +61,7 @@ class RecordingTask:
         return self._prepared.detector.runtime.precision
 
     def run(self, source: SourceRecording) -> RecordingResult:
-        """Write the result of `source`, unless it is there; or say why it was set aside.
+        """Write the result of `source`, unless it exists; return its row, with the reason if set aside.
 
         Raises NoRoomError, and DeviceLostError: then every other recording would fail, too.
         """
@@ -85,7 +85,7 @@ class RecordingTask:
 
     def _result(self, source: SourceRecording, watch: _Watch, begun_s: float) -> RecordingResult:
         target = self._plan.output / source.name
-        if (finished := finished_before(source, self._plan)) is not None:  # of a worker that was killed then
+        if (finished := finished_before(source, self._plan)) is not None:  # by a worker that was then killed
             return finished
         files = file_stamps(source.path)
         record = read_record(target)
@@ -94,9 +94,11 @@ class RecordingTask:
                 record.model_copy(update={"recording_files": files}).write(target)
                 return skipped(record, source)
         elif record is None and target.exists():
-            raise OutputError(f"{target} exists and has no record of detect_bag: move it, or remove it.")
+            raise OutputError(f"{target} exists and has no record of detect_bag: move or remove it.")
         if record is not None and (added := record.added(target)):
-            raise OutputError(f"{target} is not replaced, as it also has {', '.join(added)}: move that.")
+            raise OutputError(
+                f"{target} is not replaced because it also contains {', '.join(added)}: move that elsewhere."
+            )
         with whole_output(target, replace=record is not None) as unfinished:
             account = self._detect(source.path, unfinished, watch)
             result = self._row(source, account, watch, time.monotonic() - begun_s)

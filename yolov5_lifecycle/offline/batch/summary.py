@@ -17,7 +17,7 @@ from yolov5_lifecycle.unfinished import open_itself
 
 JSON_NAME, PARQUET_NAME = "summary.json", "summary.parquet"
 CLASS_COLUMN = "detections/"
-"""How the columns of classes begin in the table."""
+"""Prefix of the columns of classes in the table."""
 _BEGIN = b'{\n "weights": "'
 _COUNTED = ("images", "detected", "rejected", "failed")
 _COLUMNS = {
@@ -39,19 +39,21 @@ _COLUMNS = {
 def remove_summary(folder: Path) -> None:
     """Remove the summary of an earlier run; raises OutputError for files of others, and OSError.
 
-    The table goes first and comes last: without the JSON file it is of somebody else.
+    The table is removed first and written last: without the JSON file it belongs to somebody else.
     """
     json_file, table = folder / JSON_NAME, folder / PARQUET_NAME
     if not _is_summary(json_file):
         foreign = next((file for file in (json_file, table) if os.path.lexists(file)), None)
         if foreign is not None:
-            raise OutputError(f"{foreign} is no summary of detect_bag: move it, or choose another --output.")
+            raise OutputError(
+                f"{foreign} is not a summary of detect_bag: move it, or choose another --output."
+            )
     for file in (table, json_file):
         file.unlink(missing_ok=True)
 
 
 def _is_summary(path: Path) -> bool:
-    """Whether `summary` has made the file at `path`, by how it begins."""
+    """Whether the file at `path` begins like the JSON of `summary`."""
     try:
         with open(path, "rb", opener=open_itself) as file:
             return file.read(len(_BEGIN)) == _BEGIN
@@ -64,7 +66,7 @@ def write_summary(plan: Plan, results: Sequence[RecordingResult]) -> list[str]:
     text = json.dumps(summary(plan, results), indent=1, ensure_ascii=False)
     write_whole(plan.output / JSON_NAME, text.encode(), b"\n")
     if absence := absence_of("pyarrow"):
-        return [f"{PARQUET_NAME} is not written, only {JSON_NAME}: {absence}"]
+        return [f"{PARQUET_NAME} was not written, only {JSON_NAME}: {absence}"]
     write_whole(plan.output / PARQUET_NAME, _parquet(results))
     return []
 

@@ -104,21 +104,23 @@ def detect_recordings(
 
 @contextmanager
 def _output_folder(folder: Path) -> Iterator[None]:
-    """`folder` for this process alone; made if it is missing, and then removed if nothing came into it."""
+    """Lock `folder` for this process; create it if it is missing, and then remove it if it stays empty."""
     if not is_utf8(folder):
-        raise OutputError(f"{folder}: the folder of results needs a name in UTF-8: choose another --output.")
+        raise OutputError(
+            f"{folder}: the name of the folder of results must be UTF-8: choose another --output."
+        )
     if not folder.parent.is_dir():
-        raise OutputError(f"{folder.parent}: there is no such folder; make it first.")
+        raise OutputError(f"{folder.parent}: folder not found; create it first.")
     if folder.exists() and not folder.is_dir():
-        raise OutputError(f"{folder} is no folder: many recordings need one for their results.")
+        raise OutputError(f"{folder} is not a folder: many recordings need one for their results.")
     if folder.exists() and is_recording(folder):
-        raise OutputError(f"{folder} is a recording: choose another folder for the results of many.")
+        raise OutputError(f"{folder} is a recording: choose another folder for the results.")
     is_new = not folder.exists()
     folder.mkdir(exist_ok=True)
     descriptor = open_itself(os.path.realpath(folder))
     try:
         if not hold(descriptor, Path(os.path.realpath(folder))):
-            raise OutputError(f"{folder}: another detect_bag writes to it; wait until that has ended.")
+            raise OutputError(f"{folder}: another detect_bag is writing to it; wait until it has finished.")
         remove_unfinished_outputs(folder)
         try:
             yield
@@ -213,7 +215,7 @@ class _Batch:
         if event.worker in self._running or not self._was_ready or not others:
             raise DetectingError(event.reason)
         self._max_count = others
-        self._watch.remark(f"going on with {others} worker(s), as one more could not start: {event.reason}")
+        self._watch.remark(f"continuing with {others} worker(s): another one could not start: {event.reason}")
 
     def _handle_death(self, event: Died) -> None:
         self._idle.discard(event.worker)
@@ -221,16 +223,16 @@ class _Batch:
             self._loading.discard(event.worker)
             self._deaths_while_loading += 1
             if self._deaths_while_loading >= MAX_DEATHS:
-                raise DetectingError(f"{event.reason} while it loaded the model, {MAX_DEATHS} times in a row")
+                raise DetectingError(f"{event.reason} while loading the model, {MAX_DEATHS} times in a row")
         source = self._running.pop(event.worker, None)
         if source is None:
             return
         self._deaths[source.name] += 1
         if self._deaths[source.name] < MAX_DEATHS:
-            self._watch.remark(f"{source.name}: {event.reason}; another worker begins it again")
+            self._watch.remark(f"{source.name}: {event.reason}; another worker retries it")
             self._waiting.appendleft(source)
         else:
-            reason = f"{event.reason} {MAX_DEATHS} times while it read this recording"
+            reason = f"{event.reason} {MAX_DEATHS} times while reading this recording"
             self._end(
                 RecordingResult(
                     recording=source.name, path=str(source.path), state="set aside", reason=reason

@@ -24,14 +24,14 @@ from yolov5_lifecycle.process.memory import available_bytes
 _PROGRAM = "import sys; sys.path[:] = {path!r}; from {module} import main; main({descriptor})"
 _MODULE = "yolov5_lifecycle.offline.batch.worker_process"
 _THREADS = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
-"""Numbers of threads of torch, whose runtimes follow it, and of OpenCV."""
+"""Variables for the number of threads of torch, which the runtimes follow, and of OpenCV."""
 _WORKER_BYTES = 1 << 30
 _READ_BYTES = 1 << 16
 _END_S = 10.0
 
 
 def suitable_count(recordings: int) -> int:
-    """How many workers this machine has room for: one for each core and each GiB of free memory."""
+    """How many workers this machine has room for: one per core, but at most one per GiB of free memory."""
     free_bytes = available_bytes()
     room = compute_threads() if free_bytes is None else min(compute_threads(), free_bytes // _WORKER_BYTES)
     return max(1, min(room, recordings))
@@ -152,4 +152,4 @@ def _event(number: int, line: bytes) -> Event:
 def _reason(code: int) -> str:
     if code < 0:
         return f"the worker died (signal {-code})"
-    return f"the worker ended by itself (exit code {code})"
+    return f"the worker exited (code {code})"

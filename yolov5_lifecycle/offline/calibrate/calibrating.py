@@ -32,7 +32,7 @@ from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes, load_runtime
 
 Tell = Callable[[str], None]
-"""Shows what is being done."""
+"""Shows the current step."""
 Loss = Callable[[Detector, Detector], float | None]
 """Points of mAP that the second detector, in int8, loses against the first in fp32; None if unknown."""
 _PACKAGES = ("yolov5_lifecycle", "openvino", "onnxruntime", "torch")
@@ -49,8 +49,8 @@ Precision = Literal["fp32", "int8", "bf16"]
 class Calibrating:
     """Calibrates the model of `weights` on letterboxed `images` of one size.
 
-    Every other image is used for the ranges and the choice of layers, the rest for what is measured; fewer
-    than 20 are used for both. `map_loss` is given the detectors that are measured.
+    Every other image is used for the ranges and the choice of layers, the rest for the measurements; fewer
+    than 20 are used for both. `map_loss` is called with the detectors that are measured.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Calibrating:
         )
 
     def _activations(self) -> tuple[dict[str, Activation], list[str]]:
-        """What convolutions read, and their paths, the most sensitive ones first."""
+        """The activations that convolutions read, and the paths of these, the most sensitive first."""
         network = fuse(self._weights.model.network())
         channels = self._weights.model.architecture.image_channels
         frames = [_pixels(image, channels) for image in self._learned]
@@ -115,7 +115,7 @@ class Calibrating:
     def _chosen(self, read: Mapping[str, Activation], order: Sequence[str]) -> Quantization:
         """All layers in int8 if that agrees well, else half of them.
 
-        What lies between was tried: a few hundred detections do not tell it apart.
+        Shares in between were tried: a few hundred detections cannot distinguish them.
         """
         truth = self._detections(self._detector(COARSE_RUNTIME, "fp32"), self._learned)
         self._tell("comparing int8 with fp32")
@@ -126,7 +126,7 @@ class Calibrating:
         return Quantization(read, frozenset(order[: round(_FP32_SHARE * len(order))]), self._bits)
 
     def _measured(self, quantization: Quantization) -> tuple[tuple[Measurement, ...], int]:
-        """What is measured, and the number of detections in fp32."""
+        """The measurements, and the number of detections in fp32."""
         wanted: list[tuple[Runtime, Precision]] = [(COARSE_RUNTIME, "fp32"), (COARSE_RUNTIME, "int8")]
         if "onnxruntime" in installed_runtimes():
             wanted.append(("onnxruntime", "fp32"))
@@ -152,7 +152,7 @@ class Calibrating:
         return tuple(measured), sum(map(len, truth))
 
     def _timed(self, detectors: Sequence[Detector]) -> tuple[list[list[float]], list[list[Detections]]]:
-        """Milliseconds and detections of each detector, in turns, so that load affects all equally."""
+        """Milliseconds and detections of the detectors, run alternately, so that load affects all equally."""
         taken_ms: list[list[float]] = [[] for _ in detectors]
         found: list[list[Detections]] = [[] for _ in detectors]
         for detector in detectors:
@@ -201,7 +201,7 @@ def _digest(images: Sequence[ColourImage]) -> str:
 
 
 def _processor_name() -> str:
-    """Its model name, or its architecture where there is none."""
+    """The processor's model name, or its architecture if it has none."""
     lines = processor().splitlines()
     named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return (named or lines)[0][:200]

@@ -1,4 +1,4 @@
-"""What a model is calibrated on: diverse images, and their labels where there are any."""
+"""The data that a model is calibrated on: diverse images, and their labels, if any."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from yolov5_lifecycle.offline.recordings import is_recording
 
 @dataclass(frozen=True, eq=False)
 class CalibrationData:
-    """Images of one size, as the network is given them.
+    """Images of one size, as the network receives them.
 
     `labelled`: the files of those that are compared with fp32, and their labels; None without labels.
     """
@@ -53,13 +53,13 @@ def read_calibration_data(
     with _opened(path, options, problems) as (source, data):
         chosen = diverse_images(source, count, fit, lost=lost, seen=seen)
     if not chosen:
-        raise DataError(f"{path}: not one image of it can be used")
+        raise DataError(f"{path}: none of its images can be used")
     labelled = _compared(data, chosen) if data is not None else None
     return CalibrationData(of_one_size([each.image for each in chosen]), labelled)
 
 
 def _check_options(path: Path, options: DataOptions) -> None:
-    """Raise DataError for an option that is of no use for `path`."""
+    """Raise DataError for an option that does not apply to `path`."""
     if has_labels(path) or is_recording(path):
         found = f"a data set of the kind {kind_of(path)}"
         useless = options.useless(kind_of(path))
@@ -67,7 +67,7 @@ def _check_options(path: Path, options: DataOptions) -> None:
         found = "a folder without labels, an image or a video"
         useless = [name for name, value in vars(options).items() if value is not None]
     if useless:
-        raise DataError(f"{path} is {found}, which has no use for --{useless[0]}")
+        raise DataError(f"--{useless[0]} does not apply to {path}, {found}")
 
 
 @contextmanager

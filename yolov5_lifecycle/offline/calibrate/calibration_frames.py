@@ -71,8 +71,8 @@ def diverse_images(
 ) -> list[ChosenImage]:
     """At most `count` images, spread over the source, which differ from each other as much as possible.
 
-    `fit` makes them as large as they are needed. Images that cannot be read are told to `lost`; `seen` is
-    given the number of candidates so far.
+    `fit` resizes them as needed. Images that cannot be read are reported to `lost`; `seen` is called with the
+    number of candidates so far.
     """
     candidates: list[ChosenImage] = []
     for number, image in _spread(source, _CANDIDATES_PER_IMAGE * count, candidates, lost):
@@ -104,7 +104,7 @@ def _spread(
 
 
 def halves(items: Sequence[Item]) -> tuple[Sequence[Item], Sequence[Item]]:
-    """What ranges are learned from and what is compared with fp32; fewer than 20 are all used for both."""
+    """Images for the ranges, and images to compare with fp32; fewer than 20 are all used for both."""
     return (items[::2], items[1::2]) if len(items) >= _ENOUGH_TO_SPLIT else (items, items)
 
 
@@ -127,13 +127,13 @@ def _thumbnail(image: ColourImage) -> NDArray[np.float32]:
 
 
 def fitted(image: ColourImage, *, image_size: int, stride: int) -> ColourImage:
-    """`image` as the network is given it."""
+    """`image` as the network receives it."""
     letterbox = Letterbox.fit(image.size_hw, image_size=image_size, stride=stride)
     return ColourImage(letterbox.apply(image.pixels), image.order)
 
 
 def of_one_size(images: Sequence[ColourImage]) -> list[ColourImage]:
-    """The images, those of another size than most are shrunk or enlarged into it, with grey bands."""
+    """The images in the size that most have; others are scaled to fit into it, with grey bands."""
     if not images:
         return []
     (size_hw, _), *_ = Counter(image.size_hw for image in images).most_common()

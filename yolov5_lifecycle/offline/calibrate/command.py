@@ -35,17 +35,18 @@ _MAX_PATH = 4096
 _LINE = 72
 _EPILOG = f"""\
 DATA is one of
-  a folder of images, a video or a recording of ros2 bag
+  a folder of images, a video or a ros2 bag recording
   labelled images: a folder with images/ and labels/ in YOLO format, or its data.yaml, or a COCO file (.json)
-Labels also tell how much mAP int8 loses; that needs pycocotools.
+With labels, the loss of mAP in int8 is measured, too; this needs pycocotools.
 
 examples:
   calibrate best.pt drive.mcap
   calibrate best.pt shots/data.yaml --split train
   calibrate best.pt images --image-size 320 --confidence-threshold 0.4
 
-The file lies beside the weights, where the setting `precision` looks for it: int8 uses it, and auto does
-if int8 agrees with fp32 and is at least {MIN_SPEEDUP:g} times as fast on the computer at hand.
+The file is written next to the weights, where the detector looks for it. With the setting `precision` int8
+it is used; with auto it is used if int8 agrees with fp32 and is at least {MIN_SPEEDUP:g} times as fast
+on this computer.
 See docs/int8.md.
 """
 
@@ -67,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def report(calibration: Calibration, path: Path, unknown: str = "") -> str:
-    """What was measured, for the user; `unknown`: why the loss of mAP is not known, if it is not."""
+    """Summary for the user; `unknown`: why the loss of mAP is unknown, or ""."""
     lines = [f"{'':24}{'ms per image':>14}{'agreement F1':>14}{'box IoU':>10}{'mAP loss':>10}"]
     for each in calibration.measured:
         name = f"{each.precision} in {each.runtime}"
@@ -77,8 +78,7 @@ def report(calibration: Calibration, path: Path, unknown: str = "") -> str:
     return "\n".join(
         (
             *lines,
-            f"images      {calibration.images}, with {calibration.detections} detections in fp32 in those "
-            "that were compared",
+            f"images      {calibration.images}; {calibration.detections} detections of fp32 were compared",
             f"layers      {layers - kept} in int8, {kept} and the last one in fp32",
             f"mAP loss    {_loss(unknown)}",
             f"processor   {calibration.processor}: {', '.join(calibration.abilities)}",
@@ -96,7 +96,7 @@ def _loss(unknown: str) -> str:
 
 
 def verdict(calibration: Calibration) -> str:
-    """What `precision: auto` makes of it."""
+    """Whether `precision: auto` will use int8, and why."""
     if problem := quality_problem(calibration, image_size=calibration.image_size):
         return f"precision auto stays fp32: {problem}"
     fp32_ms = min(each.ms_per_image for each in calibration.measured if each.precision == "fp32")
@@ -105,26 +105,26 @@ def verdict(calibration: Calibration) -> str:
     told = f"int8 is {speedup:.2f} x as fast as the fastest fp32 here"
     if speedup < MIN_SPEEDUP:
         return f"{told}, less than {MIN_SPEEDUP:g} x: precision auto stays fp32"
-    return f"{told}: precision auto uses it if it is as fast when the model is loaded"
+    return f"{told}: precision auto uses it if it is still as fast when the model is loaded"
 
 
 def _run(arguments: argparse.Namespace, terminal: _Terminal) -> str:
-    """Write the calibration and return what is to be told."""
+    """Write the calibration and return the summary."""
     if COARSE_RUNTIME not in installed_runtimes():
         raise RuntimeAbsentError(
             f"int8 runs in OpenVINO, which is not installed. Install it with {sys.executable} -m pip install "
             "openvino onnx"
         )
     if not arguments.data.exists():
-        raise FileNotFoundError(f"{arguments.data}: there is no such file or folder")
+        raise FileNotFoundError(f"{arguments.data}: file or folder not found")
     weights = load_weights(arguments.weights)
     path: Path = arguments.output or path_beside(weights.path)
     if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path.parent}: there is no such folder; make it first")
+        raise FileNotFoundError(f"{path.parent}: folder not found; create it first")
     if path.is_dir():
         raise IsADirectoryError(f"{path}: expected a file to write, found a folder")
     if not os.access(path.parent, os.W_OK):
-        raise PermissionError(f"{path.parent}: nothing may be written there; choose another place with -o")
+        raise PermissionError(f"{path.parent}: not writable; choose another folder with -o")
     settings = _settings(arguments)
     problems = Problems(terminal.remark)
     data = _data(arguments, size_multiple(weights.model.architecture), problems, terminal)
@@ -195,7 +195,7 @@ class _Terminal:
         if self._lost <= _MAX_TOLD:
             self.remark(f"{label}: left out: {error}")
         if self._lost == _MAX_TOLD:
-            complain("calibrate", "further ones are only counted")
+            complain("calibrate", "further problems are only counted")
 
     def close(self) -> None:
         """End the progress line."""
@@ -217,25 +217,25 @@ def command_parser() -> argparse.ArgumentParser:
         "data",
         type=Path,
         metavar="DATA",
-        help="images such as the camera will see, see below",
+        help="images like those that the camera will see; see below",
     )
     parser.add_argument(
         "-o",
         "--output",
         type=Path,
         metavar="FILE",
-        help="where to write (default: WEIGHTS with .calibration.json as its ending, which is replaced)",
+        help="file to write or replace (default: WEIGHTS with the ending .calibration.json)",
     )
     add_data_options(parser)
     parser.add_argument(
-        "--images", type=_count, default=200, metavar="N", help="images at most (default: %(default)s)"
+        "--images", type=_count, default=200, metavar="N", help="use at most N images (default: %(default)s)"
     )
     parser.add_argument(
         "--image-size",
         type=int,
         default=SETTINGS_BY_NAME["image_size"].default,
         metavar="PIXELS",
-        help="longer side of the network input, as in the setting image_size (default: %(default)s)",
+        help="longer side of the network input, like the setting image_size (default: %(default)s)",
     )
     for name in ("confidence_threshold", "iou_threshold"):
         parser.add_argument(
@@ -243,7 +243,7 @@ def command_parser() -> argparse.ArgumentParser:
             type=_share,
             default=SETTINGS_BY_NAME[name].default,
             metavar="SHARE",
-            help="as the setting of this name (default: %(default)s)",
+            help="like the setting of the same name (default: %(default)s)",
         )
     return parser
 

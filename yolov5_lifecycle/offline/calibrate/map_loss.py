@@ -19,7 +19,7 @@ _DIGITS = 2
 class MapLoss:
     """Evaluates detectors of `weights` on `data` with `settings`, as the command `evaluate` does.
 
-    `unknown`: why the loss is not known, so far; "" if nothing is in the way.
+    `unknown`: why the loss cannot be measured, as far as is known; "" if nothing prevents it.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class MapLoss:
         return round(100 * (fp32 - int8), _DIGITS)
 
     def _obstacle(self) -> str:
-        """What can be said before anything is evaluated."""
+        """Why the loss cannot be measured, as far as is known before the evaluation; else ""."""
         if self._data is None:
             return "DATA has no labels"
         if absence := absence_of("pycocotools.cocoeval"):

@@ -35,7 +35,7 @@ from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _COMMAND = "evaluate"
-_EVERYWHERE = "detections count everywhere and in all sizes, as the objects of the labels do"
+_EVERYWHERE = "detections of any size count anywhere in the image, as labels do"
 _USELESS = {
     **dict.fromkeys(NOT_APPLIED, _EVERYWHERE),
     "tracker": "images are evaluated one by one",
@@ -45,8 +45,8 @@ _USELESS = {
 _EPILOG = """\
 DATA is one of
   a folder with images/ and labels/ in YOLO format, or its data.yaml
-  a COCO file (.json) beside its images
-  a recording of ros2 bag with images and corrected detections (Detection2DArray) of the same stamps
+  a COCO file (.json) next to its images
+  a ros2 bag recording with images and corrected detections (Detection2DArray) of the same stamps
 
 examples:
   evaluate best.pt shots
@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     arguments = parser.parse_args(argv)
     try:
         if not arguments.data.exists():
-            return _complain(f"{arguments.data}: there is no such file or folder")
+            return _complain(f"{arguments.data}: file or folder not found")
         if problem := _usage_problem(arguments):
             parser.error(problem)
         with unwound_by_sigterm(), closing(Terminal(_COMMAND, shows_progress=True)) as terminal:
@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     except (ValueError, OSError, DetectingError, InferenceError) as error:
         return _complain(str(error))
     except KeyboardInterrupt:
-        _complain("interrupted; what was unfinished is removed")
+        _complain("interrupted; unfinished output was removed")
         return 130
 
 
@@ -142,7 +142,7 @@ class _Watch:
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
         if outcome is Outcome.FAILED:
             self.problems.add("failed images", label, error)
-        elif label not in self._rejected:  # each model meets it
+        elif label not in self._rejected:  # once, although each model meets it
             self._rejected.add(label)
             self.problems.add("unusable images", label, error)
 
@@ -167,7 +167,7 @@ def _usage_problem(arguments: argparse.Namespace) -> str:
         return f"the setting {name} has no effect: {_USELESS[name]}"
     if useless := _data_options(arguments).useless(kind):
         option = f"--{useless[0].replace('_', '-')}"
-        return f"{arguments.data} is a data set of the kind {kind}, which has no use for {option}"
+        return f"{option} does not apply to {arguments.data}, a data set of the kind {kind}"
     return ""
 
 
@@ -189,7 +189,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = CommandParser(
         _COMMAND,
         description="Measure how good a model is on labelled images: precision, recall, F1 and mAP of each\n"
-        "class, what is confused with what, and the time per image.",
+        "class, the confusion matrix, and the time per image.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -204,20 +204,20 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--compare",
         metavar="OTHER",
-        help="another weights file, or other parameters as NAME=VALUE[,NAME=VALUE]: shown side by side, "
-        "with 95 %% intervals of the difference",
+        help="another weights file, or other parameters as NAME=VALUE[,NAME=VALUE], to compare with; prints "
+        "95 %% intervals of the differences",
     )
     parser.add_argument(
         "--thresholds",
         type=_goal,
         metavar="GOAL",
-        help="f1, recall=0.9 or precision=0.95: print the parameters of the thresholds that reach it",
+        help="f1, recall=0.9 or precision=0.95: print thresholds that reach it, as detector parameters",
     )
     add_data_options(parser)
     parser.add_argument(
         "--truth-topic",
         metavar="TOPIC",
-        help="which detections of a recording are right (default: the only ones)",
+        help="topic of the corrected detections in a recording (default: the only one)",
     )
     add_detector_options(parser)
     return parser

@@ -43,7 +43,7 @@ class Evaluation:
     """The confidence threshold that is set for each evaluated class."""
     images: tuple[EvaluatedImage, ...]
     times_ms: NDArray[np.float64]
-    """(t,) in a sample of the images, the same for every model, with the thresholds of `settings`."""
+    """(t,) for a sample of the images, the same for every model, with the thresholds of `settings`."""
 
 
 class _Model:
@@ -98,8 +98,8 @@ def evaluate_models(
 ) -> tuple[EvaluatedClasses, list[Evaluation]]:
     """Load a model for each of the `wanted` settings and let it detect in all images of `data`.
 
-    Images that cannot be used, by one of the models, are left out for all. Raises DataError and
-    DetectingError if nothing is left, and what `OfflineDetector` raises.
+    An image that one model cannot use is left out for all. Raises DataError and DetectingError if nothing is
+    left, and what `OfflineDetector` raises.
     """
     models = [_Model(number, settings, watch, prepare) for number, settings in enumerate(wanted)]
     classes = EvaluatedClasses.shared(
@@ -110,7 +110,7 @@ def evaluate_models(
     common = sorted(set(found[0]).intersection(*found[1:]))
     if all(found[0][number].truth.is_crowd.all() for number in common):
         raise DataError(
-            f"In {len(common)} images there is no object of the classes that data and model share: "
+            f"None of {len(common)} images has an object of the classes that data and model share: "
             f"{', '.join(classes.names[:10])}. {problems.summary}"
         )
     times = _times_ms(models, list(timed.values()))
@@ -160,7 +160,7 @@ def _times_ms(models: Sequence[_Model], images: Sequence[LabelledImage]) -> list
 
 
 def _times_in_image_ms(models: Sequence[_Model], stored: LabelledImage) -> list[float]:
-    """The shorter of two times of each model, in the order ABBA, so that none profits from coming later."""
+    """The shorter of two times of each model, run in the order ABBA, so that none gains from its place."""
     try:
         image = stored.load()
         there = [model.time_ms(image) for model in models]

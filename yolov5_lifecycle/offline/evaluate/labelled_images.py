@@ -26,7 +26,7 @@ class LabelledImage(StoredImage, Protocol):
 class LabelledData:
     """An open data set.
 
-    `images` begins again with each call. `class_names` None: class ids are those of the model.
+    Each call of `images` starts over. `class_names` None: class ids are those of the model.
     """
 
     kind: str
@@ -45,7 +45,7 @@ class DataOptions:
     truth_topic: str | None = None
 
     def useless(self, kind: str) -> list[str]:
-        """The options that are given although the data set is of another `kind`."""
+        """The given options that do not apply to data sets of this `kind`."""
         of_kind = {"YOLO": ("split", "root"), "COCO": ("root",), "recording": ("topic", "truth_topic")}[kind]
         return [name for name, value in vars(self).items() if value is not None and name not in of_kind]
 
@@ -53,12 +53,12 @@ class DataOptions:
 def add_data_options(parser: argparse.ArgumentParser) -> None:
     """Add the options split, root and topic."""
     parser.add_argument(
-        "--split", choices=("train", "val", "test"), help="which images of data.yaml (default: val)"
+        "--split", choices=("train", "val", "test"), help="images of data.yaml to use (default: val)"
     )
     parser.add_argument(
         "--root",
         type=Path,
         metavar="FOLDER",
-        help="folder of labelled images, beyond which nothing is read (default: that of data.yaml or JSON)",
+        help="folder of the labelled images; nothing outside it is read (default: that of data.yaml or JSON)",
     )
-    parser.add_argument("--topic", help="which images of a recording (default: the only ones)")
+    parser.add_argument("--topic", help="image topic of a recording (default: the only one)")

@@ -1,4 +1,4 @@
-"""A recording as a labelled data set: images, and detections with the same stamps that somebody corrected."""
+"""A recording as a labelled data set: images, and corrected detections with the same stamps."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _truth_topic(source: Path, recording: Recording, name: str | None) -> Record
     if not (topics := recording.topics(_DETECTIONS)):
         raise DataError(
             f"{source}: there are no detections ({_DETECTIONS}) in it to compare with. Record the corrected "
-            "detections beside the images, or merge both recordings with `ros2 bag convert`."
+            "detections together with the images, or merge both recordings with `ros2 bag convert`."
         )
     return recording.one_of(topics, name, what="detection topic", option="--truth-topic")
 
@@ -98,7 +98,7 @@ def _labels(
     may_add: bool,
     problems: Problems,
 ) -> dict[Stamp, Labels]:
-    """The labels by stamp. If it `may_add`, names that occur are added to `class_ids`."""
+    """The labels by stamp. If `may_add`, class names that are new are added to `class_ids`."""
     labels: dict[Stamp, Labels] = {}
     for recorded in recording.messages(topic):
         try:
@@ -136,7 +136,7 @@ def _corners(bbox: Any) -> tuple[float, float, float, float]:
     x, y = bbox.center.position.x, bbox.center.position.y
     width, height = bbox.size_x, bbox.size_y
     if not all(math.isfinite(value) and abs(value) <= _MAX_PX for value in (x, y, width, height)):
-        raise LabelError("a box has no finite numbers of pixels")
+        raise LabelError("a box has coordinates that are not finite")
     if not (width > 0 and height > 0):
         raise LabelError(f"a box has a size of {width:g} x {height:g} pixels")
     return x - width / 2, y - height / 2, x + width / 2, y + height / 2
@@ -154,7 +154,7 @@ def _images(
             problems.add("unusable images", recorded.label, error)
             continue
         if found is None:
-            problems.add("images without labels", recorded.label, "no detections have its stamp")
+            problems.add("images without labels", recorded.label, "there are no detections with its stamp")
             continue
         yield _LabelledRecordedImage(recorded.timestamp_ns, recorded.type_name, recorded.data, number, found)
         number += 1

@@ -28,7 +28,7 @@ def write_files(
     confused: Sequence[str],
     images: Sequence[Sequence[EvaluatedImage]],
 ) -> None:
-    """Write the files to the new `folder`; `images` of each model. Raises OSError."""
+    """Write the files to the new `folder`; `images`: those of each model. Raises OSError."""
     folder.mkdir()
     _write_json(folder / "report.json", report, indent=2)
     truth = truth_dataset(images[0], class_names)

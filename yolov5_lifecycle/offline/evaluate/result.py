@@ -41,9 +41,9 @@ FORMAT = 1
 _MAX_CONFUSED = 10
 """With more classes the confusion matrix is not printed."""
 _SPEED_MARGIN = 0.03
-"""Part of the time per image within which no difference is claimed."""
+"""Share of the time per image; smaller differences are not reported as differences."""
 _COMPARED = ("f1", "ap50", "ap50_95")
-"""What is printed of a comparison; the report has all."""
+"""The metrics of a comparison that are printed; the report has all."""
 
 
 class EvaluationResult:
@@ -100,7 +100,7 @@ class EvaluationResult:
         rng = np.random.default_rng(SEED)
         drawn = rng.integers(0, len(first), (RESAMPLES, len(first)))
         medians = [np.log(np.median(times[drawn], axis=1)) for times in (first, second)]
-        # Shorter is better; a small difference is one of this moment rather than of the models.
+        # Shorter is better; a small difference is due to the moment rather than to the models.
         return interval(
             -medians[0],
             -medians[1],
@@ -186,7 +186,7 @@ class EvaluationResult:
         ]
         if self._classes.left_out:
             shown = ", ".join(in_one_line(name, 40) for name in self._classes.left_out[:_MAX_CONFUSED])
-            lines.append(f"left out, not in the model or its settings: {shown}")
+            lines.append(f"left out, not in the model or not selected by its settings: {shown}")
         if self._problems.counts:
             lines.append(f"not evaluated: {self._problems.summary}")
         return "".join(f"{line}\n" for line in lines)
@@ -223,10 +223,10 @@ def _model(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def _thresholds(evaluation: Evaluation) -> str:
-    """The threshold of the model, and of how many classes it is another one."""
+    """The threshold of the model, and how many classes have their own."""
     usual = evaluation.settings.confidence_threshold
     others = np.count_nonzero(evaluation.thresholds != usual)
-    return f"{usual:g}, of {others} classes their own," if others else f"{usual:g}"
+    return f"{usual:g} (own thresholds for {others} classes)" if others else f"{usual:g}"
 
 
 def _median_ms(evaluation: Evaluation) -> str:
