@@ -1,11 +1,11 @@
-# The nodes on apt's ROS 2 Jazzy. Never built by the tests, which have no container engine: docs/docker.md tells what
-# they do check instead.
+# The nodes on apt's ROS 2 Jazzy. The tests have no container engine and never build this image: docs/docker.md lists
+# what they check instead.
 #
 #   docker build -t yolov5_lifecycle .
 #   docker run --rm --network host --ipc host -v yolov5_weights:/home/ubuntu/.ros/yolov5 yolov5_lifecycle fetch_weights n
 #   docker run --rm --network host --ipc host -v yolov5_weights:/home/ubuntu/.ros/yolov5 yolov5_lifecycle
 #
-# For the same image every time, give both bases by digest, ros@sha256:...; apt keeps no old versions to pin.
+# For a reproducible base, give both bases by digest, ros@sha256:...; apt keeps no old versions to pin.
 ARG BUILD_BASE=ros:jazzy-ros-base
 ARG BASE=ros:jazzy-ros-core
 
@@ -14,8 +14,8 @@ FROM ${BUILD_BASE} AS build
 RUN apt-get update \
  && apt-get install -y --no-install-recommends python3-numpy python3-venv \
  && rm -rf /var/lib/apt/lists/*
-# torch, pydantic 2 and safetensors are not in apt. The environment sees apt's packages, and its numpy stays apt's.
-# TORCH=cpu takes the CPU build of torch, from the same index as the Makefile; else the image holds CUDA as well.
+# torch, pydantic 2 and safetensors are not in apt. The environment sees apt's packages and uses apt's numpy.
+# TORCH=cpu installs the CPU build of torch, from the same index as the Makefile; otherwise the image includes CUDA.
 ARG TORCH=""
 ARG PIP_FLAGS=""
 WORKDIR /workspace/src/yolov5_lifecycle
@@ -28,7 +28,7 @@ RUN python3 -m venv --system-site-packages /opt/venv \
       h11 onnx onnxruntime prometheus-client pydantic safetensors starlette torch uvicorn websockets
 COPY . .
 WORKDIR /workspace
-# The interpreter that runs colcon goes into the first line of the executables: this environment's, which has torch.
+# The interpreter that runs colcon is written into the executables' first line: use this environment's, which has torch.
 RUN . /opt/ros/jazzy/setup.sh && /opt/venv/bin/python /usr/bin/colcon build
 
 FROM ${BASE}
@@ -42,8 +42,8 @@ COPY --from=build /opt/venv /opt/venv
 COPY --from=build /workspace/install /workspace/install
 COPY docker/entrypoint /entrypoint
 
-# Number 1000 is the user ubuntu, which Ubuntu 24.04 brings; Kubernetes wants the number. To share memory with the
-# nodes of the host, run as their user: --user.
+# UID 1000 is the user ubuntu of Ubuntu 24.04; Kubernetes needs the number. To share memory with nodes on the host,
+# run as their user: --user.
 RUN install -d -o ubuntu -g ubuntu /home/ubuntu/.ros /home/ubuntu/.ros/yolov5
 USER 1000
 ENV HOME=/home/ubuntu

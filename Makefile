@@ -1,4 +1,4 @@
-# `make` lists what there is to do. Nothing outside this folder is touched.
+# `make` lists all targets. Nothing outside this folder is changed.
 SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
@@ -34,7 +34,7 @@ endif
 ifneq ($(filter-out cpu,$(TORCH)),)
 $(error TORCH=$(TORCH): expected 'cpu' (the CPU build of torch), or nothing for the usual build of pip)
 endif
-# PyTorch's own index of CPU builds, as its installation page gives it; only torch itself is taken from there.
+# PyTorch's own index of CPU builds, from its installation page; only torch itself is installed from there.
 TORCH_INDEX := https://download.pytorch.org/whl/cpu
 
 # Only the virtual environment counts: paths of a sourced ROS or of another environment would mix two builds of rclpy.
@@ -48,8 +48,8 @@ export PATH := $(abspath $(VENV))/bin:$(PATH)
 # Resolved now: the recipes search the virtual environment first, and its own Python is deleted when it is recreated.
 override PYTHON := $(or $(shell PATH="$${PATH//'$(abspath $(VENV))/bin:'/}"; command -v $(PYTHON)),$(PYTHON))
 
-# A stamp is written after its step has succeeded, never before: an interrupted step is done again from its beginning.
-# The first one carries Python's version, so another PYTHON makes another environment.
+# A stamp is written only after its step has succeeded: an interrupted step is repeated from the beginning.
+# The first stamp has Python's version in its name, so another PYTHON creates a new environment.
 PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 DEPENDENCIES := $(VENV)/.dependencies-$(PYTHON_VERSION)
 INTERFACES := $(VENV)/.interfaces
@@ -121,11 +121,11 @@ bench: $(PACKAGE)
 bench-families: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.families $(FAMILIES_FLAGS)
 
-# It drives the detector with what the tests drive it with.
+# It drives the detector with the tools in test/support.
 soak: $(PACKAGE)
 	PYTHONPATH=test XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/python -m soak $(SOAK_FLAGS)
 
-# It attacks the readers with what the tests make files with.
+# It attacks the readers with files built by the tools in test/support.
 fuzz: $(PACKAGE) $(FUZZER)
 	PYTHONPATH=test $(VENV)/bin/python -m fuzz $(FUZZ_FLAGS)
 
@@ -167,7 +167,7 @@ $(FUZZER): $(DEPENDENCIES) requirements/fuzz.txt
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/fuzz.txt -c $(CONSTRAINTS)
 	touch $@
 
-# Modules and data are used where they lie, so the package's share/ is this folder; colcon copies what setup.py names.
+# Modules and data are used in place, so the package's share/ is this folder; colcon copies what setup.py names.
 $(PACKAGE): $(INTERFACES) Makefile setup.py setup.cfg package.xml
 	PYTHONWARNINGS=ignore $(VENV)/bin/python -m pip install --quiet --no-deps --no-index --no-build-isolation --editable .
 	grep -qxF '$(ACTIVATION)' $(VENV)/bin/activate || echo '$(ACTIVATION)' >> $(VENV)/bin/activate

@@ -46,9 +46,9 @@ def generate_launch_description() -> LaunchDescription:
                 "params_file", default_value=DEFAULT_PARAMETERS, description="Path of a parameter file."
             ),
             DeclareLaunchArgument("autostart", default_value="true", description="Configure and activate."),
-            DeclareLaunchArgument("respawn", default_value="false", description="Start again after the end."),
+            DeclareLaunchArgument("respawn", default_value="false", description="Restart after exit."),
             DeclareLaunchArgument("log_level", default_value="info", description="debug to fatal."),
-            DeclareLaunchArgument("console", default_value="false", description="Show it in a browser."),
+            DeclareLaunchArgument("console", default_value="false", description="Also start the console."),
             DeclareLaunchArgument("console_arguments", default_value="", description="See `console --help`."),
             OpaqueFunction(function=checked_detector),
         ]
@@ -130,8 +130,8 @@ def unknown_arguments(context: LaunchContext) -> list[str]:
         declared = sorted(argument.name for argument in description.get_launch_arguments())
         given = {name for name, _ in include.launch_arguments if isinstance(name, str)}
         problems += [
-            f"There is no launch argument '{name}'.{suggestion(name, declared)} "
-            f"There are: {', '.join(declared)}."
+            f"Unknown launch argument '{name}'.{suggestion(name, declared)} "
+            f"The arguments are: {', '.join(declared)}."
             for name in sorted(given.difference(declared, ARGUMENTS_OF_LAUNCH))
         ]
     return problems

@@ -173,7 +173,7 @@ def installed(workspace: Path, file: Path) -> Path:
         pytest.param(
             DETECTOR,
             "imge:=/camera/image_raw",
-            "no launch argument 'imge'. Did you mean 'image'? There are: autostart, console, console_argu",
+            "Unknown launch argument 'imge'. Did you mean 'image'? The arguments are: autostart, console,",
             id="unknown name",
         ),
         pytest.param(DEMO, "sorce:=0", "Did you mean 'source'?", id="unknown name of the demo"),
