@@ -37,7 +37,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def spans(page: Path) -> list[str]:
     """What stands between single backticks, outside of fenced blocks."""
-    prose = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    prose = re.sub(r"^ *```.*?^ *```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose)]
 
 

@@ -129,9 +129,9 @@ class OfflineDetector:
             account.finish(self._detect(stored, write, account.objects))
             self._watch.progress(account)
         if not account.balance[Outcome.DETECTED]:
-            raise DetectingError(
-                f"none of {account.balance.received} images could be used: see the reasons above"
-            )
+            if not (count := account.balance.received):
+                raise DetectingError("there are no images to use")
+            raise DetectingError(f"none of {count} images could be used: see the reasons above")
         return account
 
     def _detect(

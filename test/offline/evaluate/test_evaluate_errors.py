@@ -176,8 +176,8 @@ def damaged(folder: Path) -> Path:
         ),
         pytest.param(two_truths, ["--truth-topic", "/c"], "there is no detection topic /c", id="other truth"),
         pytest.param(two_truths, ["--topic", "/c"], "there is no image topic /c", id="other topic"),
-        pytest.param(without_images, [], "none of 0 images could be used", id="no images"),
-        pytest.param(other_stamps, [], "none of 0 images could be used", id="other stamps"),
+        pytest.param(without_images, [], "there are no images to use", id="no images"),
+        pytest.param(other_stamps, [], "there are no images to use", id="other stamps"),
         pytest.param(damaged, [], "the recording cannot be read", id="damaged"),
     ],
 )

@@ -104,7 +104,9 @@ class RecordingTask:
             result = self._row(source, account, watch, time.monotonic() - begun_s)
             self._record(source.path, unfinished, result).write(unfinished)
             if file_stamps(source.path) != files:
-                raise RecordingError(f"{source.path}: it changed while it was read. Is it complete?")
+                raise RecordingError(
+                    f"{source.path}: it changed while it was read. Is it still being recorded?"
+                )
         return result
 
     def _detect(self, source: Path, unfinished: Path, watch: _Watch) -> Account:

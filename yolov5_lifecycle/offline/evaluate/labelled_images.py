@@ -53,7 +53,9 @@ class DataOptions:
 def add_data_options(parser: argparse.ArgumentParser) -> None:
     """Add the options split, root and topic."""
     parser.add_argument(
-        "--split", choices=("train", "val", "test"), help="images of data.yaml to use (default: val)"
+        "--split",
+        choices=("train", "val", "test"),
+        help="images of data.yaml to use (default: the first of val, test, train)",
     )
     parser.add_argument(
         "--root",
