@@ -90,7 +90,7 @@ class Settings(BaseModel):
         (), max_length=10_000, description="Names or indices of the classes to detect. Empty: all."
     )
     class_thresholds: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA] = Field(
-        (), max_length=10_000, description='Thresholds of classes of their own: ["person: 0.5", "3: 0.2"].'
+        (), max_length=10_000, description='Thresholds for single classes: ["person: 0.5", "3: 0.2"].'
     )
     regions: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA, Entries.WITH_COMMAS] = Field(
         (),
