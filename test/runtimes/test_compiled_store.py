@@ -134,7 +134,7 @@ def test_what_is_larger_than_all_that_may_be_kept_is_not_kept(
     store.keep(ONE, b"x" * 50)
     store.keep(TWO, b"x" * 100)
     assert [file.name for file in tmp_path.iterdir()] == [ONE]
-    assert "not kept: 100 bytes are too many" in caplog.text
+    assert "not cached: 100 bytes are too many" in caplog.text
 
 
 def test_files_of_others_are_left_alone(tmp_path: Path) -> None:

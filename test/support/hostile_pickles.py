@@ -197,7 +197,7 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     ),
     "a function in the place of a class": (
         lambda: archive(name("torch._utils", "_rebuild_tensor_v2") + items() + b"\x81"),
-        "makes a new 'torch._utils._rebuild_tensor_v2'",
+        "creates a 'torch._utils._rebuild_tensor_v2'",
     ),
     "a memo entry number of 4 billion": (
         lambda: archive(mapping({"model": text("x") + put(2**32 - 1)})),
@@ -209,7 +209,7 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     ),
     "a new dict of a class": (
         lambda: archive(name("collections", "OrderedDict") + asm.EMPTY_TUPLE + b"\x81"),
-        "makes a new 'collections.OrderedDict'",
+        "creates a 'collections.OrderedDict'",
     ),
 }
 TENSORS: Mapping[str, tuple[Callable[[], bytes], str]] = {

@@ -234,7 +234,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "stride of nine": (row(1, -1, 1, "Conv", [64, 3, 9]), "the stride of layer 1"),
     "attention that shares badly": (
         changed(lambda model: model.yaml["backbone"].__setitem__(2, [-1, 1, "C3TR", [64, True, 1, 0.7]])),
-        "cannot be shared among 4 heads",
+        "cannot be divided among 4 attention heads",
     ),
     "anchors in pixels of another shape": (
         changed(lambda model: vars(head(model))["_buffers"].update(anchor_grid=torch.ones(3, 1))),
