@@ -61,9 +61,7 @@ def test_a_redirect_in_a_circle_ends(folder: Path) -> None:
 def test_a_file_that_was_cut_is_continued(folder: Path, checkpoint: bytes) -> None:
     half = len(checkpoint) // 2
     with FileServer(sending(checkpoint[:half], length=len(checkpoint))) as server:
-        with pytest.raises(
-            DownloadError, match=f"ended after {half} of {len(checkpoint)} bytes; run the co"
-        ):
+        with pytest.raises(DownloadError, match=f"ended after {half} of {len(checkpoint)} bytes; run the co"):
             fetch_from(server, folder)
         assert not (folder / "yolov5n.pt").exists()
         server.behaviour = sending_ranges(checkpoint)

@@ -1,4 +1,4 @@
-"""Thresholds of classes as they are written: "person: 0.5"."""
+"""Class thresholds in their text form, such as "person: 0.5"."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _MAX_SHOWN = 60
 
 
 class ClassThresholdError(ValueError):
-    """Entries that are no thresholds of classes."""
+    """Entries that are not class thresholds."""
 
 
 def class_threshold(entry: str) -> tuple[str, float]:
@@ -25,13 +25,13 @@ def class_threshold(entry: str) -> tuple[str, float]:
     if not (name and colon and is_number and float(text) <= 1):
         shown = in_one_line(entry, _MAX_SHOWN)
         raise ClassThresholdError(
-            f"'{shown}' is no name or index of a class, a colon and a number from 0 to 1, as in 'person: 0.5'"
+            f"'{shown}' is not a class name or index, a colon and a number from 0 to 1, as in 'person: 0.5'"
         )
     return name, float(text)
 
 
 def class_thresholds(entries: tuple[str, ...]) -> dict[str, float]:
-    """Thresholds by what `entries` call the classes; raises ClassThresholdError."""
+    """Thresholds by class name or index as in `entries`; raises ClassThresholdError."""
     found: dict[str, float] = {}
     for name, threshold in map(class_threshold, entries):
         if name in found:

@@ -30,20 +30,20 @@ class Change(Enum):
     """When a change to a setting takes effect while the node is active."""
 
     LIVE = "live: takes effect with the next frame"
-    RELOAD = "reload: the new model is loaded beside the running one and replaces it between two frames"
-    CAMERAS = "cameras: added cameras start, removed ones end, the others go on"
+    RELOAD = "reload: the new model is loaded alongside the running one and replaces it between two frames"
+    CAMERAS = "cameras: added cameras start, removed ones stop, the others are not disturbed"
     RESUBSCRIBE = "resubscribe: the image subscription is recreated"
     READ_ONLY = "read-only: set when the node starts"
 
 
 class Scope(Enum):
-    """What a setting is about, if it is not about the whole node."""
+    """What a setting applies to, if not to the whole node."""
 
     CAMERA = "camera: may be overridden for one camera"
 
 
 class Entries(Enum):
-    """What the entries of a list look like, if not like names."""
+    """How the entries of a list are written, if not as names."""
 
     WITH_COMMAS = "a comma does not end an entry"
 

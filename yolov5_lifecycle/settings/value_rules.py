@@ -1,4 +1,4 @@
-"""Rules for the values of single settings that are more than a type and limits."""
+"""Rules for the values of single settings beyond type and limits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from yolov5_lifecycle.settings.schema import violation
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 
 Rule = Callable[..., object]
-"""The value as it is kept; raises the error that `violation` makes for a wrong one."""
+"""The value as it is stored; raises the error of `violation` for a wrong one."""
 
 
 def digest(value: str) -> str:
@@ -45,11 +45,11 @@ def device(value: str) -> str:
 
 
 def thresholds_of_classes(value: tuple[str, ...]) -> tuple[str, ...]:
-    """Entries such as "person: 0.5", each about another name."""
+    """Entries such as "person: 0.5", one per class."""
     try:
         class_thresholds(value)
     except ClassThresholdError as error:
-        raise violation(f"are no thresholds of classes: {error}.") from None
+        raise violation(f"are not class thresholds: {error}.") from None
     return value
 
 

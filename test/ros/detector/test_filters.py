@@ -46,7 +46,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"regions": LEFT}, f'Did you mean ["{LEFT}"]?'),
     ({"region_anchor": "bottom"}, "'bottom' is not one of center, foot"),
     ({"min_box_size": 5.0, "max_box_size": 4.0}, "min_box_size: 5 is above max_box_size, 4."),
-    ({"class_thresholds": ["cat"]}, "'cat' is no name or index of a class, a colon and a number"),
+    ({"class_thresholds": ["cat"]}, "'cat' is not a class name or index, a colon and a number"),
     ({"class_thresholds": ["cat: 0.5", "0: 0.4"]}, "'cat' and '0' are the same class"),
     (
         {"class_thresholds": ["catt: 0.5"]},
