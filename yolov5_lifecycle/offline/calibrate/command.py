@@ -44,9 +44,8 @@ examples:
   calibrate best.pt shots/data.yaml --split train
   calibrate best.pt images --image-size 320 --confidence-threshold 0.4
 
-The file is written next to the weights, where the detector looks for it. With the setting `precision` int8
-it is used; with auto it is used if int8 agrees with fp32 and is at least {MIN_SPEEDUP:g} times as fast
-on this computer.
+The file is written next to the weights, where the detector looks for it. It is used with precision int8, and
+with precision auto if int8 agrees with fp32 and is at least {MIN_SPEEDUP:g} times as fast on this computer.
 See docs/int8.md.
 """
 
