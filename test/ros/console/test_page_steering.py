@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.console_robot import ConsoleRobot
-from support.detector_process import NODE, PARAMETERS
+from support.detector_process import NODE, PARAMETERS, detector_process
 
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
@@ -59,6 +60,32 @@ def test_chips_that_are_pressed_while_a_change_is_sent_are_not_lost(
     page.driver.execute_script("for (const chip of arguments[0]) chip.click()", chips)
     page.wait_for(lambda: robot.detector.node.parameter("classes") == names, "all three classes")
     assert set(page.chosen("classes")) == set(names)
+
+
+def test_a_camera_gets_its_own_value_of_a_parameter(browser: Chrome) -> None:
+    with (
+        detector_process("--params-file", "config/two_cameras.yaml") as detector,
+        console_process(detector.domain) as console,
+    ):
+        detector.bring_to("active")
+        page = ConsolePage(browser, address(console))
+        page.open()
+        override(page, "rear", "confidence_threshold")
+        page.wait_for(lambda: page.find('[data-parameter="rear.confidence_threshold"]'), "the new parameter")
+        assert detector.node.parameter("rear.confidence_threshold") == 0.25
+        page.enter("rear.confidence_threshold", "0.75")
+        page.wait_for(lambda: detector.node.parameter("rear.confidence_threshold") == 0.75, "the new value")
+        assert detector.node.parameter("confidence_threshold") == 0.25
+        override(page, "rear", "max_consecutive_failures")
+        assert "the same for all cameras" in page.wait_for_text(".override .refusal", "max_consecutive")
+
+
+def override(page: ConsolePage, camera: str, name: str) -> None:
+    """Choose the camera and the parameter, and press the button."""
+    page.wait_for(lambda: page.find(".override").is_displayed(), "the form")
+    for choice, value in (("camera", camera), ("parameter", name)):
+        Select(page.find(f'.override [data-choice="{choice}"]')).select_by_value(value)
+    page.find(".override button").click()
 
 
 def test_a_wrong_class_shows_the_nodes_refusal_and_the_old_value(page: ConsolePage) -> None:

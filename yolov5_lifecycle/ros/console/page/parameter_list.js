@@ -1,5 +1,6 @@
 /** The parameters of a detector, grouped by what a change does. */
 
+import { CameraOverride } from "./camera_override.js";
 import { element, KeyedViews, setText } from "./element.js";
 import { ParameterRow } from "./parameter_row.js";
 import { YamlCopy } from "./yaml_copy.js";
@@ -15,14 +16,17 @@ const OPEN = ["live"];
 
 export class ParameterList {
   #groups;
+  #override;
   #yaml = new YamlCopy();
   #filter = element("input", { type: "search", placeholder: "Find a parameter", "aria-label": "Find a parameter" });
   #none = element("p", { class: "hint", role: "status" });
 
   constructor(request, isViewOnly) {
+    const set = (name, value) => request({ type: "set", values: { [name]: value } });
     this.#groups = GROUPS.map(
-      ([change, title, meaning]) => new ParameterGroup({ change, title, meaning, request, isViewOnly }),
+      ([change, title, meaning]) => new ParameterGroup({ change, title, meaning, set, isViewOnly }),
     );
+    this.#override = new CameraOverride(set, isViewOnly);
     this.#filter.addEventListener("input", () => this.#applyFilter());
     this.element = element(
       "section",
@@ -32,11 +36,13 @@ export class ParameterList {
       this.#filter,
       this.#none,
       ...this.#groups.map((group) => group.element),
+      this.#override.element,
     );
   }
 
   update(node) {
     this.#groups.forEach((group) => group.update(node));
+    this.#override.update(node.parameters);
     this.#yaml.update(node.parameters);
     this.#applyFilter();
   }
@@ -55,12 +61,12 @@ class ParameterGroup {
   #node = null;
   #openBefore = null;
 
-  constructor({ change, title, meaning, request, isViewOnly }) {
+  constructor({ change, title, meaning, set, isViewOnly }) {
     this.#change = change;
     const list = element("div");
     const context = {
       isViewOnly,
-      set: (name, value) => request({ type: "set", values: { [name]: value } }),
+      set,
       classNames: () => this.#node.class_names,
     };
     this.#rows = new KeyedViews(list, (parameter) => new ParameterRow(parameter, context));
