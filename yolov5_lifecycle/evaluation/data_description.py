@@ -17,6 +17,8 @@ from yolov5_lifecycle.settings.parameter_yaml import (
     ParameterYamlError,
 )
 
+SPLITS = ("val", "test", "train")
+"""The first of these that `data.yaml` has is evaluated."""
 _MAX_NAME = 200
 _NO_PATH = ("", "~", "null", "Null", "NULL")
 """An entry without a value, as YAML writes it."""
@@ -44,7 +46,7 @@ def read_description(path: Path) -> DataDescription:
     if not isinstance(content, dict):
         raise DataError(f"{path}: expected names and values, such as `val: images` and `names: [cat, dog]`.")
     try:
-        splits = {name: _texts(content.get(name)) for name in ("val", "test", "train")}
+        splits = {name: _texts(content.get(name)) for name in SPLITS}
         names = _class_names(content.get("names"))
     except ValueError as error:
         raise DataError(f"{path}: {error}.") from None

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from yolov5_lifecycle.evaluation.data_description import DataDescription, read_description
+from yolov5_lifecycle.evaluation.data_description import SPLITS, DataDescription, read_description
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_CLASSES,
     MAX_IMAGES,
@@ -24,8 +24,6 @@ from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 YAML_SUFFIXES = (".yaml", ".yml")
-SPLITS = ("val", "test", "train")
-"""The first of these that `data.yaml` has is evaluated."""
 _MAX_LIST_BYTES = 256 << 20
 _NOTHING = DataDescription("", {}, None)
 

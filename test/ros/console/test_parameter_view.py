@@ -33,7 +33,7 @@ def view_of(setting: Setting) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
-def test_a_descriptor_tells_default_choices_and_kind_of_change(setting: Setting) -> None:
+def test_a_descriptor_tells_default_choices_kind_of_change_and_scope(setting: Setting) -> None:
     shown = view_of(setting)
     default = list(setting.default) if isinstance(setting.default, tuple) else setting.default
     assert shown["name"] == setting.name
@@ -42,6 +42,7 @@ def test_a_descriptor_tells_default_choices_and_kind_of_change(setting: Setting)
     assert shown["choices"] == (list(setting.choices) or None)
     assert shown["constraints"] == setting.allowed
     assert setting.change.value.replace("-", " ").startswith(shown["change"] + ":")
+    assert shown["per_camera"] is setting.per_camera
     json.dumps(shown, allow_nan=False)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from yolov5_lifecycle.evaluation.data_description import SPLITS
 from yolov5_lifecycle.evaluation.ground_truth import Labels
 from yolov5_lifecycle.offline.detecting import StoredImage
 
@@ -54,8 +55,8 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
     """Add the options split, root and topic."""
     parser.add_argument(
         "--split",
-        choices=("train", "val", "test"),
-        help="images of data.yaml to use (default: the first of val, test, train)",
+        choices=SPLITS,
+        help=f"images of data.yaml to use (default: the first of {', '.join(SPLITS)})",
     )
     parser.add_argument(
         "--root",

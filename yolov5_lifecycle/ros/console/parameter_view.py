@@ -30,7 +30,8 @@ _EXPECTED = {
 }
 _INTEGERS = range(-(2**63), 2**63)
 _CONSTRAINTS = re.compile(
-    r"(?P<allowed>.*); default (?P<default>.*); (?P<change>live|reload|cameras|resubscribe|read-only): .*",
+    r"(?P<allowed>.*); default (?P<default>.*); (?P<change>live|reload|cameras|resubscribe|read-only): "
+    r".*?(?P<scope>; per camera)?",
     re.DOTALL,
 )
 """The additional constraints of a descriptor, as `ros/parameters/declaration.py` writes them."""
@@ -44,13 +45,16 @@ class ValueRefusedError(ValueError):
 class ParameterView:
     """A declared parameter of a detector, from its descriptor."""
 
-    def __init__(self, descriptor: ParameterDescriptor, allowed: str, default: object, change: str) -> None:
+    def __init__(
+        self, descriptor: ParameterDescriptor, allowed: str, default: object, change: str, *, per_camera: bool
+    ) -> None:
         self.name = str(descriptor.name)
         self.type = _TYPES.get(descriptor.type, "string")
         self.change = change
         self._descriptor = descriptor
         self._allowed = allowed
         self._default = default
+        self._per_camera = per_camera
 
     @classmethod
     def of(cls, descriptor: ParameterDescriptor) -> ParameterView | None:
@@ -59,7 +63,8 @@ class ParameterView:
         if found is None:
             return None
         change = found["change"].replace("-", " ")
-        return cls(descriptor, found["allowed"], _parsed(found["default"]), change)
+        per_camera = found["scope"] is not None
+        return cls(descriptor, found["allowed"], _parsed(found["default"]), change, per_camera=per_camera)
 
     def as_json(self, value: object) -> dict[str, object]:
         """The parameter with its current `value`, for JSON."""
@@ -73,6 +78,7 @@ class ParameterView:
             "range": self._range,
             "choices": self._choices,
             "change": self.change,
+            "per_camera": self._per_camera,
             "read_only": bool(self._descriptor.read_only),
         }
 

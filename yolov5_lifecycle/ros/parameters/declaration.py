@@ -126,11 +126,12 @@ def unset_descriptor(setting: Setting) -> ParameterDescriptor:
 def descriptor(setting: Setting) -> ParameterDescriptor:
     """Descriptor shown by `ros2 param describe`, with the range that rclpy enforces.
 
-    The console reads default and kind of change from the constraints (`ros/console/parameter_view.py`).
+    The console reads the constraints (`ros/console/parameter_view.py`).
     """
+    effect = f"{setting.change.value}{'; per camera' if setting.per_camera else ''}"
     described = ParameterDescriptor(
         description=setting.description,
-        additional_constraints=f"{setting.allowed}; default {_default(setting)}; {setting.change.value}",
+        additional_constraints=f"{setting.allowed}; default {_default(setting)}; {effect}",
         read_only=setting.change is Change.READ_ONLY,
     )
     if setting.minimum is None or setting.maximum is None:

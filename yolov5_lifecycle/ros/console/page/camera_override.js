@@ -3,8 +3,6 @@
 import { element, setText } from "./element.js";
 import { isOverride, isSame } from "./yaml_text.js";
 
-const CHANGES = ["live", "resubscribe"];
-
 export class CameraOverride {
   #isViewOnly;
   #set;
@@ -45,7 +43,7 @@ export class CameraOverride {
   #showNames() {
     const overridden = this.#parameters.filter(({ value }) => value !== null).map(({ name }) => name);
     const names = this.#parameters
-      .filter(({ name, change, read_only: isFixed }) => CHANGES.includes(change) && !isFixed && !isOverride(name))
+      .filter(({ name, per_camera: isPerCamera }) => isPerCamera && !isOverride(name))
       .map(({ name }) => name);
     fill(this.#name, names.filter((name) => !overridden.includes(`${this.#camera.value}.${name}`)));
   }
