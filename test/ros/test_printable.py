@@ -117,12 +117,10 @@ def test_foreign_text_is_printable_in_every_output_of_the_process(tmp_path: Path
                 detector.bring_to("inactive")
         detector.bring_to("active")
         ask(HOSTILE)
-        for text in (HOSTILE, LONG):
+        for count, text in enumerate((HOSTILE, LONG), start=1):
             header = Header(frame_id=text)
             detector.publish(Image(header=header, encoding=text, height=1, width=1, data=array("B", [0])))
-            detector.observer.wait_for(
-                lambda: int(detector.status()["frames rejected"]) > 0, "the rejected image"
-            )
+            detector.wait_until_rejected(count)
             diagnose()
         compressed = detector.observer.create_publisher(CompressedImage, "/yolov5/image_raw/compressed", 1)
         assert detector.node.set_parameters(image_transport="compressed") == ""

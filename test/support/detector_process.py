@@ -18,7 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray, LabelInfo
@@ -37,6 +37,7 @@ from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 NODE = "/yolov5"
+IMAGE_TOPIC = f"{NODE}/image_raw"
 WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"
 PARAMETERS: dict[str, object] = {"weights": WEIGHTS, "image_size": 320, "device": "cpu"}
 SEED = 8
@@ -101,11 +102,32 @@ class DetectorProcess:
         }
 
     def publish(self, image: Image) -> None:
-        """Send an image once the node listens."""
-        if self._images is None:
-            self._images = self.observer.create_publisher(Image, f"{NODE}/image_raw", 1)
-        self.observer.wait_for(lambda: self._images.get_subscription_count() > 0, "the node to subscribe")
+        """Send one image that is not lost: the node has resubscribed with the publisher's reliability."""
+        self._matched_publisher()
+        self.observer.wait_for(self._is_subscribed_reliably, "the node to subscribe reliably")
         self._images.publish(image)
+
+    def _matched_publisher(self) -> Any:
+        if self._images is None:
+            self._images = self.observer.create_publisher(Image, IMAGE_TOPIC, 1)
+        self.observer.wait_for(lambda: self._images.get_subscription_count() > 0, "the node to subscribe")
+        return self._images
+
+    def _is_subscribed_reliably(self) -> bool:
+        subscriptions = self.observer.get_subscriptions_info_by_topic(IMAGE_TOPIC)
+        reliabilities = [subscription.qos_profile.reliability for subscription in subscriptions]
+        return reliabilities == [ReliabilityPolicy.RELIABLE] and self._images.get_subscription_count() == 1
+
+    def wait_until_rejected(self, count: int) -> dict[str, str]:
+        """Wait until the node has rejected `count` images; its status then."""
+        statuses: list[dict[str, str]] = []
+
+        def are_rejected() -> bool:
+            statuses.append(self.status())
+            return int(statuses[-1]["frames rejected"]) >= count
+
+        self.observer.wait_for(are_rejected, f"{count} rejected images")
+        return statuses[-1]
 
     def detect(self, image: Image) -> Detection2DArray:
         """What the node finds in `image`, sent until it is answered."""
@@ -118,7 +140,7 @@ class DetectorProcess:
         def is_answered() -> bool:
             nonlocal sent_s
             if time.monotonic() - sent_s > _ANSWER_S:
-                self.publish(image)
+                self._matched_publisher().publish(image)
                 sent_s = time.monotonic()
             return bool(answers())
 

@@ -126,7 +126,7 @@ def test_an_unreadable_image_is_counted_and_the_next_one_detected(
     for field, value in change.items():
         setattr(image, field, value)
     active.publish(image)
-    status = active.status()
+    status = active.wait_until_rejected(rejected + 1)
     assert int(status["frames rejected"]) == rejected + 1
     assert reason in status["message"]
     assert len(active.look().scores) > 0
