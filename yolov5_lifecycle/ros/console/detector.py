@@ -78,6 +78,11 @@ class Detector:
             self._task = None
             await self._link.close()
 
+    def invalidate(self) -> None:
+        """Discard what the node has answered; its next diagnostics may come from a restarted process."""
+        self._state, self._statuses, self._views = "", [], {}
+        self._wants_state = self._wants_parameters = True
+
     @property
     def is_known(self) -> bool:
         """Whether the node has answered and is a detector: it has settings and publishes its status."""

@@ -78,7 +78,8 @@ class Detectors:
         for name, detector in list(self._followed.items()):
             if name not in present or present[name].publishers - detector.publishers:
                 await self._forget(detector)
-            elif detector.is_silent:
+            elif detector.is_silent and name in self._shown:
+                detector.invalidate()
                 self._hide(name)
         for name, candidate in present.items():
             if name not in self._followed:
