@@ -14,7 +14,7 @@ from yolov5_lifecycle.ros.demo.processes import started
 _CONSOLE = "console"
 _ADDRESS = re.compile(r"console: (http\S+)")
 _START_S = 60.0
-_END_S = 10.0
+_END_S = 60.0
 _CHECK_S = 0.5
 
 

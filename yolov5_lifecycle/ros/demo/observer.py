@@ -76,12 +76,13 @@ class RemoteLifecycleNode:
     def __init__(self, observer: Observer, name: str) -> None:
         self._observer = observer
         self._name = name
-        self._get_state = observer.create_client(GetState, f"{name}/get_state")
         self._change_state = observer.create_client(ChangeState, f"{name}/change_state")
         self._get_parameters = observer.create_client(GetParameters, f"{name}/get_parameters")
         self._set_parameters = observer.create_client(
             SetParametersAtomically, f"{name}/set_parameters_atomically"
         )
+        # Last: a node that answers this client has discovered the others.
+        self._get_state = observer.create_client(GetState, f"{name}/get_state")
 
     def wait_until_reachable(self) -> None:
         """Wait for the first response; raises NoAnswerError on timeout.

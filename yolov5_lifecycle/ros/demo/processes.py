@@ -20,7 +20,7 @@ from yolov5_lifecycle.ros.demo.outcome import DemonstrationError
 
 OUTPUT = Path("build/demo")
 DETECTOR_PROCESS = "detector"
-_END_S = 10.0
+_END_S = 60.0
 
 Result = TypeVar("Result")
 

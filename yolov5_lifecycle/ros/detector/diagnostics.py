@@ -39,12 +39,13 @@ class Diagnostics:
 
     def publish(self) -> None:
         """Publish the current status now and log its reasons if they are new."""
+        stamp = self._node.get_clock().now().to_msg()  # nothing in the status is older
         status = self._status()
         of_node, of_cameras = status.of_node, status.of_cameras
         name = self._node.get_fully_qualified_name()
         self._publisher.publish(
             DiagnosticArray(
-                header=Header(stamp=self._node.get_clock().now().to_msg()),
+                header=Header(stamp=stamp),
                 status=[diagnostic_status(summary, name) for summary in (of_node, *of_cameras)],
             )
         )
