@@ -37,6 +37,7 @@ _STAMP = struct.Struct("<d")
 _ADDRESS = re.compile(r"console: http://(\S+)/")
 _START_S = 60.0
 _SETTLING_S = 3.0
+_POLL_S = 0.02
 
 
 @dataclass
@@ -81,7 +82,10 @@ def authority(console: ChildProcess) -> str:
 
 
 async def viewing(console: ChildProcess, viewers: int, duration_s: float) -> Viewing:
-    """Measure `viewers` browsers for `duration_s`, each with the page and the images of the camera."""
+    """Measure `viewers` browsers, each with the page and the images of the camera.
+
+    It takes `duration_s`, or until an image was seen.
+    """
     seen = Viewing()
     async with AsyncExitStack() as stack:
         tasks = []
@@ -90,11 +94,13 @@ async def viewing(console: ChildProcess, viewers: int, duration_s: float) -> Vie
             await _wait_for_node(page)
             images = await stack.enter_async_context(_socket(console, f"/image?node={NODE}&camera="))
             tasks += [asyncio.create_task(_read(page, seen)), asyncio.create_task(_view(images, seen))]
+        await _wait_for_an_image(seen)
         await asyncio.sleep(_SETTLING_S)
         seen.ages_ms.clear()
         seen.latencies_ms.clear()
         begun_s, begun_cpu_s = time.monotonic(), cpu_s(console.process_id)
         await asyncio.sleep(duration_s)
+        await _wait_for_an_image(seen)
         seen.cpu_s = cpu_s(console.process_id) - begun_cpu_s
         seen.duration_s = time.monotonic() - begun_s
         for task in tasks:
@@ -111,6 +117,15 @@ def _socket(console: ChildProcess, path: str) -> connect:
 async def _wait_for_node(page: ClientConnection) -> None:
     while json.loads(await page.recv())["type"] != "node":
         pass
+
+
+async def _wait_for_an_image(seen: Viewing) -> None:
+    """Wait for the first of the ages that are collected; raises RuntimeError on timeout."""
+    deadline_s = time.monotonic() + _START_S
+    while not seen.ages_ms:
+        if time.monotonic() > deadline_s:
+            raise RuntimeError(f"no viewer has seen an image in {_START_S:g} s")
+        await asyncio.sleep(_POLL_S)
 
 
 async def _read(page: ClientConnection, seen: Viewing) -> None:

@@ -70,6 +70,7 @@ def _while_loading(subject: Subject, count: int) -> list[float]:
 
 def _while_hung(subject: Subject, count: int) -> list[float]:
     sender = Sender(subject, "raw")
+    sender.wait_until_reliable()  # else the next image is lost, if the node resubscribes meanwhile
     sender.send_whole()
     sender.send(faulty_image("long hang"))
     subject.observer.wait_for(lambda: subject.status()["frames pending"] == "1", "inference to hang")

@@ -21,6 +21,7 @@ _BURST = 80
 _KEPT = QoSProfile(depth=1000)
 """Response queue of a client that takes responses later than they arrive."""
 _PATIENCE_S = 60.0
+_FIRST_ANSWER_S = 1.0
 _SIZES = (320, 352, 384, 416)
 
 
@@ -55,8 +56,20 @@ class _Burst:
     def __init__(self, subject: Subject, service_type: Any, name: str, requests: list[Any]) -> None:
         self.name = name
         self.client = subject.observer.create_client(service_type, f"{NODE}/{name}", qos_profile=_KEPT)
-        subject.observer.wait_for(self.client.service_is_ready, name)
+        _reach(subject, self.client)
         self.futures = [self.client.call_async(request) for request in requests]
+
+
+def _reach(subject: Subject, client: Any) -> None:
+    """Wait for a first response; those sent before the node has discovered the client are lost."""
+
+    def is_answered() -> bool:
+        with contextlib.suppress(NoAnswerError):
+            subject.observer.call(client, client.srv_type.Request(), timeout_s=_FIRST_ANSWER_S)
+            return True
+        return False
+
+    subject.observer.wait_for(is_answered, client.srv_name)
 
 
 def _states(subject: Subject) -> _Burst:

@@ -23,6 +23,7 @@ _TRANSITION_S = 0.001, 0.3
 _PAUSE_S = 0.001
 _LONGEST_IMPORT_S = 3.0
 _START_S = 60.0
+_END_S = 60.0
 
 Ending = tuple[signal.Signals, str]
 """The signal, and a moment from `MOMENTS`."""
@@ -67,15 +68,15 @@ ENDINGS: tuple[Ending, ...] = tuple(
 )
 
 
-def clean_endings(endings: Iterable[Ending], seed: int) -> Finding:
+def clean_endings(endings: Iterable[Ending], seed: int, *, limit_s: float = _LIMIT_S) -> Finding:
     """Terminate a new process at each moment, during a transition or shortly after it."""
     random, endings, met = Random(seed), list(endings), Counter[str]()
-    wrong = [*filter(None, (problem(partial(_end, *ending, random, met)) for ending in endings))]
+    wrong = [*filter(None, (problem(partial(_end, *ending, random, met, limit_s)) for ending in endings))]
     return Finding(
         claim="SIGINT and SIGTERM end the process cleanly at any moment",
         done=f"{len(endings)} processes, seed {seed}",
         result=f"{number_of('other ends', wrong)}; on their way: {_counts(met)}",
-        limit=f"0; exit code 0 within {_LIMIT_S:g} s, no exception",
+        limit=f"0; exit code 0 within {limit_s:g} s, no exception",
         is_met=not wrong,
     )
 
@@ -110,10 +111,10 @@ def _counts(met: Counter[str]) -> str:
     return ", ".join(f"{moment} {count}" for moment, count in met.items() if count) or "none"
 
 
-def _end(number: signal.Signals, moment: str, random: Random, met: Counter[str]) -> None:
+def _end(number: signal.Signals, moment: str, random: Random, met: Counter[str], limit_s: float) -> None:
     with subject() as process:
         met[moment] += _reach(process, moment, random)
-        code = process.process.stop(number, timeout_s=_LIMIT_S)
+        code = process.process.stop(number, timeout_s=limit_s)
         assert (code, process.escaped) == (0, []), f"{number.name} {moment}: {code}, {process.escaped}"
 
 
@@ -134,11 +135,11 @@ def _restart(moment: str, random: Random) -> None:
     with own_domain() as domain:
         with subject_in(domain) as killed:
             _reach(killed, moment, random)
-            assert killed.process.stop(signal.SIGKILL) == -signal.SIGKILL
+            assert killed.process.stop(signal.SIGKILL, timeout_s=_END_S) == -signal.SIGKILL
         with subject_in(domain) as process:
             process.bring_to("active")
             process.look()
-            code = process.process.stop(signal.SIGTERM)
+            code = process.process.stop(signal.SIGTERM, timeout_s=_END_S)
             assert (code, process.escaped) == (0, []), f"after {moment}: {code}, {process.escaped}"
 
 

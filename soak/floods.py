@@ -49,14 +49,14 @@ def answers_beside_floods(
     )
 
 
-def endings_beside_floods(floods: Iterable[str] = FLOODS) -> Finding:
+def endings_beside_floods(floods: Iterable[str] = FLOODS, *, limit_s: float = _END_S) -> Finding:
     """Terminate an active process with SIGTERM during each of the `floods`."""
     floods, wrong = list(floods), []
     for name in floods:
         with subject() as process:
             process.bring_to("active")
             with _flood(process.domain, name):
-                code = process.process.stop(signal.SIGTERM, timeout_s=_END_S)
+                code = process.process.stop(signal.SIGTERM, timeout_s=limit_s)
             if code != 0 or process.escaped:
                 wrong.append(f"{name}: exit code {code}, {process.escaped}")
     return none_wrong(
@@ -64,7 +64,7 @@ def endings_beside_floods(floods: Iterable[str] = FLOODS) -> Finding:
         f"{len(floods)} processes",
         "other ends",
         wrong,
-        limit=f"0; exit code 0 within {_END_S:g} s, no exception",
+        limit=f"0; exit code 0 within {limit_s:g} s, no exception",
     )
 
 

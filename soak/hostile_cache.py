@@ -22,6 +22,7 @@ from yolov5_lifecycle.unfinished import FOLDER_PREFIX
 
 _MAX_GROWN_MB = 300.0
 _POLL_S = 0.0005
+_END_S = 60.0
 _CACHES = ("choices", "compiled")
 _OWNER = """
 import signal
@@ -154,5 +155,5 @@ def _end_while_it_compiles(domain: int, variables: dict[str, str], number: signa
         answer: Any = process.begin_transition("activate")
         while not (folders := set(folder.glob(f"{FOLDER_PREFIX}*")) - before) and not answer.done():
             process.observer.work_for(_POLL_S)
-        process.process.stop(number)
+        process.process.stop(number, timeout_s=_END_S)
     return any(path.exists() for path in folders)

@@ -19,7 +19,7 @@ from yolov5_lifecycle.settings.settings import SETTINGS
 
 _SERVICES = 12
 """5 of every lifecycle node, 7 of every node."""
-_PATIENCE_S = 20.0
+_PATIENCE_S = 60.0
 _BURST = 5
 _REQUESTS_PER_LIFE = 200
 _HUGE_ODDS = 0.01

@@ -56,7 +56,7 @@ def answered_transitions(subject: Subject) -> Finding:
     )
 
 
-def answered_shutdowns(most: int | None = None) -> Finding:
+def answered_shutdowns(most: int | None = None, *, end_s: float = _END_S) -> Finding:
     """Request shutdown by label and by number in every state, each in a new process, which must report that
     it is finalized and then end.
 
@@ -68,7 +68,7 @@ def answered_shutdowns(most: int | None = None) -> Finding:
         with subject() as process:
             process.bring_to(state)
             granted, then = process.transition(label, number), process.node.state()
-            code = process.process.wait(_END_S)
+            code = process.process.wait(end_s)
             if (granted, then, code, process.escaped) != (True, "finalized", 0, []):
                 wrong.append(f"{state} {label!r} {number}: {granted}, {then}, exit code {code}")
     return none_wrong(
@@ -76,7 +76,7 @@ def answered_shutdowns(most: int | None = None) -> Finding:
         f"{len(pairs)} processes",
         "wrong answers, states or exit codes",
         wrong,
-        limit=f"0; exit code 0 within {_END_S:g} s",
+        limit=f"0; exit code 0 within {end_s:g} s",
     )
 
 

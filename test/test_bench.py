@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -56,15 +55,6 @@ def test_a_rival_that_does_not_run_is_left_out(tmp_path: Path, capsys: pytest.Ca
     taken_ms, _ = measure([unknown, EAGER], loads=(0,), turns=1, cache=tmp_path)
     assert taken_ms.keys() == {(EAGER, 0)}
     assert "left out: 'abacus' failed" in capsys.readouterr().err
-
-
-@pytest.fixture
-def _environment() -> Iterator[None]:
-    """As it was, afterwards: the bench sets that of its own process."""
-    before = dict(os.environ)
-    yield
-    os.environ.clear()
-    os.environ.update(before)
 
 
 @pytest.mark.long

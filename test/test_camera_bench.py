@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -30,15 +29,6 @@ WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
 IMAGE_HW = (96, 128)
 CAMERAS = ("left", "right")
 MS = 1_000_000
-
-
-@pytest.fixture
-def _environment() -> Iterator[None]:
-    """As it was, afterwards: the bench completes that of its own process."""
-    before = dict(os.environ)
-    yield
-    os.environ.clear()
-    os.environ.update(before)
 
 
 @pytest.mark.long

@@ -24,6 +24,7 @@ def test_the_age_is_compared_with_the_latency_and_the_cost_with_that_of_one_view
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("_environment")
 def test_two_viewers_see_images() -> None:
     with robot(15.0) as console:
         found = asyncio.run(viewing(console, 2, 2.0))

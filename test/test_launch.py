@@ -27,6 +27,8 @@ from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
 FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
 DETECTOR, DEMO = (REPOSITORY / "launch" / f"{name}.launch.py" for name in ("yolov5", "demo"))
 FROM_ROS = {"launch", "launch_ros"}
+START_S = 200.0
+"""Launch, a node with its imports, and a model whose runtime is chosen."""
 LAUNCH = """
 import signal
 import sys
@@ -133,7 +135,7 @@ def launched(file: Path, workspace: Path, domain: int, *arguments: str) -> Itera
         try:
             yield process
         finally:  # killed, it would leave its nodes behind
-            code = process.stop(signal.SIGINT, timeout_s=30)
+            code = process.stop(signal.SIGINT, timeout_s=60)
         assert code == 0, process.output
 
 
@@ -143,7 +145,7 @@ def test_the_demo_detects_with_room_for_images(workspace: Path, ros_domain: int)
         launched(DEMO, workspace, ros_domain, "rviz:=False") as process,
         closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
     ):
-        process.wait_for_output("active with weights", 100)
+        process.wait_for_output("active with weights", START_S)
         received: list[Detection2DArray] = []
         observer.create_subscription(Detection2DArray, "/yolov5/detections", received.append, 10)
         observer.wait_for(lambda: any(message.detections for message in received), "detections")
@@ -234,7 +236,7 @@ def test_the_node_of_a_namespace_starts_as_asked(
         launched(DETECTOR, workspace, ros_domain, *words) as process,
         closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
     ):
-        process.wait_for_output("[robot.yolov5]: unconfigured", 100)
+        process.wait_for_output("[robot.yolov5]: unconfigured", START_S)
         node = RemoteLifecycleNode(observer, "/robot/yolov5")
         node.wait_until_reachable()
         observer.wait_for(lambda: node.state() == state, f"the state {state}")
@@ -262,7 +264,7 @@ def test_a_start_that_fails_is_reported_and_the_node_stays(
         launched(DETECTOR, workspace, ros_domain, f"params_file:={file}") as process,
         closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
     ):
-        process.wait_for_output(problem, 60)
+        process.wait_for_output(problem, START_S)
         told: list[DiagnosticStatus] = []
         observer.create_subscription(
             DiagnosticArray, "/diagnostics", lambda message: told.extend(message.status), 10
@@ -284,10 +286,12 @@ def test_a_process_that_dies_is_restarted(workspace: Path, ros_domain: int, tmp_
         launched(DETECTOR, workspace, ros_domain, *arguments) as process,
         closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
     ):
-        process.wait_for_output("active with weights", 60)
+        process.wait_for_output("active with weights", START_S)
         (process_id,) = re.findall(r"process started with pid \[(\d+)\]", process.output)
         os.kill(int(process_id), signal.SIGKILL)
-        observer.wait_for(lambda: process.output.count("active with weights") == 2, "the second process")
+        observer.wait_for(
+            lambda: process.output.count("active with weights") == 2, "the second process", timeout_s=START_S
+        )
 
 
 @with_launch
@@ -295,7 +299,7 @@ def test_a_process_that_dies_is_restarted(workspace: Path, ros_domain: int, tmp_
 def test_the_console_starts_beside_the_detector_and_ends_with_it(workspace: Path, ros_domain: int) -> None:
     arguments = ["console:=true", "console_arguments:=--port 0 --view-only", "autostart:=false"]
     with launched(DETECTOR, workspace, ros_domain, *arguments) as process:
-        process.wait_for_output("console: http://127.0.0.1:", 100)
+        process.wait_for_output("console: http://127.0.0.1:", START_S)
         address = re.findall(r"http://127\.0\.0\.1:\d+", process.output)[0]
         with urllib.request.urlopen(address, timeout=30) as page:
             assert b"<title>" in page.read()

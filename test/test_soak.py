@@ -35,6 +35,8 @@ from soak.transitions import answered_shutdowns, answered_transitions
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 IMAGES = 50
+END_S = 60.0
+"""How long the end of a process is waited for."""
 SEED = 1
 
 
@@ -81,9 +83,13 @@ def test_a_claim_holds_in_a_running_process(
 @pytest.mark.parametrize(
     "trial",
     [
-        pytest.param(lambda: answered_shutdowns(most=1), id="shutdowns"),
-        pytest.param(lambda: clean_endings([(signal.SIGTERM, "activating")], SEED), id="signals"),
-        pytest.param(lambda: endings_beside_floods(["shortest parameters"]), id="flooded-signals"),
+        pytest.param(lambda: answered_shutdowns(most=1, end_s=END_S), id="shutdowns"),
+        pytest.param(
+            lambda: clean_endings([(signal.SIGTERM, "activating")], SEED, limit_s=END_S), id="signals"
+        ),
+        pytest.param(
+            lambda: endings_beside_floods(["shortest parameters"], limit_s=END_S), id="flooded-signals"
+        ),
         pytest.param(lambda: clean_restarts(["active"], SEED), id="kill"),
         pytest.param(lambda: survived_caches(["FIFO", "link to an endless device"]), id="hostile-cache"),
         pytest.param(lambda: removed_leftovers([signal.SIGKILL]), id="leftovers"),

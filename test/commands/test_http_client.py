@@ -43,9 +43,9 @@ def continuing(pause_s: float) -> Behaviour:
 def test_a_server_that_says_continue_without_end_is_not_listened_to(tmp_path: Path, pause_s: float) -> None:
     with (
         FileServer(continuing(pause_s)) as server,
-        pytest.raises(DownloadError, match=r"no answer \(its header was not complete after 0.3 s\)"),
+        pytest.raises(DownloadError, match=r"no answer \(its header was not complete after 2 s\)"),
     ):
-        downloaded(server, tmp_path / "file", stall_s=0.3)
+        downloaded(server, tmp_path / "file", stall_s=2)  # long enough for every answer on a busy machine
 
 
 def test_an_answer_after_continue_is_taken(tmp_path: Path) -> None:

@@ -81,7 +81,9 @@ def test_too_many_abandoned_threads_are_reported_and_end_the_process_with_their_
         assert reports[0]["abandoned threads"] == "0"
         assert 10 < float(reports[0]["resident memory MB"]) < 10_000
         hang(observer, process)
-        assert RemoteLifecycleNode(observer, NODE).change_state("deactivate")
+        node = RemoteLifecycleNode(observer, NODE)
+        node.wait_until_reachable()
+        assert node.change_state("deactivate")
         observer.wait_for(lambda: reports[-1]["message"] == TOO_MANY_ABANDONED, "the last diagnostics")
         assert reports[-1]["abandoned threads"] == "1"
         assert process.wait(PATIENCE_S) == EXIT_ABANDONED_THREADS
@@ -119,10 +121,10 @@ def be_finalized(observer: Observer, process: ChildProcess) -> None:
     node.wait_until_reachable()
     assert node.change_state("shutdown")
     assert node.state() == "finalized"
+    observer.wait_for(lambda: "model closed" in process.output, "the end of the model")
     assert process.output.count("model closed") == 1
-    topics = [full_name for full_name, _ in observer.get_publisher_names_and_types_by_node("yolov5", "/")]
-    assert f"{NODE}/detections" not in topics
-    assert observer.count_subscribers(f"{NODE}/image_raw") == 0
+    observer.wait_for(lambda: not observer.count_publishers(f"{NODE}/detections"), "the publisher to go")
+    observer.wait_for(lambda: not observer.count_subscribers(f"{NODE}/image_raw"), "the subscription to go")
     assert node.parameter("autostart") is True
     assert not any(map(node.change_state, ("configure", "activate", "cleanup", "shutdown")))
     assert node.state() == "finalized"

@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Iterator
 
 import pytest
-from support.scripted_camera import PATIENCE_S, ScriptedCamera
+from support.scripted_camera import PATIENCE_S, ScriptedCamera, when_awaited
 
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 from yolov5_lifecycle.streaming.worker import Worker
@@ -168,8 +168,7 @@ def test_rest_waits_for_the_frame_of_any_camera(cameras: Cameras) -> None:
     assert not cameras.worker.rest(0.01)
     second.gate.clear()
     second.offer(2)
-    opener = threading.Timer(0.05, first.gate.set)
-    opener.start()
+    when_awaited(cameras.worker, first.gate.set)
     assert cameras.worker.rest(PATIENCE_S)
     assert first.published == [1]
 
@@ -224,8 +223,7 @@ def test_closing_the_worker_closes_every_feed(cameras: Cameras) -> None:
     first, second, third = cameras.all
     first.hold(1)
     second.offer(2)
-    opener = threading.Timer(0.05, first.gate.set)
-    opener.start()
+    when_awaited(cameras.worker, first.gate.set)
     assert cameras.worker.close(PATIENCE_S)
     third.offer(3)
     late = ScriptedCamera(cameras.worker)

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from support.scripted_camera import PATIENCE_S, ScriptedCamera
+from support.scripted_camera import PATIENCE_S, ScriptedCamera, when_awaited
 
 from yolov5_lifecycle.streaming.feed import RateLimit
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
@@ -112,8 +112,7 @@ def test_stop_waits_for_the_frame_in_work_and_flushes_the_waiting_one(line: Line
     line.frames.start(line)
     line.hold(1)
     line.offer(2)
-    opener = threading.Timer(0.05, line.gate.set)
-    opener.start()
+    when_awaited(line.worker, line.gate.set)
     assert line.frames.stop(PATIENCE_S)
     assert line.published == [1]
     assert line.count(Outcome.FLUSHED) == 1

@@ -100,6 +100,7 @@ class ConsoleClient:
             "ws" + self.url.removeprefix("http").rstrip("/") + path,
             additional_headers={name: value for name, value in own.items() if value},
             compression=None,
+            max_queue=None,  # with a full one it answers no pings, and reads no end
             max_size=_MAX_MESSAGE_BYTES,
             open_timeout=PATIENCE_S,
             proxy=None,

@@ -89,6 +89,7 @@ class DetectorProcess:
 
     def status(self) -> dict[str, str]:
         """The values of the first diagnostics made from now on, their `message` and `level` (as `OK`)."""
+        self.node.state()  # else diagnostics that are being made now would have a later stamp
         begun_ns = time.time_ns()
 
         def is_new() -> bool:
@@ -118,13 +119,14 @@ class DetectorProcess:
         reliabilities = [subscription.qos_profile.reliability for subscription in subscriptions]
         return reliabilities == [ReliabilityPolicy.RELIABLE] and self._images.get_subscription_count() == 1
 
-    def wait_until_rejected(self, count: int) -> dict[str, str]:
-        """Wait until the node has rejected `count` images; its status then."""
+    def wait_until_rejected(self, count: int, reason: str = "") -> dict[str, str]:
+        """Wait until the node has rejected `count` images and tells the `reason`; its status then."""
         statuses: list[dict[str, str]] = []
 
         def are_rejected() -> bool:
             statuses.append(self.status())
-            return int(statuses[-1]["frames rejected"]) >= count
+            is_told = reason in statuses[-1]["message"]  # a moment after the image was counted
+            return is_told and int(statuses[-1]["frames rejected"]) >= count
 
         self.observer.wait_for(are_rejected, f"{count} rejected images")
         return statuses[-1]

@@ -17,7 +17,7 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.clock import Clock, ClockType
 
-from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
 
 HEARTBEAT_S = 0.1
 _DEAD_PUBLISH_S = 0.05
@@ -137,6 +137,9 @@ class LifecycleManager:
         self._get_state = {
             name: observer.create_client(GetState, f"/{name}/get_state") for name in node_names
         }
+        # A node that answers a client made later has discovered these, too; it would lose earlier answers.
+        for name in node_names:
+            RemoteLifecycleNode(observer, f"/{name}").wait_until_reachable()
 
     def startup(self) -> None:
         """Configure and activate all nodes in order; raises ManagerError at the first that is not so."""

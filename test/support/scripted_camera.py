@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 from yolov5_lifecycle.streaming.worker import Worker
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
+
+
+def when_awaited(worker: Worker[int, int], act: Callable[[], object]) -> None:
+    """Call `act` whenever somebody begins to wait for the job in progress, which cannot end before that."""
+    changed = worker._schedule.changed
+    wait_for = changed.wait_for
+
+    def acted(predicate: Callable[[], bool], timeout: float | None = None) -> bool:
+        act()
+        return wait_for(predicate, timeout)
+
+    changed.wait_for = acted  # type: ignore[assignment,method-assign]
 
 
 class ScriptedCamera:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,15 @@ from support.served_node import ServedNode
 @pytest.fixture
 def prepare(ros_domain: int) -> Preparations:
     return Preparations()
+
+
+@pytest.fixture
+def _environment() -> Iterator[None]:
+    """As it was, afterwards: a benchmark or demonstration sets that of its own process."""
+    before = dict(os.environ)
+    yield
+    os.environ.clear()
+    os.environ.update(before)
 
 
 @pytest.fixture

@@ -30,6 +30,8 @@ ROS_PORTS = range(7400 + 250 * DOMAIN, 7400 + 250 * (DOMAIN + 1))
 PATIENCE_S = 120.0
 ALL_PROTOCOLS = 3
 UDP, TCP, IGMP, ICMP6 = 17, 6, 2, 58
+FIRST_MARK = 40_000
+"""A port that nobody uses here; see `Packets`."""
 FOLDERS = {"HOME": "home", "XDG_CACHE_HOME": "cache", "TMPDIR": "temporary", "ROS_LOG_DIR": "log"}
 MODEL = Path(__file__).parents[2] / "weights" / "shapes.safetensors"
 CONTROL = """
@@ -42,24 +44,43 @@ socket.create_connection(("192.0.2.1", 80), 0.5)
 
 
 class Packets:
-    """Records what leaves this network's processes, except what the kernel and ROS send."""
+    """Records what leaves this network's processes, except what the kernel and ROS send.
+
+    A packet of its own, to another port each time, marks the end of what was sent until then: the thread that
+    records may be late.
+    """
 
     def __init__(self) -> None:
+        self._recorded = threading.Condition()
+        self._marks: set[str] = set()
         self._socket = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(ALL_PROTOCOLS))
         self._seen: list[str] = []
         threading.Thread(target=self._record, daemon=True).start()
 
     def taken(self) -> list[str]:
         """What was recorded since the last call, each destination once."""
-        seen, self._seen = self._seen, []
-        return sorted(set(seen))
+        with self._recorded:
+            mark = self._mark()
+            assert self._recorded.wait_for(lambda: mark in self._seen, PATIENCE_S), "nothing is recorded"
+            seen, self._seen = self._seen, []
+        return sorted(set(seen) - self._marks)
+
+    def _mark(self) -> str:
+        port = FIRST_MARK + len(self._marks)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(b"", ("127.0.0.1", port))
+        mark = f"UDP to 127.0.0.1:{port}"
+        self._marks.add(mark)
+        return mark
 
     def _record(self) -> None:
         while True:
             data, address = self._socket.recvfrom(65535)
             told = _destination(data, address[1])
             if told:
-                self._seen.append(told)
+                with self._recorded:
+                    self._seen.append(told)
+                    self._recorded.notify_all()
 
 
 def _destination(data: bytes, ethernet_type: int) -> str:

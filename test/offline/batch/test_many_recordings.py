@@ -276,6 +276,7 @@ def test_a_signal_ends_all_workers_and_removes_what_is_unfinished(
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
         while not (output.exists() and has_unfinished_outputs(output)):
             assert process.poll() is None
+            time.sleep(0.01)
         process.send_signal(number)
         _, told = process.communicate(timeout=60)
     assert process.returncode == code, told
@@ -290,6 +291,7 @@ def test_workers_end_with_the_process_that_started_them_even_if_that_is_killed(t
     with subprocess.Popen(words) as process:
         while not (output.exists() and has_unfinished_outputs(output)):
             assert process.poll() is None
+            time.sleep(0.01)
         process.kill()
     while has_unfinished_outputs(output):  # until the time limit of the test
         time.sleep(0.01)

@@ -42,7 +42,7 @@ def started(head: RayHead, drives: Path, output: Path) -> subprocess.Popen[str]:
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    _, told = process.communicate(timeout=120)
+    _, told = process.communicate(timeout=240)
     return process.returncode, told
 
 

@@ -28,6 +28,7 @@ def images(console: ConsoleBesideNode) -> Iterator[JpegPublisher]:
     """The annotated images of the detector, which is unconfigured and so publishes none itself."""
     publisher = JpegPublisher(console.served.client, f"{NODE}/image/compressed")
     yield publisher
+    wait_for_subscribers(console, publisher, 0)  # else the next test takes a leaving one for its own
     publisher.close()
 
 

@@ -152,7 +152,7 @@ def test_a_detector_that_is_killed_is_gone_until_it_is_started_again() -> None:
         ConsoleClient(address(process)).page() as page,
     ):
         page.wait_for(lambda: NODE in page.nodes, "the detector")
-        killed.process.stop(signal.SIGKILL)
+        killed.process.stop(signal.SIGKILL, timeout_s=ENDED_S)
         page.wait_for(lambda: page.gone == [NODE], "its end")
         words = [entry_point("detector"), "--ros-args", "-p", "max_rate:=3.0"]
         with ChildProcess("detector", words, environment(killed.domain)):

@@ -119,7 +119,7 @@ def test_a_socket_is_refused(
 def test_a_socket_of_a_foreign_host_is_refused(console: ConsoleBesideNode) -> None:
     host, port = urlsplit(console.client.url).hostname, urlsplit(console.client.url).port
     rebound = f"evil.example:{port}"
-    with socket.create_connection((host, port), timeout=10) as connection:
+    with socket.create_connection((host, port), timeout=60) as connection:
         connection.sendall(
             f"GET /ws HTTP/1.1\r\nHost: {rebound}\r\nOrigin: http://{rebound}\r\nUpgrade: websocket\r\n"
             "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: "
@@ -300,7 +300,7 @@ def test_connections_of_one_address_that_say_nothing_keep_no_other_out(console: 
     host, port = urlsplit(console.client.url).hostname, urlsplit(console.client.url).port
     with ExitStack() as stack:
         for _ in range(200):
-            stack.enter_context(socket.create_connection((host, port), timeout=10))
+            stack.enter_context(socket.create_connection((host, port), timeout=60))
         other = http.client.HTTPConnection(host or "", port, timeout=60, source_address=("127.0.0.2", 0))
         stack.callback(other.close)
         other.request("GET", "/")

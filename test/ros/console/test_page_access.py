@@ -10,7 +10,7 @@ from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from support.browser import DESKTOP, PHONE, axe_source, set_colour_scheme, set_screen
-from support.console_page import ConsolePage
+from support.console_page import PATIENCE_S, ConsolePage
 from support.console_robot import ConsoleRobot
 
 pytestmark = pytest.mark.long
@@ -168,6 +168,7 @@ def test_axe_finds_nothing_serious(
 def findings(browser: Chrome, axe: str) -> list[str]:
     """What axe-core calls serious or critical: the rule, and the elements."""
     browser.execute_script(axe)
+    browser.set_script_timeout(PATIENCE_S)
     found = browser.execute_async_script("axe.run().then(arguments[0], (e) => arguments[0](String(e)))")
     assert isinstance(found, dict), found
     assert len(found["passes"]) > 10

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +18,11 @@ from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.console_robot import ConsoleRobot
 from support.detector_process import NODE, detector_process, environment
+from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
+from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.messages import image_of_message
 
 pytestmark = pytest.mark.long
@@ -26,6 +31,8 @@ LINE_PX = 3
 """How far from the edge of a box its line may be."""
 WRITING_PX = 40
 """How far from a box its label may be."""
+QUEUE = 500
+"""More messages than come while the browser is asked, and nothing is taken."""
 
 
 def test_the_image_moves(page: ConsolePage) -> None:
@@ -38,36 +45,54 @@ def test_the_image_moves(page: ConsolePage) -> None:
 
 
 def test_the_image_shows_the_boxes_of_its_detections(robot: ConsoleRobot, page: ConsolePage) -> None:
-    raw: dict[int, Image] = {}
     observer = robot.detector.observer
-
-    def keep(message: Image) -> None:
-        raw[stamp_ns(message.header)] = message
-
-    subscription = observer.create_subscription(Image, f"{NODE}/image_raw", keep, 10)
-    try:
-        observer.wait_for(lambda: bool(raw), "an image")
-        page.wait_for_image()
-        stamp_s, shown = page.image()
-        found = {stamp_ns(message.header): message for message in robot.detector.detections}
-        observer.wait_for(lambda: bool(nearest(stamp_s, raw)), "the image that is shown")
-        observer.wait_for(lambda: bool(nearest(stamp_s, all_found(robot))), "its detections")
-        found = all_found(robot)
-        boxes = Sighting.now(found[nearest(stamp_s, found)]).boxes_xyxy
-        pixels = image_of_message(raw[nearest(stamp_s, raw)]).pixels[..., ::-1]
-    finally:
-        observer.destroy_subscription(subscription)
+    page.wait_for_image()
+    with (
+        kept(observer, Image, f"{NODE}/image_raw") as raw,
+        kept(observer, Detection2DArray, f"{NODE}/detections") as found,
+    ):
+        stamp, shown = shown_and_kept(observer, page, raw, found)
+    boxes = Sighting.now(found[stamp]).boxes_xyxy
+    pixels = image_of_message(raw[stamp]).pixels[..., ::-1]
     change = np.abs(shown.astype(np.int64) - pixels).max(axis=2)
     near, inside = around(boxes, change.shape, LINE_PX), around(boxes, change.shape, WRITING_PX)
     assert len(boxes) > 2
     assert change[near].mean() > 3 * change[~inside].mean()
 
 
-def all_found(robot: ConsoleRobot) -> dict[int, object]:
-    return {stamp_ns(message.header): message for message in robot.detector.detections}
+@contextmanager
+def kept(observer: Observer, message_type: type, topic: str) -> Iterator[dict[int, Any]]:
+    """All messages from the first that comes, by their stamps in nanoseconds."""
+    messages: dict[int, Any] = {}
+
+    def keep(message: Any) -> None:
+        messages[stamp_ns(message.header)] = message
+
+    subscription = observer.create_subscription(message_type, topic, keep, QUEUE)
+    try:
+        observer.wait_for(lambda: bool(messages), f"a message on {topic}")
+        yield messages
+    finally:
+        observer.destroy_subscription(subscription)
 
 
-def nearest(stamp_s: float, messages: dict[int, object]) -> int:
+def shown_and_kept(
+    observer: Observer, page: ConsolePage, raw: dict[int, Any], found: dict[int, Any]
+) -> tuple[int, NDArray[np.uint8]]:
+    """Stamp in nanoseconds and pixels of a shown image that has come here, too, with its detections."""
+
+    def looked_at() -> tuple[int, NDArray[np.uint8]] | None:
+        stamp_s, shown = page.image()
+        observer.wait_for(lambda: min(max(raw), max(found)) > stamp_s * 1e9, "what came after it")
+        stamp = nearest(stamp_s, raw)
+        return (stamp, shown) if stamp in found else None
+
+    image = page.wait_for(looked_at, "an image that has come here, too")
+    assert image is not None
+    return image
+
+
+def nearest(stamp_s: float, messages: dict[int, Any]) -> int:
     """The stamp in nanoseconds that is `stamp_s` as far as a float tells, 0 if there is none."""
     return next((stamp for stamp in messages if abs(stamp / 1e9 - stamp_s) < 1e-5), 0)
 
@@ -86,9 +111,19 @@ def around(boxes_xyxy: NDArray[np.float64], size_hw: tuple[int, ...], reach: int
 def test_rate_and_latency_are_shown_and_plotted(page: ConsolePage) -> None:
     figures = re.compile(r"\d+\.\d Hz · \d+\.\d ms, p95 \d+\.\d ms")
     page.wait_for(lambda: figures.fullmatch(page.text(".camera .figures")), "the figures")
-    page.wait_for(lambda: len(page.find_all(".plot polyline")) == 2, "both lines")
-    first = page.find(".plot polyline").get_attribute("points") or ""
-    page.wait_for(lambda: len(page.find(".plot polyline").get_attribute("points") or "") > len(first), "time")
+    page.wait_for(lambda: [bool(line) for line in lines(page)] == [True, True], "both lines")
+    first = lines(page)
+    page.wait_for(lambda: len(lines(page)[0]) > len(first[0]), "time")
+
+
+def lines(page: ConsolePage) -> list[str]:
+    """The points of each plot, read together: the page draws it anew each second."""
+    script = """
+        const all = (part, css) => Array.from(part.querySelectorAll(css));
+        const pointsOf = (plot) => all(plot, "polyline").map((line) => line.getAttribute("points"));
+        return all(arguments[0], ".plot").map((plot) => pointsOf(plot).join(" "));
+        """
+    return list(page.driver.execute_script(script, page.find(".history")))
 
 
 def test_the_balance_of_frames_grows_and_is_one(page: ConsolePage) -> None:

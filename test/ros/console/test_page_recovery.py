@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
-from support.camera_process import camera_process
+from support.camera_process import END_S, camera_process
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.console_robot import CAMERA
@@ -37,13 +37,18 @@ def domain() -> Iterator[int]:
         yield domain
 
 
+def own_port(domain: int) -> int:
+    """A TCP port that nobody takes while no console has it: no ephemeral one, and of this domain."""
+    return 7400 + 250 * domain
+
+
 def test_a_detector_that_is_killed_and_restarted_is_lost_and_found(browser: Chrome, domain: int) -> None:
     with console_process(domain) as console, ExitStack() as first:
         detector = first.enter_context(autostarted(domain))
         page = ConsolePage(browser, address(console))
         page.open()
         page.wait_for_image()
-        detector.stop(signal.SIGKILL)
+        detector.stop(signal.SIGKILL, timeout_s=END_S)
         page.wait_for_text(".notice.error", "/yolov5 is lost")
         assert page.state == "active"  # the last that is known of it
         with autostarted(domain):
@@ -53,14 +58,13 @@ def test_a_detector_that_is_killed_and_restarted_is_lost_and_found(browser: Chro
 
 
 def test_a_console_that_is_killed_and_restarted_is_lost_and_found(browser: Chrome, domain: int) -> None:
+    port = own_port(domain)
     with autostarted(domain), ExitStack() as first:
-        console = first.enter_context(console_process(domain))
-        port = urlsplit(address(console)).port
-        assert port
+        console = first.enter_context(console_process(domain, port=port))
         page = ConsolePage(browser, address(console))
         page.open()
         page.wait_for_image()
-        console.stop(signal.SIGKILL)
+        console.stop(signal.SIGKILL, timeout_s=END_S)
         lost = browser.find_element(By.ID, "lost")
         page.wait_for(lambda: "connection to the console is lost" in lost.text, "the loss")
         field = page.widget("max_rate", 'input[type="text"]')

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from support.preparations import Preparations
-from support.served_node import ServedNode, class_ids_of
+from support.served_node import PATIENCE_S, ServedNode, class_ids_of
 
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 
@@ -16,7 +16,7 @@ def begin_loading(served: ServedNode, prepare: Preparations) -> Any:
     served.bring_to("inactive")
     prepare.gate.clear()
     answer = served.begin_transition("activate")
-    assert prepare.begun.acquire(timeout=10)
+    assert prepare.begun.acquire(timeout=PATIENCE_S)
     return answer
 
 

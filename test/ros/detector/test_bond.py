@@ -61,7 +61,7 @@ def test_a_manager_notices_that_the_process_was_killed() -> None:
         manager = LifecycleManager(observer, bond_timeout_s=1.0)
         manager.startup()
         bond = manager.bonds["yolov5"]
-        assert detector.process.stop(signal.SIGKILL) == -signal.SIGKILL
+        assert detector.process.stop(signal.SIGKILL, timeout_s=PATIENCE_S) == -signal.SIGKILL
         observer.wait_for(lambda: bond.is_broken, "the end of the bond")
         assert bond.ended_by_timeout
         assert all(message.active for message in bond.heard)
@@ -79,16 +79,27 @@ def served_with(*parameters: str) -> Iterator[tuple[ServedNode, Preparations]]:
 
 
 class BondSubscriber:
-    """The messages on `bond`, taken by the client of `served`."""
+    """The node's messages on `bond`, taken by the client of `served`."""
 
     def __init__(self, served: ServedNode) -> None:
         self._served = served
         self.heard: list[Status] = []
-        served.client.create_subscription(Status, "/bond", self.heard.append, 100)
+        served.client.create_subscription(Status, "/bond", self._take, 100)
+        self._publisher = served.client.create_publisher(Status, "/bond", 5)
+
+    def join(self) -> None:
+        """One heartbeat of a manager: without any, those of the node would end after `CONNECT_S`."""
+        self._served.wait_for(lambda: self._publisher.get_subscription_count() == 2, "both subscriptions")
+        self._publisher.publish(Status(id="yolov5", instance_id="manager", active=True))
+        self._served.wait_for_log("bonded with the lifecycle manager")
 
     def wait_for_more(self) -> None:
         wanted = len(self.heard) + MANY
         self._served.wait_for(lambda: len(self.heard) >= wanted, "heartbeats")
+
+    def _take(self, message: Status) -> None:
+        if message.instance_id != "manager":
+            self.heard.append(message)
 
 
 def test_the_bond_is_off_unless_it_is_asked_for() -> None:
@@ -102,6 +113,7 @@ def test_heartbeats_go_on_while_a_model_is_loaded_and_while_inference_hangs() ->
     with served_with("bond_timeout:=4.0") as (served, prepare):
         subscriber = BondSubscriber(served)
         served.bring_to("active")
+        subscriber.join()
         assert prepare.begun.acquire(timeout=PATIENCE_S)
         prepare.gate.clear()
         reload = served.begin_set(image_size=320)
@@ -132,10 +144,13 @@ def test_a_node_that_is_no_longer_active_has_ended_its_bond(transition: str) -> 
     with served_with("bond_timeout:=4.0") as (served, _):
         subscriber = BondSubscriber(served)
         served.bring_to("active")
+        subscriber.join()
         subscriber.wait_for_more()
         assert served.transition(transition)
         served.wait_for(lambda: not subscriber.heard[-1].active, "the end of the bond")
-        served.wait_for(lambda: served.client.count_publishers("/bond") == 0, "the publisher to go")
+        served.wait_for(
+            lambda: served.client.count_publishers("/bond") == 1, "no publisher but the manager's to stay"
+        )
 
 
 def test_configure_says_what_a_bond_needs_where_its_messages_are_missing(

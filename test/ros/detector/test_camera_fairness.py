@@ -16,16 +16,15 @@ from support.served_node import PATIENCE_S, ServedNode, image
 
 SIZES_HW = {"front": (48, 64), "rear": (64, 48), "left": (48, 128)}
 """Of the images, by camera; no two have the same shape."""
-ROUNDS = 5
-"""How many images each camera sends during one inference."""
+ROUNDS = 2
+"""How many images each camera sends during one inference; the first may be sent before it begins."""
 INFERENCES = 21
 
 
 class SharedModel:
     """The cameras of an active node, and which of them each inference was for: `served`.
 
-    An inference lasts until `send` was called `ROUNDS` times, so that the images of all cameras arrive
-    meanwhile.
+    An inference lasts until `send` has ended `ROUNDS` times: an image of each camera arrives meanwhile.
     """
 
     def __init__(self, node: ServedNode, prepare: Preparations) -> None:
@@ -42,9 +41,10 @@ class SharedModel:
             node.wait_for(lambda: client.images.get_subscription_count() > 0, "the node to subscribe")  # noqa: B023
 
     def send(self, *names: str) -> None:
-        """One image of each of these cameras."""
+        """One image of each of these cameras, which the node has taken when this returns."""
         for name in names:
             self.clients[name].send(image(*SIZES_HW[name]))
+        self.node.state()  # is answered after the images that were sent before the request are taken
         with self._changed:
             self._rounds += 1
             self._changed.notify_all()

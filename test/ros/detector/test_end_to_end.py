@@ -126,9 +126,8 @@ def test_an_unreadable_image_is_counted_and_the_next_one_detected(
     for field, value in change.items():
         setattr(image, field, value)
     active.publish(image)
-    status = active.wait_until_rejected(rejected + 1)
+    status = active.wait_until_rejected(rejected + 1, reason)
     assert int(status["frames rejected"]) == rejected + 1
-    assert reason in status["message"]
     assert len(active.look().scores) > 0
 
 
@@ -136,13 +135,17 @@ def test_the_annotated_image_has_the_header_of_its_source_and_boxes_drawn(active
     drawn: list[Image] = []
     topic = f"{NODE}/image"
     subscription = active.observer.create_subscription(Image, topic, drawn.append, QoSProfile(depth=1))
-    active.observer.wait_for(lambda: active.observer.count_publishers(topic) == 1, "the publisher of images")
+
+    def is_discovered() -> bool:
+        active.look()
+        return bool(drawn)
+
+    active.observer.wait_for(is_discovered, "the node to discover the subscriber")
     source = scene_image()
     found = Sighting.now(active.detect(source))
-    active.observer.wait_for(lambda: bool(drawn), "an annotated image")
+    active.observer.wait_for(lambda: drawn[-1].header == source.header, "the annotated image")
     active.observer.destroy_subscription(subscription)
-    assert drawn[0].header == source.header
-    changed = (image_of_message(drawn[0]).pixels != image_of_message(source).pixels).any(axis=2)
+    changed = (image_of_message(drawn[-1]).pixels != image_of_message(source).pixels).any(axis=2)
     for x1, y1, _, y2 in np.rint(found.boxes_xyxy).astype(int):
         left_side = changed[y1 + 3 : y2 - 3, max(x1 - 1, 0) : x1 + 2]
         assert left_side.any(axis=1).mean() > 0.9

@@ -60,7 +60,7 @@ def test_every_mistake_in_a_parameter_file_is_named_and_can_be_corrected(tmp_pat
             "image_size: 321",
         ):
             assert word in told
-            assert word in detector.process.output
+            detector.process.wait_for_output(word, PATIENCE_S)
         fixed = {"iou_threshold": 0.5, "max_detections": 10, "precision": "auto"}
         assert detector.node.set_parameters(confidence_threshold=0.5, **fixed, **PARAMETERS) == ""
         detector.bring_to("active")
@@ -88,7 +88,7 @@ def test_parameter_files_that_cannot_be_read_are_reported_at_the_start(tmp_path:
             assert told["level"] == "ERROR"
             for reason in reasons:
                 assert reason in told["message"]
-                assert reason in detector.process.output
+                detector.process.wait_for_output(reason, PATIENCE_S)
             assert not detector.transition("configure")
         assert "Failed to parse global arguments" not in detector.process.output
         assert detector.node.state() == "unconfigured"

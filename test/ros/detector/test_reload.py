@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from support.preparations import Preparations, prediction
-from support.served_node import ServedNode, class_ids_of, image
+from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 
@@ -24,8 +24,8 @@ def test_frames_are_detected_while_the_next_model_loads(served: ServedNode, prep
     served.bring_to("active")
     prepare.gate.clear()
     change = served.begin_set(image_size=320)
-    prepare.begun.acquire(timeout=10)
-    assert prepare.begun.acquire(timeout=10)
+    prepare.begun.acquire(timeout=PATIENCE_S)
+    assert prepare.begun.acquire(timeout=PATIENCE_S)
     assert class_ids_of(served.detect()) == ["cat"]
     assert served.state() == "active"
     assert served.get("image_size") == 640
@@ -72,7 +72,7 @@ def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
     served.bring_to("active")
     prepare.gate.clear()
     reload = served.begin_set(model_size="n6")  # needs multiples of 64
-    assert prepare.begun.acquire(timeout=10)
+    assert prepare.begun.acquire(timeout=PATIENCE_S)
     other = served.begin_set(image_size=672)
     prepare.gate.set()
     served.wait_for(lambda: reload.done() and other.done(), "both answers")
@@ -108,8 +108,8 @@ def test_leaving_active_wins_over_a_reload(served: ServedNode, prepare: Preparat
     served.bring_to("active")
     prepare.gate.clear()
     change = served.begin_set(image_size=320)
-    prepare.begun.acquire(timeout=10)
-    assert prepare.begun.acquire(timeout=10)
+    prepare.begun.acquire(timeout=PATIENCE_S)
+    assert prepare.begun.acquire(timeout=PATIENCE_S)
     assert served.transition(label)
     prepare.gate.set()
     served.wait_for(change.done, "the reload")

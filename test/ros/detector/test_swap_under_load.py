@@ -91,6 +91,20 @@ class Watch:
         self._sent_ns.append(stamp_ns(truth.header))
 
 
+def status_at_rest(detector: DetectorProcess, watch: Watch) -> dict[str, str]:
+    """The first status without a frame under way, once as many detections have arrived as it counts."""
+    statuses: list[dict[str, str]] = []
+
+    def is_at_rest() -> bool:
+        statuses.append(detector.status())
+        return statuses[-1]["frames pending"] == "0"
+
+    detector.observer.wait_for(is_at_rest, "the last frame")
+    detected = int(statuses[-1]["frames detected"])
+    detector.observer.wait_for(lambda: len(watch.messages) >= detected, "the last detections")
+    return statuses[-1]
+
+
 def _class_names(message: Detection2DArray) -> set[str]:
     return {detection.results[0].hypothesis.class_id for detection in message.detections}
 
@@ -104,7 +118,7 @@ def test_swaps_lose_no_frame_and_mix_no_models(detector: DetectorProcess, weight
         for swap in range(SWAPS):
             watch.swap(weights[(swap + 1) % 2])
         assert camera.stop(timeout_s=PATIENCE_S) == 0
-    status = detector.status()
+    status = status_at_rest(detector, watch)
     assert is_balanced(status)
     # The ground truth of an image may itself be lost by this busy process, but none is ever added.
     accounted = sum(int(status[f"frames {end}"]) for end in ("received", "lost", "overtaken"))
