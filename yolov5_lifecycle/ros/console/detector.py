@@ -18,7 +18,7 @@ from yolov5_lifecycle.ros.console.parameter_view import (
     parameter_message,
     plain_value,
 )
-from yolov5_lifecycle.ros.console.ros_thread import NotReachedError, RosThread
+from yolov5_lifecycle.ros.console.ros_thread import NotReachedError
 from yolov5_lifecycle.settings.camera_names import NODE_STATUS
 
 SILENCE_S = 5.0
@@ -32,27 +32,24 @@ _SLOW_CHANGES = ("reload", "cameras")
 
 
 class Detector:
-    """The detector called `name`, used in the thread of the event loop; `on_change(self)` after each change.
+    """The detector at the end of `link`, for the event loop's thread; `on_change(self)` after each change.
 
     `publishers`: those of its processes so far; a new one means that it was restarted.
     """
 
     def __init__(
         self,
-        ros: RosThread,
-        name: str,
+        link: DetectorLink,
         publishers: frozenset[bytes],
         *,
         on_change: Callable[[Detector], object],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.name = name
+        self.name = link.name
         self.publishers = publishers
         self._on_change = on_change
         self._clock = clock
-        self._link = DetectorLink(
-            ros, name, on_transition=self._want_state, on_class_names=self._take_class_names
-        )
+        self._link = link
         self._state = ""
         self._transitions: list[str] = []
         self._views: dict[str, ParameterView] = {}
@@ -62,6 +59,7 @@ class Detector:
         self._log = LogView()
         self._busy: list[str] = []
         self._wants_state = self._wants_parameters = True
+        self._event_count = 0
         self._wanted = asyncio.Event()
         self._wanted.set()
         self._heard_s: float | None = None
@@ -69,7 +67,7 @@ class Detector:
 
     async def open(self) -> None:
         """Start querying the node."""
-        await self._link.open()
+        await self._link.open(on_transition=self._want_state, on_class_names=self._take_class_names)
         self._task = asyncio.create_task(self._keep_up_to_date())
 
     async def close(self) -> None:
@@ -179,9 +177,9 @@ class Detector:
         self._on_change(self)
 
     def take_parameter_event(self, event: ParameterEvent) -> None:
+        self._event_count += 1
         if event.new_parameters or event.deleted_parameters:
-            self._wants_parameters = True
-            self._wanted.set()
+            self._want_parameters()
         for parameter in event.changed_parameters:
             if parameter.name in self._views:
                 self._values[parameter.name] = plain_value(parameter.value)
@@ -193,6 +191,10 @@ class Detector:
 
     def _want_state(self) -> None:
         self._wants_state = True
+        self._wanted.set()
+
+    def _want_parameters(self) -> None:
+        self._wants_parameters = True
         self._wanted.set()
 
     async def _keep_up_to_date(self) -> None:
@@ -216,17 +218,23 @@ class Detector:
         if self._wants_parameters:
             self._wants_parameters = False
             try:
-                found = await self._link.parameters()
+                await self._ask_parameters()
             except NotReachedError:
                 self._wants_parameters = True
                 raise
-            views = {view.name: view for one, _ in found if (view := ParameterView.of(one)) is not None}
-            self._values = {str(one.name): plain_value(value) for one, value in found if one.name in views}
-            self._views = views
         self._on_change(self)
 
     async def _ask_state(self) -> None:
         self._state, self._transitions = await self._link.state()
+
+    async def _ask_parameters(self) -> None:
+        event_count = self._event_count
+        found = await self._link.parameters()
+        views = {view.name: view for one, _ in found if (view := ParameterView.of(one)) is not None}
+        self._values = {str(one.name): plain_value(value) for one, value in found if one.name in views}
+        self._views = views
+        if self._event_count != event_count:  # these values may be older than those of the event
+            self._want_parameters()
 
     async def _reason(self, count: int) -> str:
         """The problems that the node has logged since line number `count`; waits a little for them."""

@@ -38,29 +38,30 @@ _SERVICES = {
 
 
 class DetectorLink:
-    """Talks to the detector called `name`; its coroutines raise NotReachedError.
+    """Talks to the detector called `name`; its coroutines raise NotReachedError."""
 
-    `on_transition()` is called after each change of its state, `on_class_names(names)` with the class names
-    of its model, both in the thread of the event loop.
-    """
-
-    def __init__(
-        self,
-        ros: RosThread,
-        name: str,
-        *,
-        on_transition: Callable[[], object],
-        on_class_names: Callable[[list[str]], object],
-    ) -> None:
+    def __init__(self, ros: RosThread, name: str) -> None:
         self.name = name
         self._ros = ros
-        self._on_transition = on_transition
-        self._on_class_names = on_class_names
         self._clients: dict[str, Any] = {}
         self._subscriptions: list[Any] = []
 
-    async def open(self) -> None:
-        await self._ros.run(self._create, self._ros.node)
+    async def open(
+        self, *, on_transition: Callable[[], object], on_class_names: Callable[[list[str]], object]
+    ) -> None:
+        """Create clients and subscriptions.
+
+        `on_transition()` is called after each change of the node's state, `on_class_names(names)` with the
+        class names of its model, both in the thread of the event loop.
+        """
+
+        def take_event(_: TransitionEvent) -> None:
+            self._ros.post(on_transition)
+
+        def take_labels(message: LabelInfo) -> None:
+            self._ros.post(on_class_names, [str(one.class_name) for one in message.class_map])
+
+        await self._ros.run(self._create, self._ros.node, take_event, take_labels)
 
     async def close(self) -> None:
         await self._ros.run(self._destroy, self._ros.node)
@@ -97,12 +98,17 @@ class DetectorLink:
     async def _call(self, service: str, request: Any, timeout_s: float) -> Any:
         return await self._ros.call(self._clients[service], request, timeout_s=timeout_s)
 
-    def _create(self, node: Node) -> None:
+    def _create(
+        self,
+        node: Node,
+        take_event: Callable[[TransitionEvent], None],
+        take_labels: Callable[[LabelInfo], None],
+    ) -> None:
         for service, service_type in _SERVICES.items():
             self._clients[service] = node.create_client(service_type, f"{self.name}/{service}")
         self._subscriptions = [
-            node.create_subscription(TransitionEvent, f"{self.name}/transition_event", self._take_event, 10),
-            node.create_subscription(LabelInfo, f"{self.name}/label_info", self._take_labels, _LATCHED),
+            node.create_subscription(TransitionEvent, f"{self.name}/transition_event", take_event, 10),
+            node.create_subscription(LabelInfo, f"{self.name}/label_info", take_labels, _LATCHED),
         ]
 
     def _destroy(self, node: Node) -> None:
@@ -111,9 +117,3 @@ class DetectorLink:
         for client in self._clients.values():
             node.destroy_client(client)
         self._subscriptions, self._clients = [], {}
-
-    def _take_event(self, _: TransitionEvent) -> None:
-        self._ros.post(self._on_transition)
-
-    def _take_labels(self, message: LabelInfo) -> None:
-        self._ros.post(self._on_class_names, [str(one.class_name) for one in message.class_map])

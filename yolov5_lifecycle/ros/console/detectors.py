@@ -14,6 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from yolov5_lifecycle.ros.console.camera_view import StatusView
 from yolov5_lifecycle.ros.console.detector import Detector
+from yolov5_lifecycle.ros.console.detector_link import DetectorLink
 from yolov5_lifecycle.ros.console.graph import Candidate, candidates
 from yolov5_lifecycle.ros.console.log_view import LogLine, logger_name
 from yolov5_lifecycle.ros.console.ros_thread import RosThread
@@ -83,7 +84,8 @@ class Detectors:
                 self._hide(name)
         for name, candidate in present.items():
             if name not in self._followed:
-                detector = Detector(self._ros, name, candidate.publishers, on_change=self._changed)
+                link = DetectorLink(self._ros, name)
+                detector = Detector(link, candidate.publishers, on_change=self._changed)
                 self._followed[name] = detector
                 self._by_logger[logger_name(name)] = name
                 await detector.open()

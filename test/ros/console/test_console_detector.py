@@ -1,0 +1,122 @@
+"""What the console knows of a detector, when its answers are late or its process was replaced."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import Parameter
+from support.detector_process import NODE
+from support.served_node import PATIENCE_S, ServedNode
+
+from yolov5_lifecycle.ros.console.camera_view import StatusView
+from yolov5_lifecycle.ros.console.detector import SILENCE_S, Detector
+from yolov5_lifecycle.ros.console.detector_link import DetectorLink
+from yolov5_lifecycle.ros.console.ros_thread import RosThread
+from yolov5_lifecycle.settings.camera_names import NODE_STATUS
+
+STATUSES = [StatusView(NODE_STATUS, level=0, message="", values={"state": "unconfigured"})]
+
+
+class HeldLink(DetectorLink):
+    """A link whose answer about parameters arrives when `gate` is open; `is_answered`: one is on its way."""
+
+    def __init__(self, ros: RosThread, name: str) -> None:
+        super().__init__(ros, name)
+        self.gate = asyncio.Event()
+        self.gate.set()
+        self.is_answered = asyncio.Event()
+
+    async def parameters(self) -> Any:
+        answer = await super().parameters()
+        self.is_answered.set()
+        await self.gate.wait()
+        return answer
+
+
+class KnownDetector:
+    """The console's view of `served`, which knows only what the test tells it and what it asks."""
+
+    def __init__(self, served: ServedNode, ros: RosThread) -> None:
+        self.served = served
+        self.link = HeldLink(ros, NODE)
+        self.now_s = 0.0
+        self._changed = asyncio.Event()
+        self.detector = Detector(
+            self.link, frozenset(), on_change=lambda _: self._changed.set(), clock=lambda: self.now_s
+        )
+
+    async def set(self, name: str, value: float) -> ParameterEvent:
+        """Set the parameter in the node; the event that tells it, which has not been received yet."""
+        assert await asyncio.to_thread(lambda: self.served.set(**{name: value})) == (True, "")
+        return ParameterEvent(node=NODE, changed_parameters=[Parameter(name, value=value).to_parameter_msg()])
+
+    async def wait_for(self, condition: Callable[[], bool]) -> None:
+        while not condition():
+            self._changed.clear()
+            await asyncio.wait_for(self._changed.wait(), PATIENCE_S)
+
+    def value(self, name: str) -> object:
+        """The value that the page shows, None if it shows none."""
+        shown: Any = self.detector.as_json()["parameters"]
+        return next((each["value"] for each in shown if each["name"] == name), None)
+
+
+@contextmanager
+def console_node() -> Iterator[rclpy.node.Node]:
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[])
+    node = rclpy.create_node("console", context=context)
+    yield node
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def play(served: ServedNode, act: Callable[[KnownDetector], Awaitable[None]]) -> None:
+    """Let `act` use the detector in an event loop."""
+
+    async def played(node: rclpy.node.Node) -> None:
+        ros = RosThread(node, asyncio.get_running_loop())
+        ros.start()
+        known = KnownDetector(served, ros)
+        await known.detector.open()
+        try:
+            await act(known)
+        finally:
+            await known.detector.close()
+            assert ros.stop()
+
+    with console_node() as node:
+        asyncio.run(played(node))
+
+
+def test_a_value_that_changes_while_parameters_are_queried_is_shown(served: ServedNode) -> None:
+    async def act(known: KnownDetector) -> None:
+        known.link.gate.clear()
+        await asyncio.wait_for(known.link.is_answered.wait(), PATIENCE_S)
+        known.detector.take_parameter_event(await known.set("max_rate", 7.0))
+        known.link.gate.set()
+        await known.wait_for(lambda: known.value("max_rate") == 7.0)
+
+    play(served, act)
+
+
+def test_a_detector_that_was_silent_is_unknown_until_it_has_answered_again(served: ServedNode) -> None:
+    async def act(known: KnownDetector) -> None:
+        known.detector.take_diagnostics(STATUSES)
+        await known.wait_for(lambda: known.detector.is_known)
+        assert known.value("max_rate") == 0.0
+        await known.set("max_rate", 3.0)  # as a restarted process has it
+        known.now_s += 2 * SILENCE_S
+        assert known.detector.is_silent
+        known.detector.invalidate()
+        known.detector.take_diagnostics(STATUSES)  # of the new process
+        assert not known.detector.is_known
+        await known.wait_for(lambda: known.detector.is_known)
+        assert known.value("max_rate") == 3.0
+
+    play(served, act)
