@@ -138,6 +138,10 @@ def test_a_file_that_only_ros_refuses_is_left_out_with_its_reason(ros_domain: in
         pytest.param(
             "rate: 30", ["--param", "rate:=5.5"], "'--param rate:=5.5'|--param rate:=5.5", id="numbers"
         ),
+        pytest.param("classes: [0, 2]", ["-p", 'classes:=["cat"]'], "differ in type", id="lists"),
+        pytest.param("cameras: [front]", ["-p", "cameras:=[]"], "ignores the empty list", id="empty list"),
+        pytest.param("cameras: []", ["-p", "cameras:=[front]"], "", id="list after an empty one"),
+        pytest.param("cameras: [front]", ["-p", "cameras:=[rear]"], "", id="lists of one type"),
         pytest.param("device: 0", ["-p", "device:=1"], "", id="one type"),
         pytest.param("device: 0", ["-p", "other:device:=cpu"], "", id="another node"),
         pytest.param("device: 0", ["-p", "other:=cpu"], "", id="another name"),
@@ -150,6 +154,29 @@ def test_values_of_two_types_for_one_name_are_a_problem(
     problems = start_arguments(["detector", "--ros-args", "--params-file", str(path), *second]).problems
     assert len(problems) == bool(told)
     assert all(re.search(told, problem) for problem in problems)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        pytest.param([0, 2], ["cat"], id="strings after integers"),
+        pytest.param(["cat"], [], id="empty after strings"),
+        pytest.param([], ["cat"], id="strings after empty"),
+        pytest.param(["cat"], ["dog"], id="strings after strings"),
+    ],
+)
+def test_ros_ignores_exactly_the_lists_that_are_a_problem(
+    ros_domain: int, path: Path, first: list[object], second: list[object]
+) -> None:
+    path.write_text(f"/**: {{ros__parameters: {{a: {first}}}}}")
+    words = ["node", "--ros-args", "--params-file", str(path), "-p", f"a:={second}"]
+    context = rclpy.Context()
+    rclpy.init(args=words, context=context)
+    node = rclpy.create_node("node", context=context, automatically_declare_parameters_from_overrides=True)
+    is_ignored = list(node.get_parameter("a").value) != second
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+    assert bool(start_arguments(words).problems) is is_ignored
 
 
 def test_other_words_that_ros_refuses_are_an_error(ros_domain: int, path: Path) -> None:

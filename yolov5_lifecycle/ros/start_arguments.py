@@ -14,7 +14,12 @@ from rclpy.utilities import remove_ros_args
 from yolov5_lifecycle.commands.command_line import EXIT_USAGE, version_line
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
-from yolov5_lifecycle.settings.parameter_file import ParameterFileError, names_node, read_parameter_file
+from yolov5_lifecycle.settings.parameter_file import (
+    ParameterFileError,
+    kind,
+    names_node,
+    read_parameter_file,
+)
 from yolov5_lifecycle.settings.parameter_yaml import ParameterYamlError, Value, parameter_value
 from yolov5_lifecycle.settings.schema import Setting
 
@@ -117,12 +122,20 @@ def _clashes(words: Sequence[str], files: Mapping[str, ParameterFile]) -> Iterat
     """Problems of parameters given with two types for one node; rcl silently uses the wrong value.
 
     rcl prefers boolean over integer over double over string, regardless of the order: with `device: 0` in a
-    file, `-p device:=cpu` is ignored.
+    file, `-p device:=cpu` is ignored. So are lists of strings after lists of integers, and empty lists after
+    any other.
     """
     first: dict[tuple[str, str], tuple[Value, str]] = {}
     for node, name, value, place in _assignments(words, files):
         before, where = first.setdefault((node, name), (value, place))
-        if type(value) is not type(before):
+        if before == [] and isinstance(value, list):
+            first[node, name] = value, place
+        elif value == [] and isinstance(before, list):
+            yield in_one_line(
+                f"{name}: ROS ignores the empty list in {place}, because {where} has {before!r}: remove that "
+                "value and restart the node."
+            )
+        elif kind(value) != kind(before):
             yield in_one_line(
                 f"{name}: {before!r} in {where} and {value!r} in {place} differ in type, and ROS may use "
                 "either: give both the same type, or remove one, and restart the node."

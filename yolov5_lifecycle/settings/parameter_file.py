@@ -128,7 +128,7 @@ def _add(nodes: dict[str, dict[str, Value]], entry: Entry) -> None:
             raise ParameterYamlError(f"line {entry.line}: expected names and values below {_PARAMETERS}")
         return
     # If one name has values of two types, rcl uses the first of: boolean, integer, double, string.
-    if name in values and _kind(values[name]) != _kind(value):
+    if name in values and kind(values[name]) != kind(value):
         raise ParameterYamlError(
             f"line {entry.line}: '{in_one_line(name)}' has a value of another type further up: leave one out"
         )
@@ -153,5 +153,6 @@ def _node_pattern(entry: Entry, depth: int) -> str:
     return pattern
 
 
-def _kind(value: Value) -> tuple[type, type | None]:
+def kind(value: Value) -> tuple[type, type | None]:
+    """The type of `value` and, if it is a list with entries, theirs; rcl treats each kind separately."""
     return type(value), type(value[0]) if isinstance(value, list) and value else None
