@@ -18,7 +18,7 @@ FrameJob = tuple[Pipeline, ReceivedFrame]
 class BatchDetection:
     """Detects in frames that wait at the same time, in the batch sizes that `detector` measured as faster.
 
-    All pipelines must have this `detector`. Used by the worker, see `streaming.pipeline.Batch`.
+    Used by the worker, see `streaming.pipeline.Batch`.
     """
 
     def __init__(self, detector: Detector) -> None:
@@ -28,8 +28,13 @@ class BatchDetection:
     def max_size(self) -> int:
         return max(self._detector.batch_sizes, default=1)
 
-    def key(self, pipeline: Pipeline, frame: ReceivedFrame) -> tuple[int, int]:
-        """The network input size; a compressed image is assumed to be as large as the last image."""
+    def key(self, pipeline: Pipeline, frame: ReceivedFrame) -> tuple[int, int] | None:
+        """The network input size; a compressed image is assumed to be as large as the last image.
+
+        None for a frame of a camera that is being removed, whose pipeline still has the previous detector.
+        """
+        if pipeline.detector is not self._detector:
+            return None
         message = frame.message
         if isinstance(message, Image):
             return self._detector.network_hw((message.height, message.width))
