@@ -59,6 +59,18 @@ def test_images_boxes_and_classes_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "bbox",
+    [[200, 20, 5, 5], [20, 100, 5, 5], [-9, 20, 5, 5], [20, -9, 5, 9]],
+    ids=["right", "below", "left", "above"],
+)
+def test_a_box_outside_of_an_image_of_unknown_size_is_refused(bbox: list[int], tmp_path: Path) -> None:
+    unknown = {key: value for key, value in image(1).items() if key not in ("width", "height")}
+    found, _ = read(write(tmp_path, coco([unknown], [annotation(1, bbox=bbox)])))
+    with pytest.raises(LabelError, match="a label is outside of its image of 200 x 100 pixels"):
+        found.images[0].labels.in_pixels((100, 200))
+
+
+@pytest.mark.parametrize(
     ("json_name", "image_name"),
     [
         pytest.param("truth.json", "1.jpg", id="beside"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from support.random_evaluation import CLASS_NAMES, random_images
 from support.slow_precision import iou
 
 from yolov5_lifecycle.evaluation.confusion import MIN_IOU, confusion_matrix
-from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
+from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE, EvaluatedImage
 from yolov5_lifecycle.evaluation.figures import Counts, counts_at, rows, sweep
 from yolov5_lifecycle.evaluation.matching import match
 from yolov5_lifecycle.evaluation.thresholds import (
@@ -121,6 +122,17 @@ def test_a_threshold_gives_the_reported_counts_and_none_is_better(goal: str) -> 
         else:
             others = [counts for counts in tried if counts.precision >= wanted.least]
             assert chosen.counts.recall >= max(one.recall for one in others)
+
+
+def test_a_threshold_admits_no_detection_that_was_not_evaluated() -> None:
+    images = [
+        replace(image, found=replace(image.found, scores=0.002 + 0.006 * image.found.scores))
+        for image in random_images(2, 20)
+    ]
+    all_detections = Goal("precision", 1e-9)
+    for chosen in chosen_thresholds(match(images, CLASS_NAMES), CLASS_NAMES, all_detections):
+        assert chosen.value is not None
+        assert MIN_CONFIDENCE <= chosen.value < 0.008
 
 
 def test_thresholds_are_parameters_of_the_node(tmp_path: Path) -> None:

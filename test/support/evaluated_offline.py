@@ -83,8 +83,12 @@ def labelled_drive(
     class_names: Sequence[str] | None = CLASS_NAMES,
     change: Callable[[Any], Any] = lambda message: message,
     topics: Sequence[str] = (TRUTH,),
+    other_names: Sequence[str] | None = None,
 ) -> Path:
-    """A recording of the images `numbers`, and on `topics` what those of `labelled` show, after `change`."""
+    """A recording of the images `numbers`, and on `topics` what those of `labelled` show, after `change`.
+
+    `other_names`: the classes in the label_info of another node, which comes first by name.
+    """
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         image_topic = writer.add_connection(TOPIC, IMAGE, typestore=TYPES)
         for number in numbers:
@@ -94,11 +98,12 @@ def labelled_drive(
             for number in labelled:
                 message = change(detection_array(truth_of(number), raw(number).header))
                 _add(writer, connection, number, message)
-        if class_names is not None:
-            connection = writer.add_connection(
-                "/yolov5/label_info", "vision_msgs/msg/LabelInfo", typestore=TYPES
-            )
-            _add(writer, connection, 0, _label_info(class_names))
+        for node, names in (("faces", other_names), ("yolov5", class_names)):
+            if names is not None:
+                connection = writer.add_connection(
+                    f"/{node}/label_info", "vision_msgs/msg/LabelInfo", typestore=TYPES
+                )
+                _add(writer, connection, 0, _label_info(names))
     return path
 
 

@@ -12,6 +12,8 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.evaluation.ground_truth import Boxes, DataError, LabelError
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 
+MIN_CONFIDENCE = 0.001
+"""Detections with a lower score are not evaluated, as in YOLOv5's own validation."""
 _MAX_SHOWN = 10
 
 

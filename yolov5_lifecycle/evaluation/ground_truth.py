@@ -88,13 +88,16 @@ class Labels:
     """Height and width of the image that the labels were made for, if known."""
 
     def in_pixels(self, size_hw: tuple[int, int]) -> Boxes:
-        """The boxes in an image of `size_hw`; raises LabelError if they are for another size."""
+        """The boxes in an image of `size_hw`; raises LabelError if they are outside, or for another size."""
         if self.size_hw is not None and self.size_hw != size_hw:
             expected, found = (f"{width} x {height}" for height, width in (self.size_hw, size_hw))
             raise LabelError(f"the labels are for an image of {expected} pixels, found {found}")
-        if not self.in_fractions:
-            return self.boxes
         height, width = size_hw
+        if not self.in_fractions:
+            xyxy = self.boxes.xyxy
+            if ((xyxy[:, :2] >= (width, height)) | (xyxy[:, 2:] <= 0)).any():
+                raise LabelError(f"a label is outside of its image of {width} x {height} pixels")
+            return self.boxes
         pixels = self.boxes.xyxy * (width, height, width, height)
         return Boxes(pixels, self.boxes.class_ids, self.boxes.is_crowd)
 

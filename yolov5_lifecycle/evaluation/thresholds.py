@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE
 from yolov5_lifecycle.evaluation.figures import Counts, Sweep, sweep
 from yolov5_lifecycle.evaluation.matching import Matches
 
@@ -84,7 +85,8 @@ def _chosen(name: str, counts: Sweep, goal: Goal) -> Threshold:
 def _between(scores: NDArray[np.float64], last: int) -> float:
     """A threshold below the score number `last` and not below the next, with as few digits as possible."""
     upper = float(scores[last])
-    lower = float(scores[last + 1]) if last + 1 < len(scores) else 0.0
+    # Below MIN_CONFIDENCE there may be detections that were not evaluated.
+    lower = float(scores[last + 1]) if last + 1 < len(scores) else min(MIN_CONFIDENCE, upper / 2)
     for digits in range(2, 12):
         middle = round((lower + upper) / 2, digits)
         if lower <= middle < upper:

@@ -26,8 +26,8 @@ from support.evaluated_offline import (
 )
 
 from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.evaluate.evaluating import MIN_CONFIDENCE
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES

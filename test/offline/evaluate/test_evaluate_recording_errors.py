@@ -65,3 +65,43 @@ def test_without_label_info_the_classes_are_those_that_occur(tmp_path: Path) -> 
 def without_stars(message: Any) -> Any:
     message.detections = [one for one in message.detections if one.results[0].hypothesis.class_id != "star"]
     return message
+
+
+def stampless(message: Any) -> Any:
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+    return message
+
+
+def test_detections_with_the_same_stamp_label_no_image(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(labelled_drive(tmp_path / "drive", change=stampless)) == 1
+    error = capsys.readouterr().err
+    assert "other detections have the same stamp" in error
+    assert "none of 3 messages on /yolov5/detections can be used. 2 broken labels\n" in error
+
+
+def test_an_image_that_repeats_a_stamp_is_counted_and_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = labelled_drive(tmp_path / "drive", numbers=(0, 1, 1, 2))
+    assert evaluate(drive, "--output", str(tmp_path / "out")) == 0
+    assert "another image has the same stamp" in capsys.readouterr().err
+    report = report_of(tmp_path / "out")
+    assert report["data"]["images"] == 3
+    assert report["data"]["problems"]["counts"] == {"unusable images": 1}
+
+
+def test_the_classes_are_those_of_the_node_that_published_the_detections(tmp_path: Path) -> None:
+    drive = labelled_drive(tmp_path / "drive", other_names=["face"])
+    assert evaluate(drive, "--output", str(tmp_path / "out")) == 0
+    assert report_of(tmp_path / "out")["data"]["problems"]["counts"] == {}
+
+
+def test_the_classes_of_other_nodes_are_not_used(tmp_path: Path) -> None:
+    drive = labelled_drive(
+        tmp_path / "drive", class_names=["unicorn"], other_names=["face"], topics=("/corrected",)
+    )
+    assert evaluate(drive, "--output", str(tmp_path / "out")) == 0
+    names = [row["name"] for row in report_of(tmp_path / "out")["classes"]]
+    assert set(names) <= {"circle", "square", "triangle", "star"}

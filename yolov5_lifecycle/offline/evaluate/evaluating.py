@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.detection.selection import class_ids, selection
-from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses, EvaluatedImage
+from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE, EvaluatedClasses, EvaluatedImage
 from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Problems
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detecting import OfflineDetector, Watch
@@ -20,8 +20,6 @@ from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData, Labe
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
-MIN_CONFIDENCE = 0.001
-"""Detections with a lower score are not evaluated, as in YOLOv5's own validation."""
 TIMED_IMAGES = 30
 
 NOT_APPLIED = ("regions", "ignore_regions", "min_box_size", "max_box_size", "tracker")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -45,13 +46,14 @@ class _LabelledRecordedImage(RecordedImage):
 def labelled_recording(source: Path, options: DataOptions, problems: Problems) -> Iterator[LabelledData]:
     """Open the recording `source`; images and detections with one stamp in their headers belong together.
 
-    Its classes are those of its `label_info`, if it has one, else those that occur. Raises RecordingError,
-    and DataError if there are no detections that can be used.
+    Its classes are those of the `label_info` of the same node, if it has one, else those that occur. Raises
+    RecordingError, and DataError if there are no detections that can be used.
     """
     with open_recording(source) as recording:
         topic = recording.image_topic(options.topic)
         truth_topic = _truth_topic(source, recording, options.truth_topic)
-        class_ids = {name: index for index, name in enumerate(_label_info(recording, problems))}
+        class_names = _label_info(recording, truth_topic, problems)
+        class_ids = {name: index for index, name in enumerate(class_names)}
         labels = _labels(recording, truth_topic, class_ids, may_add=not class_ids, problems=problems)
         if not labels:
             raise DataError(
@@ -77,9 +79,12 @@ def _truth_topic(source: Path, recording: Recording, name: str | None) -> Record
     return recording.one_of(topics, name, what="detection topic", option="--truth-topic")
 
 
-def _label_info(recording: Recording, problems: Problems) -> tuple[str, ...]:
-    """The class names of the first LabelInfo; none without one."""
-    for topic in recording.topics(_LABEL_INFO):
+def _label_info(recording: Recording, truth_topic: RecordedTopic, problems: Problems) -> tuple[str, ...]:
+    """The class names of the LabelInfo in the namespace of `truth_topic`, or of the only one; else none."""
+    topics = recording.topics(_LABEL_INFO)
+    near = [topic for topic in topics if truth_topic.name.startswith(f"{topic.name.rpartition('/')[0]}/")]
+    near.sort(key=lambda topic: len(topic.name), reverse=True)
+    for topic in near or (topics if len(topics) == 1 else []):
         for recorded in recording.messages(topic):
             try:
                 pairs = {int(one.class_id): str(one.class_name) for one in recorded.message.class_map}
@@ -100,15 +105,20 @@ def _labels(
 ) -> dict[Stamp, Labels]:
     """The labels by stamp. If `may_add`, class names that are new are added to `class_ids`."""
     labels: dict[Stamp, Labels] = {}
+    counts: Counter[Stamp] = Counter()
     for recorded in recording.messages(topic):
         try:
             message = recorded.message
+            stamp = _stamp(message)
+            counts[stamp] += 1
+            if counts[stamp] > 1:
+                raise LabelError("other detections have the same stamp: which image they are of is unknown")
             boxes = _boxes(message.detections, class_ids, may_add=may_add)
         except (ImageError, LabelError) as error:
             problems.add("broken labels", recorded.label, error)
             continue
-        labels[_stamp(message)] = Labels(boxes)
-    return labels
+        labels[stamp] = Labels(boxes)
+    return {stamp: found for stamp, found in labels.items() if counts[stamp] == 1}
 
 
 def _stamp(message: Any) -> Stamp:
@@ -146,13 +156,18 @@ def _images(
     recording: Recording, topic: RecordedTopic, labels: dict[Stamp, Labels], problems: Problems
 ) -> Iterator[_LabelledRecordedImage]:
     """The images that have labels, numbered."""
-    number = 0
+    number, seen = 0, set[Stamp]()
     for recorded in recording.images(topic):
         try:
-            found = labels.get(_stamp(recorded.message))
+            stamp = _stamp(recorded.message)
         except ImageError as error:
             problems.add("unusable images", recorded.label, error)
             continue
+        if stamp in seen:
+            problems.add("unusable images", recorded.label, "another image has the same stamp")
+            continue
+        seen.add(stamp)
+        found = labels.get(stamp)
         if found is None:
             problems.add("images without labels", recorded.label, "there are no detections with its stamp")
             continue

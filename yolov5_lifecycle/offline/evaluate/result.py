@@ -19,7 +19,7 @@ from yolov5_lifecycle.evaluation.bootstrap import (
     resampled,
 )
 from yolov5_lifecycle.evaluation.confusion import MIN_IOU, confusion_matrix, occurring
-from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses
+from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE, EvaluatedClasses
 from yolov5_lifecycle.evaluation.figures import Row, rows
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.matching import MAX_DETECTIONS, Matches, match
@@ -33,7 +33,7 @@ from yolov5_lifecycle.evaluation.report import (
     threshold_as_json,
 )
 from yolov5_lifecycle.evaluation.thresholds import Goal, Threshold, chosen_thresholds, threshold_yaml
-from yolov5_lifecycle.offline.evaluate.evaluating import MIN_CONFIDENCE, Evaluation
+from yolov5_lifecycle.offline.evaluate.evaluating import Evaluation
 from yolov5_lifecycle.printable import in_one_line
 
 FORMAT = 1
