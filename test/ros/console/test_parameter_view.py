@@ -56,17 +56,17 @@ def test_a_parameter_that_is_no_setting_is_not_shown() -> None:
     assert ParameterView.of(ParameterDescriptor(name="use_sim_time")) is None
 
 
-def test_an_unreadable_default_and_range_are_left_out() -> None:
+def test_an_unreadable_range_is_left_out() -> None:
     descriptor = ParameterDescriptor(
         name="gain",
         type=ParameterType.PARAMETER_DOUBLE,
-        additional_constraints="a number; default {; live: now",
+        additional_constraints="a number; default 1.0; live: now",
         floating_point_range=[FloatingPointRange(from_value=float("nan"), to_value=1.0)],
     )
     view = ParameterView.of(descriptor)
     assert view is not None
     shown = view.as_json(0.5)
-    assert (shown["default"], shown["range"], shown["change"]) == (None, None, "live")
+    assert (shown["default"], shown["range"], shown["change"]) == (1.0, None, "live")
 
 
 VIEWS = {setting.name: ParameterView.of(unset_descriptor(setting)) for setting in SETTINGS}
@@ -122,7 +122,48 @@ def test_a_value_of_another_type_is_refused_in_words(name: str, value: object, e
         parameter_message(name, value, KNOWN)
 
 
-def test_a_value_that_is_no_finite_number_is_shown_as_unknown() -> None:
-    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=float("inf"))
+@pytest.mark.parametrize(
+    "value",
+    [
+        pytest.param(ParameterValue(), id="not set"),
+        pytest.param(
+            ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=float("inf")), id="infinity"
+        ),
+        pytest.param(
+            ParameterValue(type=ParameterType.PARAMETER_BYTE_ARRAY, byte_array_value=[b"a"]), id="bytes"
+        ),
+        pytest.param(
+            ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[float("nan")]),
+            id="list of numbers",
+        ),
+        pytest.param(ParameterValue(type=200), id="unknown type"),
+    ],
+)
+def test_a_value_that_no_setting_can_have_is_shown_as_unknown(value: ParameterValue) -> None:
     assert plain_value(value) is None
-    assert plain_value(ParameterValue()) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        pytest.param("classes", 5, id="integer for list"),
+        pytest.param("max_rate", "fast", id="string for number"),
+        pytest.param("lazy", ["yes"], id="list for bool"),
+    ],
+)
+def test_a_value_of_another_type_is_shown_as_unknown(name: str, value: object) -> None:
+    assert KNOWN[name].as_json(value)["value"] is None
+
+
+@pytest.mark.parametrize(
+    "default", ["{", "NaN", "1e999", "[" * 100_000, '"fast"'], ids=["syntax", "NaN", "large", "deep", "type"]
+)
+def test_a_default_that_is_no_value_of_its_type_is_left_out(default: str) -> None:
+    descriptor = ParameterDescriptor(
+        name="gain",
+        type=ParameterType.PARAMETER_DOUBLE,
+        additional_constraints=f"a number; default {default}; live: now",
+    )
+    view = ParameterView.of(descriptor)
+    assert view is not None
+    assert view.as_json(0.5)["default"] is None

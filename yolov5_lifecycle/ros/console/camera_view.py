@@ -16,6 +16,8 @@ LOSSES = ("frames lost", "frames overtaken")
 """Images that were sent but not received, so not part of the balance."""
 _MAX_TEXT = 5_000
 _MAX_VALUES = 100
+_MAX_DIGITS = 18
+"""Of a number of frames; Python raises ValueError for thousands of them."""
 _NOTHING_TO_TELL = "detecting"
 
 
@@ -63,8 +65,12 @@ class StatusView:
         return {
             key.removeprefix(_BALANCE): int(value)
             for key, value in self.values.items()
-            if key.startswith(_BALANCE) and key not in LOSSES and value.isascii() and value.isdigit()
+            if key.startswith(_BALANCE) and key not in LOSSES and _is_count(value)
         }
+
+
+def _is_count(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
 
 
 @dataclass(frozen=True)

@@ -67,12 +67,12 @@ class ParameterView:
         return cls(descriptor, found["allowed"], _parsed(found["default"]), change, per_camera=per_camera)
 
     def as_json(self, value: object) -> dict[str, object]:
-        """The parameter with its current `value`, for JSON."""
+        """The parameter with its current `value`, for JSON; null for a value of another type."""
         return {
             "name": self.name,
             "type": self.type,
-            "value": value,
-            "default": self._default,
+            "value": self._of_own_type(value),
+            "default": self._of_own_type(self._default),
             "description": in_one_line(self._descriptor.description),
             "constraints": in_one_line(self._allowed),
             "range": self._range,
@@ -81,6 +81,9 @@ class ParameterView:
             "per_camera": self._per_camera,
             "read_only": bool(self._descriptor.read_only),
         }
+
+    def _of_own_type(self, value: object) -> object:
+        return value if _is_of(value, self.type) else None
 
     @property
     def _range(self) -> dict[str, float] | None:
@@ -99,11 +102,11 @@ class ParameterView:
 
 
 def plain_value(value: ParameterValue) -> object:
-    """`value` for JSON; None if it is not set or not a finite number."""
-    plain = parameter_value_to_python(value)
-    if isinstance(plain, float) and not math.isfinite(plain):
+    """`value` for JSON; None if it is not set, of a type that no setting has, or not a finite number."""
+    if value.type not in _TYPES:
         return None
-    return plain if isinstance(plain, (bool, int, float, str, type(None))) else list(plain)
+    plain: object = parameter_value_to_python(value)
+    return None if isinstance(plain, float) and not math.isfinite(plain) else plain
 
 
 def parameter_message(name: str, value: object, views: Mapping[str, ParameterView]) -> ParameterMessage:
@@ -157,5 +160,5 @@ def _is_double(value: float) -> bool:
 def _parsed(default: str) -> object:
     try:
         return json.loads(default)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
