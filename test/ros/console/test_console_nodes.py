@@ -200,6 +200,8 @@ def test_the_balance_grows_while_images_come(console: ConsoleBesideNode, page: P
         pytest.param('{"type":"set"}', "expected values", id="no values"),
         pytest.param('{"type":"set","node":"/yolov5","values":{}}', "expected values", id="empty"),
         pytest.param('{"type":"transition","node":"/yolov5","label":7}', "expected label", id="label"),
+        pytest.param('{"type":"set","node":"/yolov5","values":{"\\ud800":1}}', "the name", id="name"),
+        pytest.param('{"type":"transition","node":"/yolov5","label":"\\ud800"}', "not possible", id="text"),
         pytest.param('{"type":"transition","label":"configure"}', "no detector None", id="no node"),
         pytest.param('{"type":"transition","node":"/x","label":"configure"}', "no detector /x", id="node"),
         pytest.param('{"type":"transition","node":["/x"],"label":"configure"}', "no detector", id="list"),

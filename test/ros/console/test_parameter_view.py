@@ -122,6 +122,12 @@ def test_a_value_of_another_type_is_refused_in_words(name: str, value: object, e
         parameter_message(name, value, KNOWN)
 
 
+@pytest.mark.parametrize("name", ["max_rate\0", "\ud800"], ids=["NUL", "half a character"])
+def test_a_name_that_ros_cannot_send_is_refused(name: str) -> None:
+    with pytest.raises(ValueRefusedError, match="expected the name of a parameter"):
+        parameter_message(name, 1, KNOWN)
+
+
 @pytest.mark.parametrize(
     "value",
     [

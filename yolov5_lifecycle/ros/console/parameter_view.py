@@ -111,6 +111,8 @@ def plain_value(value: ParameterValue) -> object:
 
 def parameter_message(name: str, value: object, views: Mapping[str, ParameterView]) -> ParameterMessage:
     """The parameter `name` with `value` of JSON; null deletes it. Raises ValueRefusedError."""
+    if not _is_text(name):
+        raise ValueRefusedError(f"{in_one_line(name, 100)}: expected the name of a parameter")
     view = views.get(name)
     type_name = view.type if view is not None else _type_of(value)
     if value is not None and not _is_of(value, type_name):
