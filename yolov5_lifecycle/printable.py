@@ -1,4 +1,4 @@
-"""Sanitizing of untrusted text for logs, terminals and diagnostics."""
+"""Sanitizing of untrusted text for logs, terminals and diagnostics; which text is UTF-8."""
 
 from __future__ import annotations
 
@@ -30,6 +30,15 @@ def in_lines(text: str, limit: int = MAX_TEXT) -> str:
         later = [_INDENT + line for line in later]
     lines = "\n".join([first, *later])
     return lines if len(lines) <= limit and len(text) <= 2 * limit else _cut(lines, len(text), limit)
+
+
+def is_utf8(text: str) -> bool:
+    """Whether `text` can be encoded as UTF-8: a path may have bytes that cannot."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _printable(line: str) -> str:

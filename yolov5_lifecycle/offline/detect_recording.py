@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.rosbag2 import Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
 
-from yolov5_lifecycle.atomic_file import whole_output
+from yolov5_lifecycle.atomic_file import OutputError, whole_output
 from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections, FoundObject
 from yolov5_lifecycle.detection.draw import annotate
@@ -26,6 +26,8 @@ from yolov5_lifecycle.offline.recording import (
     RecordingError,
     open_recording,
 )
+from yolov5_lifecycle.offline.sqlite_paths import sqlite_problem
+from yolov5_lifecycle.printable import in_one_line, is_utf8
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
 _LABELS = "vision_msgs/msg/LabelInfo"
@@ -65,6 +67,7 @@ def write_detections(
     load: LoadDetector,
 ) -> Account:
     """`detect_recording` for an open `recording`; on failure, what it has written to `output` stays."""
+    _check_output(output, recording.storage)
     image_topic = recording.image_topic(topic)
     images_of_topic = _not_empty(recording.path, image_topic, recording.images(image_topic))
     detector = load()
@@ -79,6 +82,15 @@ def write_detections(
             masks=masks and detector.segments,
         )
         return detector.run(images_of_topic, expected=image_topic.count, write=bag.write)
+
+
+def _check_output(output: Path, storage: StoragePlugin) -> None:
+    """Raise OutputError if rosbags cannot write a recording in the format `storage` to `output`."""
+    name = in_one_line(output.name)
+    if storage is StoragePlugin.SQLITE3 and (problem := sqlite_problem(output)):
+        raise OutputError(f"{name}: {problem}: choose another --output, or convert the recording to MCAP.")
+    if not is_utf8(output.name):  # metadata.yaml contains it
+        raise OutputError(f"{name}: the name of a recording must be UTF-8: choose another --output.")
 
 
 def _not_empty(

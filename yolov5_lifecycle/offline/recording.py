@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +12,7 @@ from typing import Any
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2.reader import DirectoryReader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -24,6 +25,8 @@ from yolov5_lifecycle.offline.recording_limits import (
     check_files,
     unpacked_message,
 )
+from yolov5_lifecycle.offline.recordings import is_mcap
+from yolov5_lifecycle.offline.sqlite_paths import sqlite_problem
 from yolov5_lifecycle.printable import in_one_line
 
 _RAW = "sensor_msgs/msg/Image"
@@ -119,9 +122,7 @@ class Recording:
     @property
     def storage(self) -> StoragePlugin:
         """The storage format of its files."""
-        files = [self.path] if self.path.is_file() else list(self.path.iterdir())
-        is_mcap = any(".mcap" in file.suffixes for file in files)
-        return StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
+        return StoragePlugin.MCAP if is_mcap(self.path) else StoragePlugin.SQLITE3
 
     def image_topic(self, name: str | None = None) -> RecordedTopic:
         """The image topic `name`, or the only one; raises RecordingError with the available topics."""
@@ -197,6 +198,29 @@ class Recording:
         ]
 
 
+class _SqliteReader(Sqlite3Reader):
+    """Opens no other file than the one at its path; raises RecordingError."""
+
+    def open(self) -> None:
+        if problem := sqlite_problem(self.path):
+            raise RecordingError(
+                f"{in_one_line(str(self.path))}: {problem}: rename the file or folder, or move it."
+            )
+        super().open()
+
+
+class _DirectoryReader(DirectoryReader):
+    STORAGE_PLUGINS: Mapping[str, Any] = {**DirectoryReader.STORAGE_PLUGINS, "sqlite3": _SqliteReader}
+
+
+class _Reader(Reader):
+    STORAGE_PLUGINS: Mapping[str, Any] = {
+        **Reader.STORAGE_PLUGINS,
+        "dir": _DirectoryReader,
+        ".db3": _SqliteReader,
+    }
+
+
 def _storages(reader: Reader) -> list[Any]:
     """The open files of a recording."""
     storage = reader.storage
@@ -213,7 +237,7 @@ def open_recording(path: Path) -> Iterator[Recording]:
         with _readable(path):
             check_files(path)
             with bounded_reading():
-                reader = stack.enter_context(Reader(path))
+                reader = stack.enter_context(_Reader(path))
             for storage in _storages(reader):
                 check_chunks(storage)
         yield Recording(path, reader)
@@ -223,6 +247,8 @@ def open_recording(path: Path) -> Iterator[Recording]:
 def _readable(path: Path) -> Iterator[None]:
     try:
         yield
+    except RecordingError:
+        raise
     except Exception as error:
         reason = in_one_line(str(error))[:500] or type(error).__name__
         raise RecordingError(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from yolov5_lifecycle.offline.image_files import is_image
+from yolov5_lifecycle.printable import is_utf8
 from yolov5_lifecycle.sources.frames import SourceError
 
 METADATA = "metadata.yaml"
@@ -36,6 +37,12 @@ def is_recording(path: Path) -> bool:
 def is_storage(path: Path) -> bool:
     """Whether `path` has the name of a rosbag2 file, possibly compressed."""
     return Path(path.name.removesuffix(_PACKED)).suffix in _SUFFIXES
+
+
+def is_mcap(path: Path) -> bool:
+    """Whether the recording at `path` is in MCAP, otherwise it is in SQLite; raises OSError."""
+    files = [path] if path.is_file() else path.iterdir()
+    return any(".mcap" in file.suffixes for file in files)
 
 
 def are_many(sources: Sequence[Path]) -> bool:
@@ -132,14 +139,5 @@ def _check_names(found: Sequence[SourceRecording]) -> None:
         )
     for recording in found:
         is_reserved = recording.name.startswith("summary.") or not recording.name.strip(".")
-        if is_reserved or not is_utf8(recording.path):
+        if is_reserved or not is_utf8(str(recording.path)):
             raise SourceError(f"{recording.path}: its result cannot have that name; rename the recording.")
-
-
-def is_utf8(path: Path) -> bool:
-    """Whether the name of `path` is valid UTF-8, as JSON needs it."""
-    try:
-        str(path).encode()
-    except UnicodeEncodeError:
-        return False
-    return True

@@ -17,7 +17,9 @@ from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
 from yolov5_lifecycle.offline.batch.summary import remove_summary, write_summary
 from yolov5_lifecycle.offline.batch.workers import Died, Ended, Event, Progress, Ready, Refused, Workers
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording, is_utf8
+from yolov5_lifecycle.offline.recordings import SourceRecording, is_mcap, is_recording
+from yolov5_lifecycle.offline.sqlite_paths import sqlite_problem
+from yolov5_lifecycle.printable import is_utf8
 from yolov5_lifecycle.unfinished import hold, open_itself
 
 MAX_DEATHS = 2
@@ -85,7 +87,6 @@ def detect_recordings(
     """
     tally = Tally(len(sources))
     with _output_folder(plan.output):
-        remove_summary(plan.output)
         waiting: deque[SourceRecording] = deque()
         for source in sources:
             finished = finished_before(source, plan)
@@ -93,6 +94,11 @@ def detect_recordings(
                 waiting.append(source)
             else:
                 tally.add(finished)
+        if (problem := sqlite_problem(plan.output)) and any(map(_is_sqlite, waiting)):
+            raise OutputError(
+                f"{plan.output}: {problem}: choose another --output, or convert the recordings to MCAP."
+            )
+        remove_summary(plan.output)
         if waiting:
             with closing(new_workers(len(waiting))) as workers:
                 _Batch(waiting, plan, workers, tally, watch).run()
@@ -105,7 +111,7 @@ def detect_recordings(
 @contextmanager
 def _output_folder(folder: Path) -> Iterator[None]:
     """Lock `folder` for this process; create it if it is missing, and then remove it if it stays empty."""
-    if not is_utf8(folder):
+    if not is_utf8(str(folder)):
         raise OutputError(
             f"{folder}: the name of the folder of results must be UTF-8: choose another --output."
         )
@@ -131,6 +137,12 @@ def _output_folder(folder: Path) -> Iterator[None]:
                     folder.rmdir()
     finally:
         os.close(descriptor)
+
+
+def _is_sqlite(source: SourceRecording) -> bool:
+    with suppress(OSError):  # the worker will report why it cannot be listed
+        return not is_mcap(source.path)
+    return False
 
 
 class _Batch:
