@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import sqlite3
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -66,12 +69,15 @@ def write_detections(
     masks: bool,
     load: LoadDetector,
 ) -> Account:
-    """`detect_recording` for an open `recording`; on failure, what it has written to `output` stays."""
+    """`detect_recording` for an open `recording`; on failure, what it has written to `output` stays.
+
+    Also raises OSError.
+    """
     _check_output(output, recording.storage)
     image_topic = recording.image_topic(topic)
     images_of_topic = _not_empty(recording.path, image_topic, recording.images(image_topic))
     detector = load()
-    with Writer(output, version=9, storage_plugin=recording.storage) as writer:
+    with os_errors(output), Writer(output, version=9, storage_plugin=recording.storage) as writer:
         bag = DetectionBag(
             writer,
             node=node,
@@ -91,6 +97,17 @@ def _check_output(output: Path, storage: StoragePlugin) -> None:
         raise OutputError(f"{name}: {problem}: choose another --output, or convert the recording to MCAP.")
     if not is_utf8(output.name):  # metadata.yaml contains it
         raise OutputError(f"{name}: the name of a recording must be UTF-8: choose another --output.")
+
+
+@contextmanager
+def os_errors(output: Path) -> Iterator[None]:
+    """Raise OSError for an error of SQLite while it writes to `output`, with ENOSPC if the disk is full."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        # Its code is an attribute only since Python 3.11; the text of SQLITE_FULL is fixed.
+        is_full = str(error) == "database or disk is full"
+        raise OSError(errno.ENOSPC if is_full else errno.EIO, str(error), str(output)) from error
 
 
 def _not_empty(

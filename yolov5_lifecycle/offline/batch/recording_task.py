@@ -72,7 +72,7 @@ class RecordingTask:
         except Exception as error:  # one recording must not end the others
             if isinstance(error.__cause__, DeviceLostError):
                 raise error.__cause__ from None
-            if getattr(error, "errno", None) in _NO_ROOM or type(error).__name__ == "FullError":
+            if getattr(error, "errno", None) in _NO_ROOM:
                 raise NoRoomError(f"{self._plan.output}: {error}") from error
             return RecordingResult(
                 recording=source.name,
