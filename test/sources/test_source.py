@@ -89,6 +89,18 @@ def test_a_file_that_is_no_video_is_refused(tmp_path: Path, name: str) -> None:
         open_source(str(tmp_path / name))
 
 
+def test_a_video_whose_path_is_not_utf8_is_refused(video: Path) -> None:
+    odd = video.rename(video.with_name("\udcff.avi"))
+    with pytest.raises(SourceError, match=r"/\?\.avi: the path of a video must be UTF-8; rename it"):
+        open_source(str(odd))
+
+
+@pytest.mark.parametrize("source", ["rtsp://camera/\udcff", "filesrc location=\udcff ! appsink"])
+def test_a_stream_whose_address_is_not_utf8_is_refused(source: str) -> None:
+    with pytest.raises(SourceError, match="must be UTF-8"):
+        open_source(source)
+
+
 @pytest.mark.parametrize(
     ("source", "told"),
     [

@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.compressed import decode_image_file
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.printable import in_one_line, is_utf8
 from yolov5_lifecycle.sources.frames import ImageSource, SourceError, SourceFrame
-from yolov5_lifecycle.sources.network_stream import Report, Wait, is_stream, open_stream, sleep
+from yolov5_lifecycle.sources.network_stream import (
+    Report,
+    Wait,
+    is_stream,
+    open_stream,
+    sleep,
+    without_secrets,
+)
 from yolov5_lifecycle.sources.scene import Scene
 from yolov5_lifecycle.sources.scene_depth import SceneDepth
 
@@ -66,6 +73,8 @@ def open_source(
         return _device(device, size_hw)
     path = Path(source).expanduser()
     if is_stream(source) and not _exists(path):
+        if not is_utf8(source):  # OpenCV 5.0 crashes
+            raise SourceError(f"'{without_secrets(source)}': the address of a stream must be UTF-8.")
         stream = open_stream(source, reconnects=loop, report=report, wait=wait)
         return ImageSource((_frame(pixels, size_hw) for pixels in stream.frames), stream.rate_hz)
     if not _exists(path):
@@ -137,6 +146,8 @@ def _device(number: int, size_hw: tuple[int, int] | None) -> ImageSource:
 
 
 def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> ImageSource:
+    if not is_utf8(str(path)):  # OpenCV 5.0 crashes
+        raise SourceError(f"{in_one_line(str(path))}: the path of a video must be UTF-8; rename it.")
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise SourceError(
