@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -103,6 +104,7 @@ def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytes
         pytest.param(
             "shots/0.png", ["--annotated", "x.foo"], "x.foo: OpenCV cannot write", id="image suffix"
         ),
+        pytest.param("shots/0.png", ["--annotated", "x"], "x: OpenCV cannot write", id="no image suffix"),
         pytest.param("drive.avi", ["--annotated", "x.foo"], "ends in .mp4 or .avi", id="video suffix"),
     ],
 )
@@ -124,6 +126,47 @@ def test_an_error_with_files_says_why_and_leaves_nothing_behind(
     assert told in capsys.readouterr().err
     assert sorted(tmp_path.rglob("*")) == before
     assert Path("notes.txt").read_text() == "keep me"
+
+
+@pytest.mark.parametrize(
+    ("source", "words", "told"),
+    [
+        pytest.param("bad\udcff/0.avi", [], "bad?/0.avi: the path of a video must be UTF-8", id="video"),
+        pytest.param(
+            "drive.avi",
+            ["--annotated", "\udcff.avi"],
+            "?.avi: the path of an annotated video must be UTF-8: choose another --annotated",
+            id="annotated video",
+        ),
+        pytest.param("shots/0.png", ["--annotated", "x.\udcff"], "OpenCV cannot write", id="image suffix"),
+    ],
+)
+def test_what_opencv_cannot_open_by_a_name_that_is_not_utf8_is_refused(
+    source: str,
+    words: list[str],
+    told: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    images(tmp_path / "shots")
+    Path("bad\udcff").mkdir()
+    video(tmp_path / "drive.avi")
+    shutil.copy("drive.avi", "bad\udcff/0.avi")
+    before = sorted(tmp_path.rglob("*"))
+    assert run([source, *SET_MODEL, *words]) == 1
+    assert told in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_images_may_have_any_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, drawn = images(tmp_path / "shots"), tmp_path / "drawn\udcff"
+    (folder / "0.png").rename(folder / "\udcff.png")
+    assert run([str(folder), "--annotated", str(drawn), *SET_MODEL]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr()[0].splitlines()]
+    assert str(folder / "\udcff.png") in [line["file"] for line in lines]
+    assert sorted(file.name for file in drawn.iterdir()) == ["1.png", "2.png", "\udcff.png"]
 
 
 def test_what_counts_is_the_same_as_in_the_node_and_drawn(

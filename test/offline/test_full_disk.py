@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL
-from support.recorded_scene import COUNT, raw, record
+from support.grey_images import grey_folder
+from support.recorded_scene import COUNT, raw, record, video
 
 from yolov5_lifecycle.offline.detect_recording import os_errors
 
@@ -46,6 +47,32 @@ def test_a_recording_that_cannot_be_written_leaves_nothing(
     ended = limited(100_000, source, "--images", "--output", tmp_path / "found")
     assert ended.returncode == 1
     assert told in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert list(tmp_path.iterdir()) == [source]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".webp", ".jpg", ".tif"])
+def test_a_small_annotated_image_that_cannot_be_written_leaves_nothing(suffix: str, tmp_path: Path) -> None:
+    """Small enough for the buffer of a C program, which then fails only when it closes the file."""
+    source = grey_folder(tmp_path) / "8.png"
+    before = sorted(tmp_path.iterdir())
+    ended = limited(20, source, "--annotated", tmp_path / f"drawn{suffix}")
+    assert ended.returncode == 1
+    assert "File too large" in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("max_bytes", [6_000, 20_000])
+@pytest.mark.parametrize("suffix", [".avi", ".mp4"])
+def test_an_annotated_video_that_cannot_be_written_leaves_nothing(
+    suffix: str, max_bytes: int, tmp_path: Path
+) -> None:
+    source, drawn = video(tmp_path / "drive.avi"), tmp_path / f"drawn{suffix}"
+    ended = limited(max_bytes, source, "--annotated", drawn, "--output", tmp_path / "found.jsonl")
+    assert ended.returncode == 1
+    assert f"detect_bag: drawn{suffix}: " in ended.stderr
+    assert "is the disk full?" in ended.stderr
     assert "Traceback" not in ended.stderr
     assert list(tmp_path.iterdir()) == [source]
 
