@@ -7,16 +7,18 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import pytest
 import rclpy
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 from support.detector_process import NODE
+from support.preparations import Preparations
 from support.served_node import PATIENCE_S, ServedNode
 
 from yolov5_lifecycle.ros.console.camera_view import StatusView
 from yolov5_lifecycle.ros.console.detector import SILENCE_S, Detector
 from yolov5_lifecycle.ros.console.detector_link import DetectorLink
-from yolov5_lifecycle.ros.console.ros_thread import RosThread
+from yolov5_lifecycle.ros.console.ros_thread import NotReachedError, RosThread
 from yolov5_lifecycle.settings.camera_names import NODE_STATUS
 
 STATUSES = [StatusView(NODE_STATUS, level=0, message="", values={"state": "unconfigured"})]
@@ -118,5 +120,35 @@ def test_a_detector_that_was_silent_is_unknown_until_it_has_answered_again(serve
         assert not known.detector.is_known
         await known.wait_for(lambda: known.detector.is_known)
         assert known.value("max_rate") == 3.0
+
+    play(served, act)
+
+
+def test_a_request_whose_detector_ends_is_answered_at_once(served: ServedNode, prepare: Preparations) -> None:
+    async def act(known: KnownDetector) -> None:
+        await known.wait_for(lambda: known.detector.state == "inactive")
+        change = asyncio.create_task(known.detector.change_state("activate"))
+        assert await asyncio.to_thread(prepare.begun.acquire, timeout=PATIENCE_S)
+        await known.detector.close()
+        reason = await asyncio.wait_for(change, PATIENCE_S)
+        assert reason == f"{NODE}/change_state was lost before it answered"
+        assert known.detector.as_json()["busy"] == ""
+
+    served.bring_to("inactive")
+    prepare.gate.clear()
+    try:
+        play(served, act)
+    finally:
+        prepare.gate.set()
+
+
+def test_a_detector_that_has_ended_is_asked_nothing(served: ServedNode) -> None:
+    async def act(known: KnownDetector) -> None:
+        await known.detector.close()
+        with pytest.raises(NotReachedError, match=f"{NODE} is lost"):
+            await known.link.state()
+        assert await known.detector.set({"max_rate": 3.0}) == f"{NODE} is lost"
+        assert await known.detector.change_state("configure") == f"{NODE} is lost"
+        assert await known.detector.change_state("shutdown") == ""
 
     play(served, act)

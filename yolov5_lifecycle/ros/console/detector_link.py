@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from typing import Any
 
@@ -19,7 +20,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from vision_msgs.msg import LabelInfo
 
-from yolov5_lifecycle.ros.console.ros_thread import RosThread
+from yolov5_lifecycle.ros.console.ros_thread import NotReachedError, RosThread
 
 ASK_S = 3.0
 """Timeout of a query, which is then repeated."""
@@ -38,13 +39,14 @@ _SERVICES = {
 
 
 class DetectorLink:
-    """Talks to the detector called `name`; its coroutines raise NotReachedError."""
+    """Talks to the detector called `name`; its coroutines raise NotReachedError, also when it is closed."""
 
     def __init__(self, ros: RosThread, name: str) -> None:
         self.name = name
         self._ros = ros
         self._clients: dict[str, Any] = {}
         self._subscriptions: list[Any] = []
+        self._end: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def open(
         self, *, on_transition: Callable[[], object], on_class_names: Callable[[list[str]], object]
@@ -64,6 +66,9 @@ class DetectorLink:
         await self._ros.run(self._create, self._ros.node, take_event, take_labels)
 
     async def close(self) -> None:
+        """End the calls that wait for an answer, then destroy clients and subscriptions."""
+        if not self._end.done():
+            self._end.set_result(None)
         await self._ros.run(self._destroy, self._ros.node)
 
     async def state(self) -> tuple[str, list[str]]:
@@ -96,7 +101,10 @@ class DetectorLink:
         return await self._call(service, request, ASK_S)
 
     async def _call(self, service: str, request: Any, timeout_s: float) -> Any:
-        return await self._ros.call(self._clients[service], request, timeout_s=timeout_s)
+        if self._end.done():
+            raise NotReachedError(f"{self.name} is lost")
+        client = self._clients[service]
+        return await self._ros.call(client, request, timeout_s=timeout_s, end=self._end)
 
     def _create(
         self,

@@ -20,7 +20,7 @@ _END_S = 1.0
 
 
 class NotReachedError(Exception):
-    """A service did not answer in time, or does not exist."""
+    """A service did not answer in time, does not exist, or its node is lost."""
 
 
 class RosThread:
@@ -70,8 +70,8 @@ class RosThread:
         self._executor.create_task(self._work)
         return answer
 
-    async def call(self, client: Any, request: Any, *, timeout_s: float) -> Any:
-        """The response of the service of `client`; raises NotReachedError."""
+    async def call(self, client: Any, request: Any, *, timeout_s: float, end: asyncio.Future[None]) -> Any:
+        """The response of the service of `client`; raises NotReachedError, at the latest at `end`."""
         answer: asyncio.Future[Any] = self._loop.create_future()
 
         def send() -> Any:
@@ -83,9 +83,12 @@ class RosThread:
 
         pending = await self.run(send)
         try:
-            return await asyncio.wait_for(answer, timeout_s)
-        except asyncio.TimeoutError:
-            raise NotReachedError(f"{client.srv_name} did not answer within {timeout_s:g} s") from None
+            await asyncio.wait((answer, end), timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
+            if answer.done():
+                return answer.result()
+            if end.done():
+                raise NotReachedError(f"{client.srv_name} was lost before it answered")
+            raise NotReachedError(f"{client.srv_name} did not answer within {timeout_s:g} s")
         finally:
             self.run(client.remove_pending_request, pending).add_done_callback(_observed)
 
