@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import http.client
 import re
-import shutil
 import socket
-import ssl
-import subprocess
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -183,23 +180,6 @@ def test_behind_a_proxy_with_tls_the_cookie_is_for_tls_alone(
         assert "Secure" in reply.headers["set-cookie"].split("; ")
         refused = client.log_in(token, Host="robot.example", Origin="http://robot.example")
         assert refused.status == 403
-
-
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
-def test_with_a_certificate_it_speaks_tls(console: ConsoleBesideNode, tmp_path: Path) -> None:
-    certificate, key = tmp_path / "robot.pem", tmp_path / "robot.key"
-    names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1"]
-    words = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", *names]
-    files = ["-keyout", str(key), "-out", str(certificate)]
-    subprocess.run([*words, *files], check=True, capture_output=True)
-    with console_process(console.domain, "--cert", str(certificate), "--key", str(key)) as process:
-        url = address(process)
-        assert url.startswith("https://")
-        context = ssl.create_default_context(cafile=certificate)
-        connection = http.client.HTTPSConnection("127.0.0.1", urlsplit(url).port, context=context)
-        with closing(connection):
-            connection.request("GET", "/")
-            assert connection.getresponse().status == 200
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,9 @@ import contextlib
 import errno
 import socket
 import ssl
+import sys
 from collections.abc import Iterator
+from typing import Any
 
 import h11
 import uvicorn
@@ -15,6 +17,7 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from yolov5_lifecycle.ros.console.bounded_listener import BoundedListener
 from yolov5_lifecycle.ros.console.gate import MAX_HEADER_BYTES
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
 
@@ -29,13 +32,10 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Of every response."""
-MAX_CONNECTIONS = 128
-MAX_CONNECTIONS_OF_ADDRESS = 64
-"""Further ones are closed at once."""
 MAX_BUSY_CONNECTIONS = 96
 """With more connections, requests are answered with 503."""
 FIRST_REQUEST_S = 5.0
-"""A connection that has sent no complete request by then is closed."""
+"""A connection that has finished no TLS handshake, or sent no complete request, by then is closed."""
 MAX_MESSAGE_BYTES = 256 * 1024
 """Of a page to the console; the longest list of class names fits."""
 _UNREADABLE = b"\r\n".join(
@@ -49,6 +49,10 @@ _UNREADABLE = b"\r\n".join(
 )
 _END_S = 1
 _BACKLOG = 64
+_TLS_LIMITS: dict[str, Any] = {"ssl_handshake_timeout": FIRST_REQUEST_S}
+if sys.version_info >= (3, 11):
+    # Or else a client that does not answer the end of TLS keeps its connection for half a minute.
+    _TLS_LIMITS["ssl_shutdown_timeout"] = FIRST_REQUEST_S
 
 
 class ListenError(Exception):
@@ -61,7 +65,7 @@ class WebServer(uvicorn.Server):
     def __init__(self, application: ASGIApp, options: ConsoleOptions, sock: socket.socket) -> None:
         config = uvicorn.Config(
             application,
-            http=_BoundedProtocol,
+            http=_PromptProtocol,
             ws=_AnsweringWebSocket,
             lifespan="off",
             log_config=None,
@@ -94,20 +98,32 @@ class WebServer(uvicorn.Server):
         """The process handles them."""
         yield
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen, as uvicorn does, but limit the time that TLS takes, for which it has no option."""
+        await self.lifespan.startup()
+        server = await asyncio.get_running_loop().create_server(
+            self._protocol,
+            sock=self._sock,
+            ssl=self.config.ssl,
+            backlog=self.config.backlog,
+            **(_TLS_LIMITS if self.config.ssl else {}),
+        )
+        self.servers = [server]
+        self.started = True
+
+    def _protocol(self) -> asyncio.Protocol:
+        return _PromptProtocol(self.config, self.server_state, self.lifespan.state)
+
     async def serve_until_exit(self) -> None:
         await self.serve([self._sock])
 
 
-class _BoundedProtocol(H11Protocol):
-    """Closes excess connections, and those that send no complete request for too long."""
+class _PromptProtocol(H11Protocol):
+    """Closes connections that send no complete request for too long."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        addresses = [_address(other) for other in self.connections if _is_open(other)]
-        if len(addresses) > MAX_CONNECTIONS or addresses.count(_address(self)) > MAX_CONNECTIONS_OF_ADDRESS:
-            transport.abort()
-        else:
-            self.loop.call_later(FIRST_REQUEST_S, self._close_if_idle)
+        self.loop.call_later(FIRST_REQUEST_S, self._close_if_idle)
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -134,25 +150,13 @@ class _AnsweringWebSocket(WebSocketsSansIOProtocol):
             self.transport.close()
 
 
-def _is_open(connection: object) -> bool:
-    """Whether one of uvicorn's connections is accepted; refused ones stay in its list for a moment."""
-    transport = getattr(connection, "transport", None)
-    return transport is not None and not transport.is_closing()
-
-
-def _address(connection: object) -> str:
-    """Address of the client of one of uvicorn's connections."""
-    client = getattr(connection, "client", None)
-    return str(client[0]) if client else ""
-
-
-def listening_socket(options: ConsoleOptions) -> socket.socket:
-    """A socket that listens on the address of `options`. Raises ListenError."""
+def listening_socket(options: ConsoleOptions) -> BoundedListener:
+    """Listens on the address of `options`. Raises ListenError."""
     try:
         family, _, _, _, address = socket.getaddrinfo(
             options.host, options.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-        return socket.create_server(address[:2], family=family, backlog=_BACKLOG)
+        return BoundedListener(socket.create_server(address[:2], family=family, backlog=_BACKLOG))
     except socket.gaierror:
         raise ListenError(
             f"--host {options.host}: expected an address or name of this machine, such as 0.0.0.0 for all"
