@@ -92,7 +92,9 @@ class Attack:
         return (
             self._bytes(lines) + form.encode("latin-1"),
             is_complete,
-            lambda answer: b"console=" not in answer and (answer.startswith(b"HTTP/1.1 ") or not is_complete),
+            lambda answer: (
+                b"set-cookie" not in answer.lower() and (answer.startswith(b"HTTP/1.1 ") or not is_complete)
+            ),
         )
 
     def _upgrade(self) -> Sent:
@@ -116,7 +118,8 @@ class Attack:
             [own, own, own, "evil.example", f"evil.example:{self._port}", "", own + ", a"]
         )
         origin = self._random.choice([f"http://{own}", f"http://{own}", "http://evil.example", "null", ""])
-        headers = {"Host": host, "Origin": origin, "Cookie": self._random.choice(_COOKIES)}
+        cookie = self._random.choice(_COOKIES).replace("console=", f"console_{self._port}=")
+        headers = {"Host": host, "Origin": origin, "Cookie": cookie}
         headers |= {"Authorization": self._random.choice(["", "Bearer ", "Bearer " + "A" * 43, "Basic YTpi"])}
         headers |= {"X-Forwarded-For": "127.0.0.1", "Connection": self._random.choice(["", "close"])}
         return [f"{name}: {value}" for name, value in headers.items() if value]

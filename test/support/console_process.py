@@ -61,6 +61,11 @@ class ConsoleClient:
     def origin(self) -> str:
         return self.url.rstrip("/")
 
+    @property
+    def cookie_name(self) -> str:
+        """Name of the cookie with the id of a session."""
+        return f"console_{urlsplit(self.url).port}"
+
     def request(
         self, method: str, path: str, *, headers: Mapping[str, str] | None = None, body: str | None = None
     ) -> Reply:

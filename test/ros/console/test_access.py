@@ -156,11 +156,13 @@ def test_a_session_has_a_random_id_and_ends() -> None:
     first, second = sessions.begin(), sessions.begin()
     assert first != second
     assert TOKEN not in first
-    assert sessions.has(first)
-    assert not sessions.has("")
-    assert not sessions.has(TOKEN)
-    clock.now_s = SESSION_S
-    assert not sessions.has(first)
+    assert sessions.left_s(first) == SESSION_S
+    assert sessions.left_s("") == 0
+    assert sessions.left_s(TOKEN) == 0
+    clock.now_s = SESSION_S - 1
+    assert sessions.left_s(first) == 1
+    clock.now_s = SESSION_S + 1
+    assert sessions.left_s(first) == 0
 
 
 def test_wrong_tokens_are_throttled_for_each_address() -> None:

@@ -127,9 +127,10 @@ def test_a_socket_of_a_foreign_host_is_refused(console: ConsoleBesideNode) -> No
 
 @pytest.mark.parametrize("path", ["/ws", "/image?node=/yolov5&camera="])
 @pytest.mark.parametrize(
-    "cookie", ["", "console=", "console=wrong", "other=1"], ids=["none", "empty", "wrong", "other"]
+    "cookie", ["", "{name}=", "{name}=wrong", "other=1"], ids=["none", "empty", "wrong", "other"]
 )
 def test_without_a_session_nothing_is_shown(guarded: ConsoleClient, path: str, cookie: str) -> None:
+    cookie = cookie.format(name=guarded.cookie_name)
     with pytest.raises(InvalidStatus) as refusal:
         guarded.socket(path, headers={"Cookie": cookie})
     assert refusal.value.response.status_code == 401
@@ -139,7 +140,7 @@ def test_without_a_session_nothing_is_shown(guarded: ConsoleClient, path: str, c
 
 def test_the_token_is_no_session(guarded: ConsoleClient, token: str) -> None:
     with pytest.raises(InvalidStatus):
-        guarded.socket("/ws", headers={"Cookie": f"console={token}"})
+        guarded.socket("/ws", headers={"Cookie": f"{guarded.cookie_name}={token}"})
 
 
 def test_the_token_begins_a_session_whose_cookie_scripts_and_other_pages_do_not_get(
@@ -148,6 +149,7 @@ def test_the_token_begins_a_session_whose_cookie_scripts_and_other_pages_do_not_
     reply = guarded.log_in(token)
     assert (reply.status, reply.headers["location"]) == (303, "/")
     cookie, *attributes = reply.headers["set-cookie"].split("; ")
+    assert cookie.startswith(f"{guarded.cookie_name}=")
     assert token not in cookie
     assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(attributes)
     assert "Secure" not in attributes
@@ -155,6 +157,19 @@ def test_the_token_begins_a_session_whose_cookie_scripts_and_other_pages_do_not_
     assert browser.request("GET", "/").status == 200
     with browser.page() as page:
         page.wait_for(lambda: NODE in page.nodes, "the detector")
+
+
+def test_a_session_of_another_console_on_this_host_ends_none(
+    console: ConsoleBesideNode, guarded: ConsoleClient, token: str, token_file: Path
+) -> None:
+    words = ["--host", "0.0.0.0", "--token-file", str(token_file)]
+    with console_process(console.domain, *words) as process:
+        other = ConsoleClient(f"http://127.0.0.1:{urlsplit(address(process)).port}/")
+        # A browser keeps one value for each name, and sends it to every port.
+        kept = dict(client.logged_in(token).cookie.split("=", 1) for client in (guarded, other))
+        cookies = "; ".join(f"{name}={value}" for name, value in kept.items())
+        for client in (guarded, other):
+            assert client.request("GET", "/", headers={"Cookie": cookies}).status == 200
 
 
 def test_a_wrong_token_begins_none_and_is_throttled(console: ConsoleBesideNode, tmp_path: Path) -> None:

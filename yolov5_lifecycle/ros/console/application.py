@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from urllib.parse import parse_qs
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -15,13 +16,14 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from yolov5_lifecycle.ros.console.gate import COOKIE, METRICS, address_of
+from yolov5_lifecycle.ros.console.gate import METRICS, address_of
 from yolov5_lifecycle.ros.console.page_files import LOGIN, PAGE, PageFile
 from yolov5_lifecycle.ros.console.sessions import SESSION_S, Sessions, TooManyTriesError
 
 _MAX_FORM_BYTES = 4096
 _MAX_FIELDS = 10
 _FORM_S = 10.0
+_SESSION_ENDED = 4401
 
 Serve = Callable[[WebSocket], Awaitable[None]]
 Figures = Callable[[], bytes]
@@ -30,7 +32,8 @@ Figures = Callable[[], bytes]
 class WebApplication:
     """Serves `files`; `page` and `image` serve the WebSockets, `figures` creates the text of the metrics.
 
-    Without `sessions` there is no login, without `figures` there are no metrics.
+    Without `sessions` there is no login, without `figures` there are no metrics. `cookie`: name of the cookie
+    with the id of the session.
     """
 
     def __init__(
@@ -40,11 +43,13 @@ class WebApplication:
         page: Serve,
         image: Serve,
         sessions: Sessions | None,
+        cookie: str,
         figures: Figures | None,
         logger: RcutilsLogger,
     ) -> None:
         self._files = files
         self._sessions = sessions
+        self._cookie = cookie
         self._figures = figures
         self._logger = logger
         routes: list[BaseRoute] = [
@@ -52,8 +57,8 @@ class WebApplication:
             Route("/login", self._login_page, methods=["GET"]),
             Route("/login", self._login, methods=["POST"]),
             Route("/page/{name}", lambda request: self._file(request.path_params["name"])),
-            WebSocketRoute("/ws", page),
-            WebSocketRoute("/image", image),
+            WebSocketRoute("/ws", _within_session(page)),
+            WebSocketRoute("/image", _within_session(image)),
         ]
         if figures is not None:
             routes.append(Route(METRICS, self._metrics))
@@ -95,7 +100,7 @@ class WebApplication:
             return RedirectResponse("/login?wrong", status_code=303)
         response = RedirectResponse("/", status_code=303)
         response.set_cookie(
-            COOKIE,
+            self._cookie,
             self._sessions.begin(),
             max_age=int(SESSION_S),
             httponly=True,
@@ -107,6 +112,19 @@ class WebApplication:
     def _metrics(self, _: Request) -> Response:
         assert self._figures is not None
         return Response(self._figures(), media_type="text/plain; version=0.0.4; charset=utf-8")
+
+
+def _within_session(serve: Serve) -> Serve:
+    """`serve`, ended when the session expires; the page then finds that it has to log in again."""
+
+    async def serve_until_end(websocket: WebSocket) -> None:
+        try:
+            await asyncio.wait_for(serve(websocket), websocket.state.session_left_s)
+        except asyncio.TimeoutError:
+            with suppress(RuntimeError):  # it was being closed
+                await websocket.close(_SESSION_ENDED, "the session has expired: log in again")
+
+    return serve_until_end
 
 
 async def _token(request: Request) -> str:

@@ -14,7 +14,6 @@ from yolov5_lifecycle.ros.console.addresses import Addresses
 from yolov5_lifecycle.ros.console.budget import Budget, BudgetPerAddress
 from yolov5_lifecycle.ros.console.sessions import Sessions, TooManyTriesError
 
-COOKIE = "console"
 METRICS = "/metrics"
 _REQUESTS_PER_S = 100.0
 _REQUESTS = 400
@@ -28,13 +27,19 @@ class Gate:
     """Passes on to `application` the permitted requests from the page of this console.
 
     Refuses: too many requests from one address; large ones; a foreign Host; a foreign Origin, or none where a
-    page would send one; with `sessions`, requests without a session.
+    page would send one; with `sessions`, requests without a session, whose id is in the cookie `cookie`.
+
+    The state of a request that is passed on has `is_secure`: whether the page's address begins with https,
+    and `session_left_s`: seconds until the session expires, None without `sessions`.
     """
 
-    def __init__(self, application: ASGIApp, addresses: Addresses, sessions: Sessions | None) -> None:
+    def __init__(
+        self, application: ASGIApp, addresses: Addresses, sessions: Sessions | None, *, cookie: str
+    ) -> None:
         self._application = application
         self._addresses = addresses
         self._sessions = sessions
+        self._cookie = cookie
         self._requests = BudgetPerAddress(lambda: Budget(_REQUESTS_PER_S, _REQUESTS))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -79,7 +84,9 @@ class Gate:
 
     def _session_refusal(self, scope: Scope, headers: Headers) -> Response | None:
         path = str(scope["path"])
-        if self._sessions is None or path.startswith(_OPEN_TO_ALL) or self._sessions.has(_cookie(scope)):
+        left_s = self._sessions.left_s(_cookie(scope, self._cookie)) if self._sessions else None
+        scope["state"]["session_left_s"] = left_s
+        if self._sessions is None or path.startswith(_OPEN_TO_ALL) or left_s:
             return None
         if path == METRICS:
             return _bearer_refusal(self._sessions, scope, headers)
@@ -110,12 +117,12 @@ def _header_bytes(scope: Scope) -> int:
     return address + sum(len(name) + len(value) for name, value in scope["headers"])
 
 
-def _cookie(scope: Scope) -> str:
+def _cookie(scope: Scope, name: str) -> str:
     try:
         cookies = SimpleCookie(HTTPConnection(scope).headers.get("cookie", ""))
     except CookieError:
         return ""
-    return cookies[COOKIE].value if COOKIE in cookies else ""
+    return cookies[name].value if name in cookies else ""
 
 
 def _text(status: int, text: str, headers: dict[str, str] | None = None) -> Response:

@@ -52,11 +52,11 @@ class Sessions:
             self._ends_s.popitem(last=False)
         return session_id
 
-    def has(self, session_id: str) -> bool:
-        """Whether this session exists and has not expired."""
+    def left_s(self, session_id: str) -> float:
+        """Seconds until this session expires; 0 if it has or does not exist."""
         # The dictionary compares hashes, so timing reveals nothing about ids.
         end_s = self._ends_s.get(_hash(session_id))
-        return end_s is not None and self._clock() < end_s
+        return max(end_s - self._clock(), 0.0) if end_s is not None else 0.0
 
 
 def _hash(text: str) -> bytes:
