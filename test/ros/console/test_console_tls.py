@@ -19,6 +19,7 @@ from support.console_process import address, console_process
 from support.served_node import PATIENCE_S
 from support.worker import worker_domain
 from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from yolov5_lifecycle.ros.console.bounded_listener import MAX_CONNECTIONS_OF_ADDRESS
 
@@ -83,10 +84,8 @@ def is_closed(connection: socket.socket) -> bool:
 
 def test_with_a_certificate_it_speaks_tls(encrypted: EncryptedConsole) -> None:
     assert encrypted.status_of_page() == 200
-    url = f"wss://127.0.0.1:{encrypted.port}/ws"
-    with connect(
-        url, origin=f"https://127.0.0.1:{encrypted.port}", ssl=encrypted.context, proxy=None
-    ) as page:
+    url, origin = f"wss://127.0.0.1:{encrypted.port}/ws", Origin(f"https://127.0.0.1:{encrypted.port}")
+    with connect(url, origin=origin, ssl=encrypted.context, proxy=None) as page:
         assert '"welcome"' in str(page.recv(PATIENCE_S))
 
 
