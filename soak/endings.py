@@ -23,7 +23,6 @@ _TRANSITION_S = 0.001, 0.3
 _PAUSE_S = 0.001
 _LONGEST_IMPORT_S = 3.0
 _START_S = 60.0
-_END_S = 60.0
 
 Ending = tuple[signal.Signals, str]
 """The signal, and a moment from `MOMENTS`."""
@@ -135,11 +134,11 @@ def _restart(moment: str, random: Random) -> None:
     with own_domain() as domain:
         with subject_in(domain) as killed:
             _reach(killed, moment, random)
-            assert killed.process.stop(signal.SIGKILL, timeout_s=_END_S) == -signal.SIGKILL
+            assert killed.process.stop(signal.SIGKILL) == -signal.SIGKILL
         with subject_in(domain) as process:
             process.bring_to("active")
             process.look()
-            code = process.process.stop(signal.SIGTERM, timeout_s=_END_S)
+            code = process.process.stop(signal.SIGTERM)
             assert (code, process.escaped) == (0, []), f"after {moment}: {code}, {process.escaped}"
 
 

@@ -22,7 +22,6 @@ from yolov5_lifecycle.unfinished import FOLDER_PREFIX
 
 _MAX_GROWN_MB = 300.0
 _POLL_S = 0.0005
-_END_S = 60.0
 _CACHES = ("choices", "compiled")
 _OWNER = """
 import signal
@@ -155,5 +154,5 @@ def _end_while_it_compiles(domain: int, variables: dict[str, str], number: signa
         answer: Any = process.begin_transition("activate")
         while not (folders := set(folder.glob(f"{FOLDER_PREFIX}*")) - before) and not answer.done():
             process.observer.work_for(_POLL_S)
-        process.process.stop(number, timeout_s=_END_S)
+        process.process.stop(number)
     return any(path.exists() for path in folders)

@@ -50,7 +50,6 @@ _SETTINGS: dict[str, tuple[Any, ...]] = {
 }
 _FAULTS = ("raise", "out of memory", "NaN", "wrong shape", "slow")
 _CHECK_EVERY = 50
-_END_S = 60.0
 
 
 class MixedLife:
@@ -149,7 +148,7 @@ def mixed_life(subject: Subject, seed: int, minutes: float) -> Finding:
                 life.act()
             life.check()
             held.append(subject.resources())
-    code = subject.process.stop(signal.SIGTERM, timeout_s=_END_S)
+    code = subject.process.stop(signal.SIGTERM)
     return Finding(
         claim="everything at random leaves a node that detects",
         done=f"{life.done.total()} actions of {len(life.done)} kinds in {minutes:g} minutes, "

@@ -135,7 +135,7 @@ def launched(file: Path, workspace: Path, domain: int, *arguments: str) -> Itera
         try:
             yield process
         finally:  # killed, it would leave its nodes behind
-            code = process.stop(signal.SIGINT, timeout_s=60)
+            code = process.stop(signal.SIGINT)
         assert code == 0, process.output
 
 

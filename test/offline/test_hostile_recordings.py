@@ -92,11 +92,7 @@ def large_metadata(folder: Path) -> Path:
 
 def compressed(folder: Path) -> Path:
     """An MCAP file with its messages in one zstd chunk."""
-    writer = Writer(folder / "bag", version=9, storage_plugin=MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection(TOPIC, IMAGE, typestore=TYPES)
-        writer.write(connection, 1, TYPES.serialize_cdr(raw(0), IMAGE))
+    record(folder / "bag", [raw(0)], storage=MCAP, compression=CompressionMode.STORAGE)
     return folder / "bag" / "bag.mcap"
 
 

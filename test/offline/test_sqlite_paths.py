@@ -6,14 +6,14 @@ import shutil
 from pathlib import Path
 
 import pytest
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from support.detected_offline import SET_MODEL, run
 from support.many_recordings import messages
-from support.recorded_scene import IMAGE, TOPIC, raw, record
+from support.recorded_scene import raw, record
 
 from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.recording import TYPES, RecordingError, open_recording
-from yolov5_lifecycle.offline.sqlite_paths import sqlite_problem
+from yolov5_lifecycle.offline.recording import RecordingError, open_recording
+from yolov5_lifecycle.offline.recordings import sqlite_problem
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
 
@@ -100,11 +100,7 @@ def test_a_recording_cannot_name_a_database_outside_of_its_folder(drive: Path) -
 
 
 def test_a_packed_recording_of_such_a_name_is_refused(tmp_path: Path) -> None:
-    writer = Writer(tmp_path / "drive", version=9, storage_plugin=SQLITE)
-    writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection(TOPIC, IMAGE, typestore=TYPES)
-        writer.write(connection, 1, TYPES.serialize_cdr(raw(0), IMAGE))
+    record(tmp_path / "drive", [raw(0)], storage=SQLITE, compression=CompressionMode.FILE)
     metadata = tmp_path / "drive" / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("drive.db3", "drive#1.db3"))
     (tmp_path / "drive" / "drive.db3.zstd").rename(tmp_path / "drive" / "drive#1.db3.zstd")

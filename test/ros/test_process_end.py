@@ -172,7 +172,7 @@ def test_a_signal_releases_every_model_and_ends_the_process_whatever_hangs(
     """What hangs does so for longer than the process is waited for."""
     with scripted_detector(script) as (process, observer):
         come_to(observer, process)
-        assert process.stop(ending, timeout_s=PATIENCE_S) == 0
+        assert process.stop(ending) == 0
     assert process.output.count("model closed") == models
     assert [words for words in (LOADER_LEFT, INFERENCE_LEFT) if words in process.output] == left
     assert "Traceback" not in process.output
@@ -191,7 +191,7 @@ def test_a_signal_ends_the_process_cleanly_while_it_imports(name: str, signal_nu
     told_imports = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
     with ChildProcess(name, [entry_point(name)], told_imports) as process:
         process.wait_for_output(" rclpy\n", 60)
-        assert process.stop(signal_number, timeout_s=PATIENCE_S) == 0
+        assert process.stop(signal_number) == 0
     assert "Traceback" not in process.output
 
 

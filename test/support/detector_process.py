@@ -18,6 +18,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
@@ -37,7 +39,6 @@ from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 NODE = "/yolov5"
-IMAGE_TOPIC = f"{NODE}/image_raw"
 WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"
 PARAMETERS: dict[str, object] = {"weights": WEIGHTS, "image_size": 320, "device": "cpu"}
 SEED = 8
@@ -89,7 +90,6 @@ class DetectorProcess:
 
     def status(self) -> dict[str, str]:
         """The values of the first diagnostics made from now on, their `message` and `level` (as `OK`)."""
-        self.node.state()  # else diagnostics that are being made now would have a later stamp
         begun_ns = time.time_ns()
 
         def is_new() -> bool:
@@ -104,20 +104,17 @@ class DetectorProcess:
 
     def publish(self, image: Image) -> None:
         """Send one image that is not lost: the node has resubscribed with the publisher's reliability."""
-        self._matched_publisher()
-        self.observer.wait_for(self._is_subscribed_reliably, "the node to subscribe reliably")
-        self._images.publish(image)
+        publisher = self._matched_publisher()
+        self.observer.wait_for(
+            lambda: is_matched_reliably(self.observer, publisher), "the node to subscribe reliably"
+        )
+        publisher.publish(image)
 
     def _matched_publisher(self) -> Any:
         if self._images is None:
-            self._images = self.observer.create_publisher(Image, IMAGE_TOPIC, 1)
+            self._images = self.observer.create_publisher(Image, f"{NODE}/image_raw", 1)
         self.observer.wait_for(lambda: self._images.get_subscription_count() > 0, "the node to subscribe")
         return self._images
-
-    def _is_subscribed_reliably(self) -> bool:
-        subscriptions = self.observer.get_subscriptions_info_by_topic(IMAGE_TOPIC)
-        reliabilities = [subscription.qos_profile.reliability for subscription in subscriptions]
-        return reliabilities == [ReliabilityPolicy.RELIABLE] and self._images.get_subscription_count() == 1
 
     def wait_until_rejected(self, count: int, reason: str = "") -> dict[str, str]:
         """Wait until the node has rejected `count` images and tells the `reason`; its status then."""
@@ -183,6 +180,16 @@ def detector_process(*arguments: str) -> Iterator[DetectorProcess]:
         closing(Observer("client", domain=domain, check=process.check_running)) as observer,
     ):
         yield DetectorProcess(process, observer, domain)
+
+
+def is_matched_reliably(node: Node, publisher: Publisher) -> bool:
+    """Whether a reliable subscription is the only one of `publisher`, as `node` sees it.
+
+    The detector first subscribes as best effort, and images between its two subscriptions are lost.
+    """
+    subscriptions = node.get_subscriptions_info_by_topic(publisher.topic_name)
+    reliabilities = [subscription.qos_profile.reliability for subscription in subscriptions]
+    return reliabilities == [ReliabilityPolicy.RELIABLE] and bool(publisher.get_subscription_count() == 1)
 
 
 def environment(domain: int) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.sources.scene import Scene, Truth
@@ -61,10 +61,18 @@ def text() -> Any:
 
 
 def record(
-    path: Path, messages: Sequence[Any], *, storage: StoragePlugin, topics: Sequence[str] = (TOPIC,)
+    path: Path,
+    messages: Sequence[Any],
+    *,
+    storage: StoragePlugin,
+    topics: Sequence[str] = (TOPIC,),
+    compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
     """A new recording at `path` with `messages`, or bytes in place of an Image, on each of `topics`."""
-    with Writer(path, version=9, storage_plugin=storage) as writer:
+    writer = Writer(path, version=9, storage_plugin=storage)
+    if compression is not CompressionMode.NONE:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
         for topic in topics:
             type_name = next((one.__msgtype__ for one in messages if not isinstance(one, bytes)), IMAGE)
             connection = writer.add_connection(topic, type_name, typestore=TYPES)

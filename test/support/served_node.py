@@ -245,7 +245,6 @@ class ServedNode:
 
     def statuses(self) -> dict[str, Any]:
         """The next diagnostic statuses, of the node and its cameras, by name."""
-        self._finish_callback()  # else one that is being made now would have a later stamp
         asked = self.client.get_clock().now()
 
         def is_answered() -> bool:
@@ -253,12 +252,6 @@ class ServedNode:
 
         self.wait_for(is_answered, "diagnostics")
         return {status.name.rpartition(": ")[2]: status for status in self.diagnostics[-1].status}
-
-    def _finish_callback(self) -> None:
-        """Wait until the node has ended the callback that it is in, if any."""
-        ended = threading.Event()
-        self._executor.create_task(ended.set)
-        assert ended.wait(PATIENCE_S), "timed out waiting for a callback of the node to end"
 
     def values(self) -> dict[str, str]:
         """The values of the next diagnostic status."""

@@ -12,6 +12,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from xml.etree import ElementTree
 
 from support.detector_process import NODE, PARAMETERS, SEED, DetectorProcess, as_arguments, is_balanced
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
@@ -22,7 +23,7 @@ ADDRESSES = ("10.77.0.1", "10.77.0.2")
 DOMAIN = 1  # nobody else is in this network
 PATIENCE_S = 120.0  # a busy machine takes its time
 LEASE = Path(__file__).with_name("short_lease.xml")
-LEASE_S = 4.0
+LEASE_S = float(ElementTree.parse(LEASE).findtext(".//{*}leaseDuration/{*}sec", ""))
 CAMERA_PARAMETERS = {
     "width": 320,
     "height": 240,

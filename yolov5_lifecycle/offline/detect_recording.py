@@ -29,7 +29,7 @@ from yolov5_lifecycle.offline.recording import (
     RecordingError,
     open_recording,
 )
-from yolov5_lifecycle.offline.sqlite_paths import sqlite_problem
+from yolov5_lifecycle.offline.recordings import sqlite_problem
 from yolov5_lifecycle.printable import in_one_line, is_utf8
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"

@@ -25,8 +25,7 @@ from yolov5_lifecycle.offline.recording_limits import (
     check_files,
     unpacked_message,
 )
-from yolov5_lifecycle.offline.recordings import is_mcap
-from yolov5_lifecycle.offline.sqlite_paths import sqlite_problem
+from yolov5_lifecycle.offline.recordings import is_mcap, sqlite_problem
 from yolov5_lifecycle.printable import in_one_line
 
 _RAW = "sensor_msgs/msg/Image"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,8 @@ _SUFFIXES = (".mcap", ".db3")
 _PACKED = ".zstd"
 _WILDCARDS = "*?["
 _MAX_TOLD = 5
+_SPECIAL_IN_URI = re.compile(r"^//(?!/)|[#?]|%[0-9A-Fa-f]{2}|[\ud800-\udfff]")
+"""What SQLite does not take literally in `file:PATH`: a host, fragment, query, escape, or invalid UTF-8."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,12 @@ def is_mcap(path: Path) -> bool:
     """Whether the recording at `path` is in MCAP, otherwise it is in SQLite; raises OSError."""
     files = [path] if path.is_file() else path.iterdir()
     return any(".mcap" in file.suffixes for file in files)
+
+
+def sqlite_problem(path: object) -> str:
+    """Why rosbags cannot open an SQLite file at `path`, or "": it puts paths into a URI unescaped."""
+    found = _SPECIAL_IN_URI.search(str(path))
+    return f"an SQLite file cannot be opened with {found[0]!r} in its path" if found else ""
 
 
 def are_many(sources: Sequence[Path]) -> bool:

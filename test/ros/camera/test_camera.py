@@ -12,7 +12,6 @@ from typing import Any, get_args
 import cv2
 import numpy as np
 import pytest
-import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
@@ -21,6 +20,7 @@ from support.camera_process import END_S, camera_process
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import PARAMETERS, SCENE, as_arguments, detector_process
 from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
+from support.lone_node import lone_node
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded
@@ -111,7 +111,7 @@ def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer
         observer.wait_for(
             lambda: len(images.keys() & truths.keys()) >= 5 and bool(unreliable), "images and their truths"
         )
-        assert camera.stop(signal.SIGTERM, timeout_s=END_S) == 0
+        assert camera.stop(signal.SIGTERM) == 0
     scene = Scene(4, (120, 160))
     index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
     stamps = sorted(images.keys() & truths.keys())
@@ -186,23 +186,19 @@ def noting(form: ImageForm, made: list[str]) -> ImageForm:
 def test_a_form_without_subscribers_is_not_encoded(observer: Observer, ros_domain: int) -> None:
     made: list[str] = []
     forms = {transport: [noting(form, made) for form in forms] for transport, forms in IMAGE_FORMS.items()}
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    node = rclpy.create_node("camera", context=context)
-    outputs = CameraOutputs(node, CameraSettings(image_transport="both"), forms=forms)
-    frame = next(open_source("synthetic").frames)
-    outputs.publish(frame)
-    assert made == []
-    raws = collected(observer, Image, "/image_raw")
-
-    def is_received() -> bool:
+    with lone_node("camera") as node:
+        outputs = CameraOutputs(node, CameraSettings(image_transport="both"), forms=forms)
+        frame = next(open_source("synthetic").frames)
         outputs.publish(frame)
-        return bool(raws)
+        assert made == []
+        raws = collected(observer, Image, "/image_raw")
 
-    observer.wait_for(is_received, "an image")
+        def is_received() -> bool:
+            outputs.publish(frame)
+            return bool(raws)
+
+        observer.wait_for(is_received, "an image")
     assert set(made) == {""}
-    node.destroy_node()
-    rclpy.shutdown(context=context)
 
 
 def first_info(observer: Observer) -> CameraInfo:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-import rclpy
 from rcl_interfaces.msg import ParameterEvent
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from support.detector_process import NODE
+from support.lone_node import lone_node
 from support.preparations import Preparations
 from support.served_node import PATIENCE_S, ServedNode
 
@@ -68,20 +68,10 @@ class KnownDetector:
         return next((each["value"] for each in shown if each["name"] == name), None)
 
 
-@contextmanager
-def console_node() -> Iterator[rclpy.node.Node]:
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    node = rclpy.create_node("console", context=context)
-    yield node
-    node.destroy_node()
-    rclpy.shutdown(context=context)
-
-
 def play(served: ServedNode, act: Callable[[KnownDetector], Awaitable[None]]) -> None:
     """Let `act` use the detector in an event loop."""
 
-    async def played(node: rclpy.node.Node) -> None:
+    async def played(node: Node) -> None:
         ros = RosThread(node, asyncio.get_running_loop())
         ros.start()
         known = KnownDetector(served, ros)
@@ -92,7 +82,7 @@ def play(served: ServedNode, act: Callable[[KnownDetector], Awaitable[None]]) ->
             await known.detector.close()
             assert ros.stop()
 
-    with console_node() as node:
+    with lone_node("console") as node:
         asyncio.run(played(node))
 
 

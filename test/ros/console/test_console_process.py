@@ -15,7 +15,6 @@ from support.worker import worker_domain
 
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 
-ENDED_S = 30.0
 """Longer than any machine takes; the process itself gives up what hangs after two seconds."""
 
 
@@ -135,7 +134,7 @@ def test_a_signal_ends_it_with_code_0_while_pages_are_open(number: signal.Signal
     with console_process(ros_domain) as process:
         client = ConsoleClient(address(process))
         with client.page(), socket.create_connection(("127.0.0.1", _port(client)), timeout=10):
-            assert process.stop(number, timeout_s=ENDED_S) == 0
+            assert process.stop(number) == 0
         assert "Traceback" not in process.output
 
 
@@ -152,7 +151,7 @@ def test_a_detector_that_is_killed_is_gone_until_it_is_started_again() -> None:
         ConsoleClient(address(process)).page() as page,
     ):
         page.wait_for(lambda: NODE in page.nodes, "the detector")
-        killed.process.stop(signal.SIGKILL, timeout_s=ENDED_S)
+        killed.process.stop(signal.SIGKILL)
         page.wait_for(lambda: page.gone == [NODE], "its end")
         words = [entry_point("detector"), "--ros-args", "-p", "max_rate:=3.0"]
         with ChildProcess("detector", words, environment(killed.domain)):

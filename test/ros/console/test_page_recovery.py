@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
-from support.camera_process import END_S, camera_process
+from support.camera_process import camera_process
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.console_robot import CAMERA
@@ -48,7 +48,7 @@ def test_a_detector_that_is_killed_and_restarted_is_lost_and_found(browser: Chro
         page = ConsolePage(browser, address(console))
         page.open()
         page.wait_for_image()
-        detector.stop(signal.SIGKILL, timeout_s=END_S)
+        detector.stop(signal.SIGKILL)
         page.wait_for_text(".notice.error", "/yolov5 is lost")
         assert page.state == "active"  # the last that is known of it
         with autostarted(domain):
@@ -64,7 +64,7 @@ def test_a_console_that_is_killed_and_restarted_is_lost_and_found(browser: Chrom
         page = ConsolePage(browser, address(console))
         page.open()
         page.wait_for_image()
-        console.stop(signal.SIGKILL, timeout_s=END_S)
+        console.stop(signal.SIGKILL)
         lost = browser.find_element(By.ID, "lost")
         page.wait_for(lambda: "connection to the console is lost" in lost.text, "the loss")
         field = page.widget("max_rate", 'input[type="text"]')

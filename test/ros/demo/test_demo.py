@@ -69,7 +69,7 @@ def test_the_end_of_the_demo_ends_what_it_started(tmp_path: Path, monkeypatch: p
     with ChildProcess("demo", [entry_point("demo")], os.environ) as demo:
         demo.wait_for_output("started as processes", PATIENCE_S)
         started = [int(word) for word in demo.output.splitlines()[0].split() if word.isdigit()]
-        assert demo.stop(signal.SIGTERM, timeout_s=PATIENCE_S) == 143
+        assert demo.stop(signal.SIGTERM) == 143
     assert len(started) == 2
     assert not any(Path(f"/proc/{process_id}").exists() for process_id in started)
 

@@ -25,4 +25,4 @@ def test_the_address_is_printed_and_all_processes_end(
         assert found
         with ConsoleClient(found[0]).page() as page, ConsoleClient(found[0]).page():
             page.wait_for_state("active", NODE)
-        assert process.stop(signal.SIGINT, timeout_s=60) == 0, process.output
+        assert process.stop(signal.SIGINT) == 0, process.output

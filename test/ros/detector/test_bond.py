@@ -51,7 +51,7 @@ def test_a_manager_drives_the_process_through_every_transition() -> None:
             message.instance_id for message in first.heard
         )
         manager.shutdown()
-        assert detector.process.stop(signal.SIGTERM, timeout_s=PATIENCE_S) == 0
+        assert detector.process.stop(signal.SIGTERM) == 0
     assert "Traceback" not in detector.process.output
 
 
@@ -61,7 +61,7 @@ def test_a_manager_notices_that_the_process_was_killed() -> None:
         manager = LifecycleManager(observer, bond_timeout_s=1.0)
         manager.startup()
         bond = manager.bonds["yolov5"]
-        assert detector.process.stop(signal.SIGKILL, timeout_s=PATIENCE_S) == -signal.SIGKILL
+        assert detector.process.stop(signal.SIGKILL) == -signal.SIGKILL
         observer.wait_for(lambda: bond.is_broken, "the end of the bond")
         assert bond.ended_by_timeout
         assert all(message.active for message in bond.heard)

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-import rclpy
 from rclpy.node import Node
 from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header
 from support.depth_scene import CAMERA, random_depth_scene
 from support.hostile_depth import hostile_camera_infos, hostile_depths
+from support.lone_node import lone_node
 
 from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing, PlacedImage
 from yolov5_lifecycle.spatial.placement import Box3D, Unplaced
@@ -22,12 +22,8 @@ BLIND = np.full(CAMERA.size_hw, np.nan, np.float32)
 
 @pytest.fixture
 def node(ros_domain: int) -> Iterator[Node]:
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    node = rclpy.create_node("yolov5", context=context)
-    yield node
-    node.destroy_node()
-    rclpy.shutdown(context=context)
+    with lone_node("yolov5") as node:
+        yield node
 
 
 @pytest.fixture

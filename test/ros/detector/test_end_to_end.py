@@ -25,7 +25,6 @@ from vision_msgs.msg import Detection2DArray
 from yolov5_lifecycle.images.encodings import ENCODINGS
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, recall, stamp_ns
-from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
 from yolov5_lifecycle.ros.messages import image_message, image_of_message
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
@@ -51,7 +50,7 @@ def test_a_camera_and_the_detector_find_the_shapes_where_they_are(detector: Dete
         last_ns = stamp_ns(messages[-1].header)
         assert detector.transition("activate")
         observer.wait_for(lambda: stamp_ns(messages[-1].header) > last_ns, "messages once active again")
-        assert camera.stop(signal.SIGINT, timeout_s=PATIENCE_S) == 0
+        assert camera.stop(signal.SIGINT) == 0
     observer.destroy_subscription(subscription)
 
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image
-from support.detector_process import as_arguments, environment
+from support.detector_process import as_arguments, environment, is_matched_reliably
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
@@ -187,14 +187,8 @@ class Receiver:
         publisher = self.sender.create_publisher(Image, TOPIC, QoSProfile(depth=1, durability=durability))
         self.node.wait_for(lambda: self.topic.look().publishers == matched + 1, "the publisher")
         self.look()
-        self.node.wait_for(lambda: self._is_matched(publisher), "the reliable subscription")
+        self.node.wait_for(lambda: is_matched_reliably(self.sender, publisher), "the reliable subscription")
         return publisher
-
-    def _is_matched(self, publisher: Publisher) -> bool:
-        """Whether the subscription of best effort has left and the reliable one is there."""
-        infos = self.sender.get_subscriptions_info_by_topic(TOPIC)
-        is_reliable = [info.qos_profile.reliability for info in infos] == [ReliabilityPolicy.RELIABLE]
-        return is_reliable and bool(publisher.get_subscription_count() == 1)
 
     def subscribe_again(self, publisher: Publisher, missed: int) -> None:
         """As a change of `image_reliability` does, while `missed` images are sent."""

@@ -92,4 +92,4 @@ def test_parameter_files_that_cannot_be_read_are_reported_at_the_start(tmp_path:
             assert not detector.transition("configure")
         assert "Failed to parse global arguments" not in detector.process.output
         assert detector.node.state() == "unconfigured"
-        assert detector.process.stop(signal.SIGTERM, timeout_s=PATIENCE_S) == 0
+        assert detector.process.stop(signal.SIGTERM) == 0

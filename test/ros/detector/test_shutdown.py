@@ -30,7 +30,7 @@ def test_a_signal_ends_the_process_cleanly(state: str, signal_number: signal.Sig
         detector.bring_to(state)
         if state == "active":
             detector.look()
-        assert detector.process.stop(signal_number, timeout_s=PATIENCE_S) == 0
+        assert detector.process.stop(signal_number) == 0
     assert "Traceback" not in detector.process.output
 
 

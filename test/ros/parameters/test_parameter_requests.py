@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import pytest
-import rclpy
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import (
@@ -17,6 +16,7 @@ from rcl_interfaces.srv import (
     SetParameters,
 )
 from rclpy.parameter import Parameter
+from support.lone_node import lone_node
 from support.preparations import CLASS_NAMES, Preparations
 from support.served_node import ServedNode
 
@@ -228,25 +228,19 @@ class ClassesOnly:
 
 
 def test_a_change_that_cannot_take_effect_leaves_nothing_behind(ros_domain: int) -> None:
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    node = rclpy.create_node("yolov5", context=context)
     detection = FailingDetection()
     nothing: Any = None
-    parameters = SettingsParameters(node, review=nothing, commit=nothing)
-    reconfiguration = Reconfiguration(
-        node, parameters=parameters, loader=nothing, resources=AlwaysActive(detection)
-    )
-    set_one_by_one = reconfiguration.handlers()["set_parameters"]
     request = SetParameters.Request(parameters=messages(confidence_threshold=0.75))
-    try:
+    with lone_node("yolov5") as node:
+        parameters = SettingsParameters(node, review=nothing, commit=nothing)
+        reconfiguration = Reconfiguration(
+            node, parameters=parameters, loader=nothing, resources=AlwaysActive(detection)
+        )
+        set_one_by_one = reconfiguration.handlers()["set_parameters"]
         with pytest.raises(RuntimeError, match="the subscription failed"):
             set_one_by_one(request, SetParameters.Response()).send(None)
         assert node.get_parameter("confidence_threshold").value == 0.25
         assert parameters.settings() == detection.settings == Settings()
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)
 
 
 # Reloads

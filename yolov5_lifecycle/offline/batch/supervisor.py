@@ -17,8 +17,7 @@ from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
 from yolov5_lifecycle.offline.batch.summary import remove_summary, write_summary
 from yolov5_lifecycle.offline.batch.workers import Died, Ended, Event, Progress, Ready, Refused, Workers
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.recordings import SourceRecording, is_mcap, is_recording
-from yolov5_lifecycle.offline.sqlite_paths import sqlite_problem
+from yolov5_lifecycle.offline.recordings import SourceRecording, is_mcap, is_recording, sqlite_problem
 from yolov5_lifecycle.printable import is_utf8
 from yolov5_lifecycle.unfinished import hold, open_itself
 

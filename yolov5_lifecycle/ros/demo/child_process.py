@@ -13,6 +13,8 @@ from pathlib import Path
 
 _KEPT_LINES = 5000
 _KILL_S = 5.0
+_END_S = 60.0
+"""Timeout for the end of a process after a signal, possibly on a slow machine."""
 
 
 class ProcessError(RuntimeError):
@@ -85,7 +87,7 @@ class ChildProcess:
         self._reader.join(_KILL_S)
         return code
 
-    def stop(self, signal_number: int = signal.SIGINT, *, timeout_s: float = 5.0) -> int:
+    def stop(self, signal_number: int = signal.SIGINT, *, timeout_s: float = _END_S) -> int:
         """Send the signal, wait, and return the exit code; raises ProcessError on timeout."""
         self._process.send_signal(signal_number)
         return self.wait(timeout_s)

@@ -14,7 +14,6 @@ from yolov5_lifecycle.ros.demo.processes import started
 _CONSOLE = "console"
 _ADDRESS = re.compile(r"console: (http\S+)")
 _START_S = 60.0
-_END_S = 60.0
 _CHECK_S = 0.5
 
 
@@ -37,5 +36,5 @@ def show_live(commands: Mapping[str, Sequence[str]], *, port: int, report: Calla
         except KeyboardInterrupt:
             report("stopping all processes")
         for process in reversed(processes):
-            if code := process.stop(signal.SIGINT, timeout_s=_END_S):
+            if code := process.stop(signal.SIGINT):
                 raise ProcessError(f"the {process.name} ended with exit code {code} instead of 0")

@@ -20,7 +20,6 @@ from yolov5_lifecycle.ros.demo.outcome import DemonstrationError
 
 OUTPUT = Path("build/demo")
 DETECTOR_PROCESS = "detector"
-_END_S = 60.0
 
 Result = TypeVar("Result")
 
@@ -42,7 +41,7 @@ def demonstrated(
         *cameras, detector = processes
         result = _driven(domain, processes, demonstrate, report)
         for process in (detector, *cameras):
-            code = process.stop(signal.SIGINT, timeout_s=_END_S)
+            code = process.stop(signal.SIGINT)
             if code:
                 raise DemonstrationError(f"the {process.name} ended with exit code {code} instead of 0")
         report(f"{'both' if len(processes) == 2 else 'all'} processes ended with exit code 0")
