@@ -41,6 +41,8 @@ TORCH_INDEX := https://download.pytorch.org/whl/cpu
 FOREIGN := PYTHONPATH PYTHONHOME LD_LIBRARY_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION \
   _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport $(FOREIGN) VIRTUAL_ENV ROS_LOCALHOST_ONLY ROS_STATIC_PEERS
+# The tests start hundreds of Python processes: without cached bytecode each compiles this package again.
+unexport PYTHONDONTWRITEBYTECODE
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export PATH := $(abspath $(VENV))/bin:$(PATH)

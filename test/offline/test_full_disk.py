@@ -51,7 +51,10 @@ def test_a_recording_that_cannot_be_written_leaves_nothing(
     assert list(tmp_path.iterdir()) == [source]
 
 
-@pytest.mark.parametrize("suffix", [".png", ".bmp", ".webp", ".jpg", ".tif"])
+@pytest.mark.parametrize(
+    "suffix",
+    [".jpg", *(pytest.param(suffix, marks=pytest.mark.long) for suffix in (".png", ".bmp", ".webp", ".tif"))],
+)
 def test_a_small_annotated_image_that_cannot_be_written_leaves_nothing(suffix: str, tmp_path: Path) -> None:
     """Small enough for the buffer of a C program, which then fails only when it closes the file."""
     source = grey_folder(tmp_path) / "8.png"
@@ -63,7 +66,7 @@ def test_a_small_annotated_image_that_cannot_be_written_leaves_nothing(suffix: s
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize("max_bytes", [6_000, 20_000])
+@pytest.mark.parametrize("max_bytes", [6_000, pytest.param(20_000, marks=pytest.mark.long)])
 @pytest.mark.parametrize("suffix", [".avi", ".mp4"])
 def test_an_annotated_video_that_cannot_be_written_leaves_nothing(
     suffix: str, max_bytes: int, tmp_path: Path

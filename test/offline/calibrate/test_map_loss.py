@@ -156,6 +156,7 @@ def loss_on(path: Path) -> MapLoss:
         )
 
 
+@pytest.mark.long
 def test_the_loss_is_the_difference_of_two_evaluations(
     data: Path, detector: Detector, tmp_path: Path
 ) -> None:
@@ -234,6 +235,7 @@ def test_the_loss_is_written_and_reported(
     assert "mAP loss    points of mAP@50:95 that int8 loses" in told
 
 
+@pytest.mark.long
 @needs_openvino
 def test_without_pycocotools_labels_are_not_used_and_the_remedy_is_given(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

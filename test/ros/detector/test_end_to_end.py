@@ -111,9 +111,9 @@ def test_an_image_without_shapes_gives_an_empty_message(active: DetectorProcess)
     ("change", "reason"),
     [
         pytest.param({"encoding": "32FC1"}, "32FC1", id="encoding"),
-        pytest.param({"step": 7}, "step", id="step"),
-        pytest.param({"height": 4000}, "bytes", id="height"),
-        pytest.param({"width": 0}, "width", id="empty"),
+        pytest.param({"step": 7}, "step", id="step", marks=pytest.mark.long),
+        pytest.param({"height": 4000}, "bytes", id="height", marks=pytest.mark.long),
+        pytest.param({"width": 0}, "width", id="empty", marks=pytest.mark.long),
     ],
 )
 def test_an_unreadable_image_is_counted_and_the_next_one_detected(

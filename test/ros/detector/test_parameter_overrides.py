@@ -13,9 +13,9 @@ from support.served_node import ServedNode
     ("parameter", "fixed"),
     [
         pytest.param("confidence_threshold:=1.5", {"confidence_threshold": 0.5}, id="out-of-range"),
-        pytest.param("lazy:=high", {"lazy": True}, id="wrong-type"),
+        pytest.param("lazy:=high", {"lazy": True}, id="wrong-type", marks=pytest.mark.long),
         pytest.param("confidence_treshold:=0.5", {"confidence_threshold": 0.5}, id="unknown-name"),
-        pytest.param("model_size:=nano", {"model_size": "n"}, id="no-such-choice"),
+        pytest.param("model_size:=nano", {"model_size": "n"}, id="no-such-choice", marks=pytest.mark.long),
     ],
 )
 def test_a_bad_override_fails_configure_until_it_is_corrected(

@@ -30,10 +30,16 @@ BAD_FILES = [
     pytest.param(lambda good, bad: None, "bad.safetensors", "no such file", id="missing"),
     pytest.param(lambda good, bad: bad.write_bytes(b""), "bad.safetensors", "0 bytes", id="empty"),
     pytest.param(lambda good, bad: bad.mkdir(), "bad.safetensors", "regular file", id="folder"),
-    pytest.param(lambda good, bad: os.mkfifo(bad), "bad.pt", "regular file", id="pipe"),
-    pytest.param(_cut_short, "bad.safetensors", "cut short", id="truncated"),
     pytest.param(
-        lambda good, bad: bad.write_bytes(good.read_bytes()), "bad.onnx", "ends in", id="wrong-suffix"
+        lambda good, bad: os.mkfifo(bad), "bad.pt", "regular file", id="pipe", marks=pytest.mark.long
+    ),
+    pytest.param(_cut_short, "bad.safetensors", "cut short", id="truncated", marks=pytest.mark.long),
+    pytest.param(
+        lambda good, bad: bad.write_bytes(good.read_bytes()),
+        "bad.onnx",
+        "ends in",
+        id="wrong-suffix",
+        marks=pytest.mark.long,
     ),
     pytest.param(lambda good, bad: bad.write_bytes(b"<!DOCTYPE html>"), "bad.pt", "HTML page", id="html"),
 ]

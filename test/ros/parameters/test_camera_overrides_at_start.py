@@ -70,11 +70,25 @@ def test_overrides_of_a_file_and_of_the_command_line_are_in_the_logged_table(
     ("given", "told", "fixed"),
     [
         pytest.param(
-            ["front.max_rate:=-1.0"], "front.max_rate: -1.0 is not", {"front.max_rate": 5.0}, id="range"
+            ["front.max_rate:=-1.0"],
+            "front.max_rate: -1.0 is not",
+            {"front.max_rate": 5.0},
+            id="range",
+            marks=pytest.mark.long,
         ),
-        pytest.param(["front.lazy:=high"], "front.lazy: 'high' is not", {"front.lazy": True}, id="type"),
         pytest.param(
-            ["frnt.max_rate:=5.0"], "Did you mean 'front.max_rate'?", {"front.max_rate": 5.0}, id="camera"
+            ["front.lazy:=high"],
+            "front.lazy: 'high' is not",
+            {"front.lazy": True},
+            id="type",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            ["frnt.max_rate:=5.0"],
+            "Did you mean 'front.max_rate'?",
+            {"front.max_rate": 5.0},
+            id="camera",
+            marks=pytest.mark.long,
         ),
         pytest.param(
             ["front.max_rte:=5.0"], "Did you mean 'front.max_rate'?", {"front.max_rate": 5.0}, id="setting"
