@@ -46,6 +46,7 @@ class Detectors:
         self._on_gone = on_gone
         self._followed: dict[str, Detector] = {}
         self._shown: set[str] = set()
+        self._silent: set[str] = set()  # hidden until a scan has told whether they were restarted
         self._by_logger: dict[str, str] = {}
         self._task: asyncio.Task[None] | None = None
 
@@ -70,8 +71,10 @@ class Detectors:
 
     async def _follow(self) -> None:
         while True:
+            returned = [self._followed[name] for name in self._silent if not self._followed[name].is_silent]
             found = await self._ros.run(candidates, self._ros.node, self._names)
             await self._update(found[:_MAX_DETECTORS])
+            self._show_again(returned)
             await asyncio.sleep(SCAN_S)
 
     async def _update(self, found: Iterable[Candidate]) -> None:
@@ -82,6 +85,7 @@ class Detectors:
             elif detector.is_silent and name in self._shown:
                 detector.invalidate()
                 self._hide(name)
+                self._silent.add(name)
         for name, candidate in present.items():
             if name not in self._followed:
                 link = DetectorLink(self._ros, name)
@@ -90,8 +94,16 @@ class Detectors:
                 self._by_logger[logger_name(name)] = name
                 await detector.open()
 
+    def _show_again(self, returned: Iterable[Detector]) -> None:
+        """Show those whose process is still the one that was silent; the others have been forgotten."""
+        for detector in returned:
+            if self._followed.get(detector.name) is detector:
+                self._silent.discard(detector.name)
+                self._changed(detector)
+
     async def _forget(self, detector: Detector) -> None:
         self._hide(detector.name)
+        self._silent.discard(detector.name)
         del self._followed[detector.name]
         del self._by_logger[logger_name(detector.name)]
         await detector.close()
@@ -102,7 +114,9 @@ class Detectors:
             self._on_gone(name)
 
     def _changed(self, detector: Detector) -> None:
-        if self._followed.get(detector.name) is not detector or not detector.is_known or detector.is_silent:
+        if self._followed.get(detector.name) is not detector or detector.name in self._silent:
+            return
+        if not detector.is_known or detector.is_silent:
             return
         self._shown.add(detector.name)
         self._on_change(detector)
