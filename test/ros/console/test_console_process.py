@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 import subprocess
@@ -14,8 +15,6 @@ from support.detector_process import NODE, detector_process, environment
 from support.worker import worker_domain
 
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-
-"""Longer than any machine takes; the process itself gives up what hangs after two seconds."""
 
 
 def run(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -159,6 +158,22 @@ def test_a_detector_that_is_killed_is_gone_until_it_is_started_again() -> None:
             assert page.parameter("max_rate")["value"] == 3.0
             assert page.transition("configure") == ""
             page.wait_for_state("inactive")
+
+
+@pytest.mark.long
+def test_a_detector_that_hangs_is_gone_until_it_goes_on() -> None:
+    with (
+        detector_process() as hung,
+        console_process(hung.domain) as process,
+        ConsoleClient(address(process)).page() as page,
+    ):
+        page.wait_for(lambda: NODE in page.nodes, "the detector")
+        os.kill(hung.process.process_id, signal.SIGSTOP)
+        page.wait_for(lambda: page.gone == [NODE], "its silence")
+        os.kill(hung.process.process_id, signal.SIGCONT)
+        page.wait_for(lambda: NODE in page.nodes, "its return")
+        assert page.transition("configure") == ""
+        page.wait_for_state("inactive")
 
 
 def _port(client: ConsoleClient) -> int:
