@@ -7,11 +7,13 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.console_process import ConsoleClient, address, console_process
-from support.detector_process import NODE, detector_process, environment
+from support.console_process import ConsoleClient, Page, address, console_process
+from support.detector_process import NODE, DetectorProcess, detector_process, environment
 from support.worker import worker_domain
 
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
@@ -142,14 +144,21 @@ def test_version_and_help_need_no_ros() -> None:
     assert "--view-only" in run("--help").stdout
 
 
-@pytest.mark.long
-def test_a_detector_that_is_killed_is_gone_until_it_is_started_again() -> None:
+@contextmanager
+def shown_detector() -> Iterator[tuple[DetectorProcess, Page]]:
+    """A detector, and the page of a console that shows it."""
     with (
-        detector_process() as killed,
-        console_process(killed.domain) as process,
+        detector_process() as detector,
+        console_process(detector.domain) as process,
         ConsoleClient(address(process)).page() as page,
     ):
         page.wait_for(lambda: NODE in page.nodes, "the detector")
+        yield detector, page
+
+
+@pytest.mark.long
+def test_a_detector_that_is_killed_is_gone_until_it_is_started_again() -> None:
+    with shown_detector() as (killed, page):
         killed.process.stop(signal.SIGKILL)
         page.wait_for(lambda: page.gone == [NODE], "its end")
         words = [entry_point("detector"), "--ros-args", "-p", "max_rate:=3.0"]
@@ -162,12 +171,7 @@ def test_a_detector_that_is_killed_is_gone_until_it_is_started_again() -> None:
 
 @pytest.mark.long
 def test_a_detector_that_hangs_is_gone_until_it_goes_on() -> None:
-    with (
-        detector_process() as hung,
-        console_process(hung.domain) as process,
-        ConsoleClient(address(process)).page() as page,
-    ):
-        page.wait_for(lambda: NODE in page.nodes, "the detector")
+    with shown_detector() as (hung, page):
         os.kill(hung.process.process_id, signal.SIGSTOP)
         page.wait_for(lambda: page.gone == [NODE], "its silence")
         os.kill(hung.process.process_id, signal.SIGCONT)

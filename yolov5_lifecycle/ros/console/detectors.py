@@ -46,7 +46,7 @@ class Detectors:
         self._on_gone = on_gone
         self._followed: dict[str, Detector] = {}
         self._shown: set[str] = set()
-        self._silent: set[str] = set()  # hidden until a scan has told whether they were restarted
+        self._unconfirmed: set[str] = set()  # hidden until a scan tells whether they were restarted
         self._by_logger: dict[str, str] = {}
         self._task: asyncio.Task[None] | None = None
 
@@ -71,7 +71,8 @@ class Detectors:
 
     async def _follow(self) -> None:
         while True:
-            returned = [self._followed[name] for name in self._silent if not self._followed[name].is_silent]
+            were_silent = (self._followed[name] for name in self._unconfirmed)
+            returned = [detector for detector in were_silent if not detector.is_silent]
             found = await self._ros.run(candidates, self._ros.node, self._names)
             await self._update(found[:_MAX_DETECTORS])
             self._show_again(returned)
@@ -85,7 +86,7 @@ class Detectors:
             elif detector.is_silent and name in self._shown:
                 detector.invalidate()
                 self._hide(name)
-                self._silent.add(name)
+                self._unconfirmed.add(name)
         for name, candidate in present.items():
             if name not in self._followed:
                 link = DetectorLink(self._ros, name)
@@ -98,12 +99,12 @@ class Detectors:
         """Show those whose process is still the one that was silent; the others have been forgotten."""
         for detector in returned:
             if self._followed.get(detector.name) is detector:
-                self._silent.discard(detector.name)
+                self._unconfirmed.discard(detector.name)
                 self._changed(detector)
 
     async def _forget(self, detector: Detector) -> None:
         self._hide(detector.name)
-        self._silent.discard(detector.name)
+        self._unconfirmed.discard(detector.name)
         del self._followed[detector.name]
         del self._by_logger[logger_name(detector.name)]
         await detector.close()
@@ -114,9 +115,8 @@ class Detectors:
             self._on_gone(name)
 
     def _changed(self, detector: Detector) -> None:
-        if self._followed.get(detector.name) is not detector or detector.name in self._silent:
-            return
-        if not detector.is_known or detector.is_silent:
+        is_current = self._followed.get(detector.name) is detector and detector.name not in self._unconfirmed
+        if not is_current or not detector.is_known or detector.is_silent:
             return
         self._shown.add(detector.name)
         self._on_change(detector)
