@@ -106,6 +106,9 @@ class FaultyRuntime:
     def keep_batches(self, sizes: Collection[int]) -> None:
         self._runtime.keep_batches(sizes)
 
+    def twin(self) -> FaultyRuntime:
+        return FaultyRuntime(self._runtime.twin())
+
     def close(self) -> None:
         self._runtime.close()
 

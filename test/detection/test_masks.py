@@ -158,6 +158,15 @@ def test_an_image_of_any_shape_keeps_some_cells_of_its_network_input(size_hw: tu
     np.testing.assert_array_equal(labels, np.ones(size_hw))
 
 
+def test_boxes_beyond_the_budget_of_pixels_have_no_mask(monkeypatch: pytest.MonkeyPatch) -> None:
+    everywhere = Masks(np.ones((1, 4, 4), np.float32), np.ones((3, 1), np.float32), (8, 8))
+    boxes_xyxy = floats([[-9, -9, 4, 8], [4, 0, 8, 4], [4, 4, 99, 99]])  # 32, 16 and 16 pixels in the image
+    monkeypatch.setattr("yolov5_lifecycle.detection.masks.MAX_MASK_PIXELS", 48)
+    assert np.unique(everywhere.label_image(boxes_xyxy)).tolist() == [0, 1, 2]
+    monkeypatch.setattr("yolov5_lifecycle.detection.masks.MAX_MASK_PIXELS", 64)
+    assert np.unique(everywhere.label_image(boxes_xyxy)).tolist() == [1, 2, 3]
+
+
 @pytest.mark.parametrize("number", [1e30, np.inf, np.nan])
 def test_coefficients_of_any_size_raise_nothing(number: float) -> None:
     masks = Masks(np.ones((2, 4, 4), np.float32), floats([[number, -number]]), (8, 8))

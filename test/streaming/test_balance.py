@@ -14,7 +14,7 @@ from support.scripted_camera import PATIENCE_S
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Pipeline
+from yolov5_lifecycle.streaming.pipeline import Pipeline, Send
 from yolov5_lifecycle.streaming.worker import Worker
 
 CAMERAS = 4
@@ -53,6 +53,7 @@ class RandomCamera:
     """A feed, what was offered to it, and what it was told."""
 
     def __init__(self, worker: Worker[int, int], fate: Fate) -> None:
+        self.network = self
         self.begun: list[int] = []
         self.published: list[int] = []
         self.reported: Counter[Outcome] = Counter()
@@ -64,8 +65,8 @@ class RandomCamera:
         self.begun.append(number)
         return self._fate.meet(number)
 
-    def publish(self, result: int) -> None:
-        self.published.append(result)
+    def messages(self, result: int) -> Iterator[Send]:
+        yield lambda: self.published.append(result)
 
     def use(self, random: Random) -> None:
         """Offer frames, and now and then start or stop the feed; some threads close it in the end."""

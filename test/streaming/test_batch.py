@@ -10,7 +10,7 @@ from support.scripted_camera import PATIENCE_S, ScriptedCamera
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Pipeline
+from yolov5_lifecycle.streaming.pipeline import Pipeline, Send
 from yolov5_lifecycle.streaming.worker import Worker
 
 Jobs = Sequence[tuple[Pipeline[int, int], int]]
@@ -159,10 +159,12 @@ def test_a_result_that_is_an_exception_is_that_of_its_own_frame(batched: Batched
 class Unpublishable:
     """A pipeline that cannot publish."""
 
+    network = None
+
     def detect(self, number: int) -> int:
         return number
 
-    def publish(self, result: int) -> None:
+    def messages(self, result: int) -> Iterator[Send]:
         raise RuntimeError("no publisher")
 
 
@@ -209,8 +211,11 @@ def test_a_batch_that_hangs_is_abandoned_with_each_of_its_frames_counted_once(ba
     (thread,) = (thread for thread in threading.enumerate() if thread.ident in batched.busy.threads)
     third.offer(4)
     other.offer(5)
-    third.wait()
     other.wait()
+    assert third.frames.balance().pending == 1
+    third.network = object()
+    third.frames.start(third)
+    third.wait()
     batched.batch.gate.set()
     thread.join(PATIENCE_S)
     assert batched.published == [[], [], [4], [5]]

@@ -10,6 +10,7 @@ import pytest
 from support.scripted_camera import PATIENCE_S, ScriptedCamera, when_awaited
 
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
+from yolov5_lifecycle.streaming.pipeline import Send
 from yolov5_lifecycle.streaming.worker import Worker
 
 
@@ -65,13 +66,14 @@ class Named:
         self._name = name
         self._order = order
         self._camera = camera
+        self.network = camera.network
 
     def detect(self, number: int) -> int:
         self._order.append(self._name)
         return self._camera.detect(number)
 
-    def publish(self, result: int) -> None:
-        self._camera.publish(result)
+    def messages(self, result: int) -> Iterator[Send]:
+        return self._camera.messages(result)
 
 
 def test_a_frame_replaces_only_one_of_its_own_camera(cameras: Cameras) -> None:
@@ -138,6 +140,36 @@ def test_the_other_cameras_go_on_in_a_new_thread_after_one_hung(cameras: Cameras
     assert not first.published
     assert not first.failures
     assert first.counts() == {Outcome.FAILED: 1}
+
+
+def test_frames_wait_while_an_abandoned_thread_keeps_their_network(cameras: Cameras) -> None:
+    first, second, third = cameras.all
+    second.network = first.network
+    first.hold(1)
+    assert not first.frames.stop(0.01)
+    assert cameras.worker.keeps(second.network)
+    assert not cameras.worker.keeps(third.network)
+    second.offer(2)
+    second.offer(3)
+    third.feed(4)
+    assert second.counts() == {Outcome.STALE: 1}
+    first.gate.set()
+    second.wait()
+    assert second.published == [3]
+    assert not cameras.worker.keeps(second.network)
+
+
+def test_frames_that_wait_for_a_kept_network_begin_with_another_one(cameras: Cameras) -> None:
+    first, second, _ = cameras.all
+    second.network = first.network
+    first.hold(1)
+    assert not first.frames.stop(0.01)
+    second.offer(2)
+    second.network = object()
+    second.frames.start(second)
+    second.wait()
+    assert second.published == [2]
+    assert first.published == []
 
 
 def test_a_late_error_of_a_hung_frame_is_dropped_like_a_late_result(cameras: Cameras) -> None:
@@ -243,11 +275,13 @@ class Buffer:
 class Sink:
     """A pipeline that keeps nothing."""
 
+    network = None
+
     def detect(self, _: Buffer) -> None:
         pass
 
-    def publish(self, result: None) -> None:
-        pass
+    def messages(self, result: None) -> Iterator[Send]:
+        return iter(())
 
 
 def test_an_idle_worker_holds_no_frame() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from random import Random
 
 import pytest
@@ -12,16 +12,18 @@ from hypothesis import strategies as st
 
 from yolov5_lifecycle.streaming.feed import Schedule, Slot
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Batch, Pipeline
+from yolov5_lifecycle.streaming.pipeline import Batch, Pipeline, Send
 
 
 class Unused:
     """A pipeline that is not asked for anything."""
 
+    network = None
+
     def detect(self, number: int) -> int:
         raise AssertionError("no thread runs")
 
-    def publish(self, result: int) -> None:
+    def messages(self, result: int) -> Iterator[Send]:
         raise AssertionError("no thread runs")
 
 
@@ -60,7 +62,7 @@ class Turns:
             if not self.schedule.waiting:
                 return []
             job = self.schedule.begin(self._batch)
-            self.schedule.finish(job)
+            self.schedule.end(job)
             return [self.slots.index(turn.slot) for turn in job.turns]
 
     def waiting(self) -> set[int]:

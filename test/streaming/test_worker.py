@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from functools import partial
 
 import pytest
 from support.scripted_camera import PATIENCE_S, ScriptedCamera, when_awaited
 
 from yolov5_lifecycle.streaming.feed import RateLimit
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
+from yolov5_lifecycle.streaming.pipeline import Send
 from yolov5_lifecycle.streaming.worker import Worker
 
 
@@ -148,29 +150,79 @@ def test_a_hung_frame_is_abandoned_and_its_late_result_dropped(line: Line) -> No
     assert len(set(line.threads)) == 2
 
 
-def test_a_result_that_is_being_published_is_not_abandoned(line: Line) -> None:
+@pytest.mark.parametrize("moment", ["publishing", "drawing"])
+def test_a_frame_that_hangs_after_its_detections_are_sent_is_abandoned_as_detected(
+    line: Line, moment: str
+) -> None:
     line.frames.start(line)
-    line.publish_gate.clear()
+    gate, entered = {
+        "publishing": (line.publish_gate, line.publishing),
+        "drawing": (line.draw_gate, line.drawing),
+    }[moment]
+    gate.clear()
     line.offer(1)
-    assert line.publishing.wait(PATIENCE_S)
-    opener = threading.Timer(0.05, line.open)
-    opener.start()
-    assert line.frames.stop(0.0)
-    assert line.published == [1]
-    assert line.count(Outcome.DETECTED) == 1
+    assert entered.wait(PATIENCE_S)
+    assert not line.frames.stop(0.0)
+    assert line.counts() == {Outcome.DETECTED: 1}
+    (hung,) = (thread for thread in threading.enumerate() if thread.ident in line.threads)
+    gate.set()
+    hung.join(PATIENCE_S)
+    assert (line.published, line.drawn) == ([1], [])
+    assert line.counts() == {Outcome.DETECTED: 1}
+
+
+def test_a_frame_that_is_abandoned_before_it_is_published_updates_nothing(line: Line) -> None:
+    asked: list[int] = []
+
+    class Asked(Negated):
+        def detect(self, number: int) -> int:
+            return line.detect(number)
+
+        def messages(self, result: int) -> Iterator[Send]:
+            asked.append(result)
+            return super().messages(result)
+
+    line.frames.start(Asked(line.published))
+    line.hold(1)
+    assert not line.frames.stop(0.0)
+    (hung,) = (thread for thread in threading.enumerate() if thread.ident in line.threads)
+    line.gate.set()
+    hung.join(PATIENCE_S)
+    assert asked == []
+
+
+def test_while_paused_no_frame_begins(line: Line) -> None:
+    line.frames.start(line)
+    with line.worker.paused(), line.worker.paused():
+        line.offer(1)
+        assert line.worker.is_at_rest()
+        line.offer(2)
+        assert line.frames.balance().pending == 1
+    line.wait()
+    assert line.published == [2]
+
+
+def test_a_second_wait_continues_the_time_of_the_first(line: Line) -> None:
+    line.frames.start(line)
+    line.hold(1)
+    assert not line.worker.rest(0.0)
+    line.now_s += 3600
+    assert not line.frames.stop(3600)  # at once: otherwise this test runs into its time limit
+    line.gate.set()
 
 
 class Negated:
     """Another pipeline: it publishes the number with its sign changed."""
 
     def __init__(self, published: list[int]) -> None:
+        self.network = self
         self._published = published
 
     def detect(self, number: int) -> int:
         return -number
 
-    def publish(self, result: int) -> None:
-        self._published.append(result)
+    def messages(self, result: int) -> Iterator[Send]:
+        yield lambda: self._published.append(result)
 
 
 def test_a_new_pipeline_takes_over_at_the_next_frame(line: Line) -> None:
@@ -190,11 +242,15 @@ def test_a_frame_goes_through_one_pipeline_although_another_one_comes_meanwhile(
     assert line.published == [1]
 
 
+def fail(reason: str) -> None:
+    raise RuntimeError(reason)
+
+
 class Unpublishable(Negated):
     """A pipeline that detects and cannot publish."""
 
-    def publish(self, result: int) -> None:
-        raise RuntimeError("no publisher")
+    def messages(self, result: int) -> Iterator[Send]:
+        yield partial(fail, "no publisher")
 
 
 def test_a_result_that_cannot_be_published_is_a_failed_frame(line: Line) -> None:

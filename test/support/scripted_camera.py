@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
+from yolov5_lifecycle.streaming.pipeline import Send
 from yolov5_lifecycle.streaming.worker import Worker
 
 PATIENCE_S = 60.0
@@ -25,9 +26,13 @@ def when_awaited(worker: Worker[int, int], act: Callable[[], object]) -> None:
 
 
 class ScriptedCamera:
-    """A feed and its pipeline: a negative number is no image, zero an error of inference."""
+    """A feed and its pipeline: a negative number is no image, zero an error of inference.
 
-    def __init__(self, worker: Worker[int, int]) -> None:
+    It has a network of its own unless `network` is given.
+    """
+
+    def __init__(self, worker: Worker[int, int], network: object = None) -> None:
+        self.network = network or self
         self.published: list[int] = []
         self.failures: list[tuple[Outcome, str]] = []
         self.threads: list[int] = []
@@ -37,6 +42,10 @@ class ScriptedCamera:
         self.publish_gate = threading.Event()
         self.publish_gate.set()
         self.publishing = threading.Event()
+        self.draw_gate = threading.Event()
+        self.draw_gate.set()
+        self.drawing = threading.Event()
+        self.drawn: list[int] = []
         self.ended = threading.Semaphore(0)
         self.frames = worker.feed(on_failure=self._fail, on_success=self.ended.release)
 
@@ -50,8 +59,14 @@ class ScriptedCamera:
             raise RuntimeError("zero")
         return number
 
-    def publish(self, result: int) -> None:
+    def messages(self, result: int) -> Iterator[Send]:
         self.threads.append(threading.get_ident())
+        yield lambda: self._publish(result)
+        self.drawing.set()
+        assert self.draw_gate.wait(PATIENCE_S)
+        yield lambda: self.drawn.append(result)
+
+    def _publish(self, result: int) -> None:
         self.publishing.set()
         assert self.publish_gate.wait(PATIENCE_S)
         self.published.append(result)
@@ -79,6 +94,7 @@ class ScriptedCamera:
         """Let the worker go on, now and in all frames to come."""
         self.gate.set()
         self.publish_gate.set()
+        self.draw_gate.set()
 
     def count(self, outcome: Outcome) -> int:
         return self.frames.balance()[outcome]

@@ -31,6 +31,7 @@ class ScriptedRuntime:
         self.batches: list[int] = []
         self.kept_batches: tuple[int, ...] | None = None
         self.is_closed = False
+        self.twins: list[ScriptedRuntime] = []
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         self.calls.append((frame.shape, order, min_objectness))
@@ -48,6 +49,11 @@ class ScriptedRuntime:
 
     def keep_batches(self, sizes: Collection[int]) -> None:
         self.kept_batches = tuple(sizes)
+
+    def twin(self) -> ScriptedRuntime:
+        self.twins.append(twin := ScriptedRuntime(self.run))
+        twin.on_close = self.on_close
+        return twin
 
     def close(self) -> None:
         self.is_closed = True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -171,6 +172,12 @@ class Detector:
                 self._check(predictions.rows)
                 if predictions.compute_prototypes is not None:
                     predictions.compute_prototypes()
+
+    def twin(self) -> Detector:
+        """A detector of the same network for another thread, with buffers of its own; see `Runtime.twin`."""
+        twin = copy(self)
+        twin.runtime = self.runtime.twin()
+        return twin
 
     def close(self) -> None:
         """Free the network. Idempotent."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -61,6 +61,19 @@ class PreparedModel:
     def summary(self) -> str:
         """`facts` on one line."""
         return ", ".join(f"{name} {value}" for name, value in self.facts.items())
+
+    def twin(self, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
+        """The same model for another thread, warmed up as by `prepare_model`; see `Detector.twin`.
+
+        Raises InferenceError.
+        """
+        twin = self.detector.twin()
+        try:
+            twin.warm_up(sizes_hw)
+        except BaseException:  # its traceback keeps the detector alive
+            twin.close()
+            raise
+        return replace(self, detector=twin)
 
     def close(self, *, is_at_rest: bool = True) -> None:
         """Free the model and return its memory to the system.

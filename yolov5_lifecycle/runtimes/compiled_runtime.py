@@ -7,6 +7,7 @@ import logging
 import pkgutil
 import threading
 from collections.abc import Callable, Collection, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -123,6 +124,12 @@ class CompiledRuntime:
     def keep_batches(self, sizes: Collection[int]) -> None:
         """See `Runtime`."""
         self._compiled.keep_batches(sizes)
+
+    def twin(self) -> CompiledRuntime:
+        """See `Runtime`."""
+        twin = copy(self)
+        twin._compiled = self._compiled.twin()
+        return twin
 
     def close(self) -> None:
         """See `Runtime`."""

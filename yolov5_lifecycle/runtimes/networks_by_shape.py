@@ -35,11 +35,14 @@ class NetworksByShape(Generic[Made]):
 
         Raises the errors of `make`, and InferenceError once closed.
         """
-        cache = self._cache  # an abandoned thread may run while another closes
-        if cache is None:
-            raise InferenceError("The runtime was closed; load the model again.")
+        cache = self._open()
         with denormals_as_zero():
             yield cache[shape]
+
+    def twin(self) -> NetworksByShape[Made]:
+        """None yet, which the same function will create. Raises InferenceError once closed."""
+        cache = self._open()
+        return NetworksByShape(cache.make, kept=cache.max_kept)
 
     def keep_batches(self, sizes: Collection[int]) -> None:
         """Free the networks for batches of other `sizes`, except those for single frames."""
@@ -50,22 +53,28 @@ class NetworksByShape(Generic[Made]):
         """Free the networks. Idempotent."""
         self._cache = None
 
+    def _open(self) -> _ShapeCache[Made]:
+        cache = self._cache  # an abandoned thread may run while another closes
+        if cache is None:
+            raise InferenceError("The runtime was closed; load the model again.")
+        return cache
+
 
 class _ShapeCache(Generic[Made]):
     """Caches the result of `make` for a shape; evicts the least recently used."""
 
     def __init__(self, make: Callable[[Shape], Made], kept: int) -> None:
-        self._make = make
-        self._max_kept = kept
+        self.make = make
+        self.max_kept = kept
         self._kept: dict[Shape, Made] = {}
 
     def __getitem__(self, shape: Shape) -> Made:
         """The cached value, created if missing; raises the errors of `make`."""
         made = self._kept.pop(shape, None)
         if made is None:
-            while len(self._kept) >= self._max_kept:
+            while len(self._kept) >= self.max_kept:
                 del self._kept[next(iter(self._kept))]
-            made = self._make(shape)
+            made = self.make(shape)
         self._kept[shape] = made
         return made
 

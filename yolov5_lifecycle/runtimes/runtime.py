@@ -73,5 +73,11 @@ class Runtime(Protocol):
     def keep_batches(self, sizes: Collection[int]) -> None:
         """Free the networks for batches whose number of frames is not in `sizes`."""
 
+    def twin(self) -> Runtime:
+        """The same network for another thread, with buffers of its own; it shares only the weights.
+
+        The caller closes both. Raises InferenceError after `close`.
+        """
+
     def close(self) -> None:
         """Free the network; later calls raise InferenceError. Idempotent."""

@@ -6,6 +6,7 @@ import logging
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
 from typing import TypeVar
 
 import cv2
@@ -128,6 +129,12 @@ class TorchRuntime:
     def keep_batches(self, sizes: Collection[int]) -> None:
         """See `Runtime`."""
         self._forwards.keep_batches(sizes)
+
+    def twin(self) -> TorchRuntime:
+        """See `Runtime`."""
+        twin = copy(self)
+        twin._forwards = self._forwards.twin()
+        return twin
 
     def close(self) -> None:
         """See `Runtime`."""

@@ -100,6 +100,12 @@ class Turn(Generic[Frame, Result]):
     frame: Frame
     outcome: Outcome = Outcome.DETECTED
     error: Exception | None = None
+    has_sent: bool = False
+    """Whether its first message, the detections, was sent or is being sent."""
+
+    @property
+    def network(self) -> object:
+        return self.pipeline.network
 
     def fail(self, outcome: Outcome, error: Exception) -> None:
         self.outcome = outcome
@@ -119,12 +125,23 @@ class Job(Generic[Frame, Result]):
 
     turns: Sequence[Turn[Frame, Result]]
     begun_s: float
-    is_publishing: bool = False
+    awaited_s: float | None = None
+    """When somebody first waited for its end, None: nobody has."""
     is_abandoned: bool = False
+
+    def uses(self, network: object) -> bool:
+        return any(turn.network is network for turn in self.turns)
+
+    def abandon(self) -> None:
+        """Fail the frames whose detections were not sent; the others count as detected."""
+        self.is_abandoned = True
+        for turn in self.turns:
+            if turn.error is None and not turn.has_sent:
+                turn.outcome = Outcome.FAILED
 
 
 class Schedule(Generic[Frame, Result]):
-    """The slots of one worker and the job in progress.
+    """The slots of one worker, the job in progress, and abandoned ones.
 
     Of the slots with a waiting frame, the one served longest ago is next. Whoever calls a method or uses a
     slot holds `changed`. `replace_thread()` is called with it when a job hangs.
@@ -136,6 +153,10 @@ class Schedule(Generic[Frame, Result]):
         self.job: Job[Frame, Result] | None = None
         self.slots: set[Slot[Frame, Result]] = set()
         self.waiting: dict[Slot[Frame, Result], None] = {}
+        self.pauses = 0
+        """While above 0, no job begins."""
+        self._abandoned: list[Job[Frame, Result]] = []
+        """Abandoned jobs whose threads have not ended: their networks belong to them."""
         self._replace_thread = replace_thread
         self._turns = 0
 
@@ -151,12 +172,16 @@ class Schedule(Generic[Frame, Result]):
             slot.stop()
             self.waiting.pop(slot, None)
 
+    def ready(self) -> Sequence[Slot[Frame, Result]]:
+        """The slots whose waiting frame may begin: those whose network no abandoned job keeps."""
+        return [] if self.pauses else [slot for slot in self.waiting if not self.keeps(slot.turn().network)]
+
     def begin(self, batch: Batch[Frame, Result] | None = None) -> Job[Frame, Result]:
-        """Start the next job; there must be a waiting frame.
+        """Start the next job; a slot must be `ready`.
 
         With `batch`, waiting frames with the same key join the next one, those served longest ago first.
         """
-        slots = self.waiting if len(self.waiting) == 1 else self._next_slots(batch)
+        slots = self._next_slots(self.ready(), batch)
         job = self.job = Job([slot.turn() for slot in slots], self.clock())
         for turn in job.turns:
             self._turns += 1
@@ -164,39 +189,56 @@ class Schedule(Generic[Frame, Result]):
             del self.waiting[turn.slot]
         return job
 
-    def finish(self, job: Job[Frame, Result]) -> None:
-        """Count the frames of the finished `job` with their outcomes."""
+    def end(self, job: Job[Frame, Result]) -> None:
+        """Finish `job` at the end of its thread's work; of an abandoned one, only its network is free now."""
+        if not job.is_abandoned:
+            self._finish(job)
+            return
+        self._abandoned.remove(job)
+        self.changed.notify_all()
+
+    def _finish(self, job: Job[Frame, Result]) -> None:
+        """Count the frames of `job` with their outcomes."""
         for turn in job.turns:
             turn.slot.counter.finish(turn.outcome)
             turn.slot.job = None
         self.job = None
         self.changed.notify_all()
 
-    def wait(self, job: Job[Frame, Result] | None, timeout_s: float | None) -> bool:
-        """Wait for the end of `job`, if any; False on timeout or if it was abandoned."""
+    def wait(self, job: Job[Frame, Result] | None, timeout_s: float) -> bool:
+        """Wait for the end of `job`, if any; False if it was abandoned or has not ended in time.
+
+        The time begins when somebody first waits for this job: a second wait continues the first one.
+        """
         if job is None:
             return True
-        return self.changed.wait_for(lambda: self.job is not job, timeout_s) and not job.is_abandoned
+        now_s = self.clock()
+        if job.awaited_s is None:
+            job.awaited_s = now_s
+        rest_s = max(0.0, timeout_s - (now_s - job.awaited_s))
+        return self.changed.wait_for(lambda: self.job is not job, rest_s) and not job.is_abandoned
 
     def wait_or_abandon(self, job: Job[Frame, Result] | None, timeout_s: float) -> bool:
         """Wait for the end of `job`, if any; False if it hung and was abandoned."""
         if self.wait(job, timeout_s):
             return True
         if job is not None and job is self.job:
-            if job.is_publishing:
-                # A publish in progress cannot be cancelled; publishing never takes long.
-                return self.wait(job, None)
-            job.is_abandoned = True
-            for turn in job.turns:
-                turn.outcome = Outcome.FAILED
-            self.finish(job)
+            job.abandon()
+            self._abandoned.append(job)
+            self._finish(job)
             self._replace_thread()
         return False
 
-    def _next_slots(self, batch: Batch[Frame, Result] | None) -> list[Slot[Frame, Result]]:
-        if batch is None:
-            return [min(self.waiting, key=_last_turn)]
-        first, *others = sorted(self.waiting, key=_last_turn)
+    def keeps(self, network: object) -> bool:
+        """Whether an abandoned job keeps `network`."""
+        return any(job.uses(network) for job in self._abandoned)
+
+    def _next_slots(
+        self, ready: Sequence[Slot[Frame, Result]], batch: Batch[Frame, Result] | None
+    ) -> Sequence[Slot[Frame, Result]]:
+        if batch is None or len(ready) == 1:
+            return [min(ready, key=_last_turn)]
+        first, *others = sorted(ready, key=_last_turn)
         slots = [first]
         if (key := _key(batch, first)) is not None:
             for slot in others:
@@ -236,6 +278,7 @@ class Feed(Generic[Frame, Result]):
             if self._slot not in self._schedule.slots:
                 raise RuntimeError("the feed is closed; create another one with Worker.feed()")
             self._slot.start(pipeline, max_rate_hz)
+            self._changed.notify_all()  # a frame that waits for another network may begin
 
     def offer(self, frame: Frame) -> None:
         """Submit a frame; it replaces a waiting one, unless the rate limit drops it."""
@@ -247,11 +290,16 @@ class Feed(Generic[Frame, Result]):
         with self._changed:
             self._schedule.stop([self._slot])
 
+    def rest(self, timeout_s: float) -> bool:
+        """Wait until the current frame of this feed, if any, has ended; False if it has not in time."""
+        with self._changed:
+            return self._schedule.wait(self._slot.job, timeout_s)
+
     def stop(self, timeout_s: float) -> bool:
         """Stop after the current frame of this feed and flush the waiting one; True when it ended in time.
 
-        False: the thread hung. It was abandoned and a new one serves the other feeds. The frames of a batch
-        hang together.
+        False: the thread hung. It was abandoned, and a new one serves the other feeds once they have another
+        network. The frames of a batch hang together.
         """
         with self._changed:
             self._schedule.stop([self._slot])

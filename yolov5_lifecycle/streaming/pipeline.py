@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, Protocol, TypeVar
 
 Frame = TypeVar("Frame")
@@ -10,15 +10,28 @@ Result = TypeVar("Result")
 AnyFrame = TypeVar("AnyFrame", contravariant=True)
 AnyResult = TypeVar("AnyResult", covariant=True)
 
+Send = Callable[[], object]
+"""Sends one finished message."""
+
 
 class Pipeline(Protocol[AnyFrame, Result]):
     """Processes a frame, in the worker's thread."""
 
+    @property
+    def network(self) -> object:
+        """What one thread at a time may use. An abandoned frame keeps it until the frame's thread has ended:
+        until then no other frame with the same network, compared by identity, begins.
+        """
+
     def detect(self, frame: AnyFrame) -> Result:
         """The result for `frame`. Raises ImageError when the frame is unreadable."""
 
-    def publish(self, result: Result) -> None:
-        """Publish what `detect` returned; not called for a frame that was abandoned."""
+    def messages(self, result: Result) -> Iterator[Send]:
+        """Compute what to publish of the result of `detect`, one message after the other.
+
+        Each item sends one message and computes nothing. The frame may be abandoned between any two items;
+        then the rest is never asked for.
+        """
 
 
 class Batch(Protocol[AnyFrame, AnyResult]):

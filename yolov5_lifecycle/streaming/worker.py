@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Generic
 
 from yolov5_lifecycle.images.image import ImageError
@@ -22,8 +23,9 @@ class Worker(Generic[Frame, Result]):
     Of the feeds with a waiting frame, the one served longest ago is next.
 
     Torch keeps a thread pool and warm caches per calling thread, so the thread survives every start and stop.
-    Only a hung thread is abandoned: its frame counts as failed, its late result is dropped, and a new thread
-    takes over. An abandoned thread ends when its frame does.
+    Only a hung thread is abandoned: its frame counts as failed unless its detections were sent, what it has
+    not sent is dropped, and a new thread takes over. An abandoned thread ends when its frame does; until then
+    it keeps its network, and frames for the same network wait.
 
     `clock` returns monotonic seconds.
     """
@@ -52,6 +54,23 @@ class Worker(Generic[Frame, Result]):
                 self._schedule.slots.add(slot)
         return Feed(self._schedule, slot)
 
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """In the block no frame begins; the one in progress goes on."""
+        with self._changed:
+            self._schedule.pauses += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._schedule.pauses -= 1
+                self._changed.notify_all()
+
+    def is_at_rest(self) -> bool:
+        """Whether no frame is in progress."""
+        with self._changed:
+            return self._schedule.job is None
+
     def rest(self, timeout_s: float) -> bool:
         """Wait until the current job, if any, is finished; False on timeout or if it was abandoned."""
         with self._changed:
@@ -73,6 +92,11 @@ class Worker(Generic[Frame, Result]):
             self._schedule.wait_or_abandon(self._schedule.job, timeout_s)
         self._thread.join(timeout_s)
         return not any(thread.is_alive() for thread in (self._thread, *self._abandoned))
+
+    def keeps(self, network: object) -> bool:
+        """Whether an abandoned thread keeps `network`, so that no frame with it begins."""
+        with self._changed:
+            return self._schedule.keeps(network)
 
     def abandoned_threads(self) -> int:
         """Number of abandoned threads still processing their frame."""
@@ -101,7 +125,7 @@ class Worker(Generic[Frame, Result]):
 
     def _next_job(self) -> tuple[Job[Frame, Result], Batch[Frame, Result] | None] | None:
         with self._changed:
-            while not self._schedule.waiting and not self._is_over():
+            while not self._schedule.ready() and not self._is_over():
                 self._changed.wait()
             batch = self.batch
             return None if self._is_over() else (self._schedule.begin(batch), batch)
@@ -114,13 +138,11 @@ class Worker(Generic[Frame, Result]):
         (turn,) = job.turns
         try:
             result = turn.pipeline.detect(turn.frame)
-            if not self._may_publish(job):
-                return
-            turn.pipeline.publish(result)
         except Exception as error:  # noqa: BLE001 - counted and reported; the next frame is processed
             turn.fail(_outcome(error), error)
-        if self._finish(job):
-            turn.report()
+        else:
+            self._publish(job, turn, result)
+        self._end(job)
 
     def _work_together(self, job: Job[Frame, Result], batch: Batch[Frame, Result]) -> None:
         try:
@@ -129,24 +151,37 @@ class Worker(Generic[Frame, Result]):
             for turn in job.turns:
                 turn.fail(Outcome.FAILED, error)
         else:
-            if not self._may_publish(job):
-                return
             for turn, result in zip(job.turns, results, strict=True):
-                _publish(turn, result)
-        if self._finish(job):
+                self._publish(job, turn, result)
+        self._end(job)
+
+    def _publish(
+        self, job: Job[Frame, Result], turn: Turn[Frame, Result], result: Result | Exception
+    ) -> None:
+        """Compute and send the messages of `result`, until `job` is abandoned."""
+        if job.is_abandoned:
+            return
+        try:
+            if isinstance(result, Exception):
+                raise result
+            for send in turn.pipeline.messages(result):
+                if not self._may_send(job, turn):
+                    return
+                send()
+        except Exception as error:  # noqa: BLE001 - likewise
+            turn.fail(_outcome(error), error)
+
+    def _may_send(self, job: Job[Frame, Result], turn: Turn[Frame, Result]) -> bool:
+        with self._changed:
+            turn.has_sent |= not job.is_abandoned
+            return not job.is_abandoned
+
+    def _end(self, job: Job[Frame, Result]) -> None:
+        with self._changed:
+            self._schedule.end(job)
+        if not job.is_abandoned:
             for turn in job.turns:
                 turn.report()
-
-    def _may_publish(self, job: Job[Frame, Result]) -> bool:
-        with self._changed:
-            job.is_publishing = not job.is_abandoned
-            return job.is_publishing
-
-    def _finish(self, job: Job[Frame, Result]) -> bool:
-        with self._changed:
-            if not job.is_abandoned:
-                self._schedule.finish(job)
-            return not job.is_abandoned
 
 
 def _outcome(error: Exception) -> Outcome:
@@ -161,12 +196,3 @@ def _detected(batch: Batch[Frame, Result], job: Job[Frame, Result]) -> Sequence[
             f"a batch of {len(job.turns)} frames returned {len(results)} results; expected one each"
         )
     return results
-
-
-def _publish(turn: Turn[Frame, Result], result: Result | Exception) -> None:
-    try:
-        if isinstance(result, Exception):
-            raise result
-        turn.pipeline.publish(result)
-    except Exception as error:  # noqa: BLE001 - likewise
-        turn.fail(_outcome(error), error)

@@ -55,7 +55,8 @@ def publish_until(
     """A subscriber may be discovered before it discovers the publisher, so once is not enough."""
 
     def is_received() -> bool:
-        outputs.publish_image(image, HEADER)
+        for send in outputs.image_messages(image, HEADER):
+            send()
         return received()
 
     observer.wait_for(is_received, "the images")

@@ -1,4 +1,4 @@
-"""Background thread for long tasks that executor callbacks await, and the order of concurrent reloads."""
+"""Threads for what executor callbacks await, and the order of concurrent reloads."""
 
 from __future__ import annotations
 
@@ -21,11 +21,13 @@ def resume(waiting: RosFuture, result: object, executor: Executor) -> None:
 
 
 class Background:
-    """One thread that runs tasks in FIFO order while the executor of `node` keeps serving callbacks."""
+    """One thread, called `name`, that runs tasks in FIFO order while the executor of `node` keeps serving
+    callbacks.
+    """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, name: str = "background") -> None:
         self._node = node
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="background")
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=name)
         self._unfinished: set[Future[Any]] = set()
 
     def submit(self, work: Callable[[], Result]) -> Future[Result]:

@@ -97,6 +97,10 @@ class Camera:
         self.unsubscribe()
         self._feed.flush()
 
+    def rest(self, timeout_s: float) -> bool:
+        """Wait for the frame in progress, if any; False if it has not ended in time. For any thread."""
+        return self._feed.rest(timeout_s)
+
     def close(self, timeout_s: float) -> bool:
         """End with a final balance; False if the frame in progress hung and its thread was abandoned."""
         self.end()

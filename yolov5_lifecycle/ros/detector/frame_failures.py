@@ -28,7 +28,7 @@ class FrameFailures:
         node: Node,
         *,
         max_consecutive: Callable[[], int],
-        on_too_many: Callable[[str], None],
+        on_too_many: Callable[[str], object],
         on_device_lost: Callable[[str], None],
     ) -> None:
         self._node = node
@@ -68,7 +68,7 @@ class FrameFailures:
         counts = tuple(self._cameras.items())
         return any(count == 0 and not camera.is_closed for camera, count in counts)
 
-    def _tell(self, what: Callable[[str], None], reason: str) -> None:
+    def _tell(self, what: Callable[[str], object], reason: str) -> None:
         if (executor := self._node.executor) is not None:
             executor.create_task(what, reason)
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import AbstractContextManager
 
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.process.memory import resident_mb
+from yolov5_lifecycle.ros.detector.background import Background
 from yolov5_lifecycle.ros.detector.camera import Camera
 from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
@@ -28,9 +30,9 @@ class ManagedResources:
     """Owns the cameras, their publishers from `configure` to `release`, and the detection from `activate` to
     `deactivate`.
 
-    The inference thread and the model loader exist from construction to `close`. `on_too_many(reason)` and
-    `on_device_lost(reason)` are called in the executor; see `FrameFailures`. `on_abandoned()` is called when
-    the thread of a removed camera hangs.
+    The inference thread and the model loader exist from construction to `close`. `on_too_many(reason)`, whose
+    result is awaited, and `on_device_lost(reason)` are called in the executor; see `FrameFailures`.
+    `on_abandoned()` is called when the thread of a removed camera hangs.
     """
 
     def __init__(
@@ -39,12 +41,13 @@ class ManagedResources:
         *,
         parameters: SettingsParameters,
         prepare: Prepare,
-        on_too_many: Callable[[str], None],
+        on_too_many: Callable[[str], Awaitable[None]],
         on_abandoned: Callable[[], None],
         on_device_lost: Callable[[str], None],
     ) -> None:
         self._node = node
         self._parameters = parameters
+        self._on_too_many = on_too_many
         self._on_abandoned = on_abandoned
         self._failures = FrameFailures(
             node,
@@ -54,7 +57,10 @@ class ManagedResources:
         )
         self._worker: Worker[ReceivedFrame, DetectedFrame] = Worker()
         self._track_ids = itertools.count(1)
+        self._waits = Background(node, "waits")
         self._cameras: dict[str, Camera] = {}
+        self._removed: list[Camera] = []
+        """Cameras whose last frame may still be in progress; see `end_removed`."""
         self.loader = ModelLoader(
             node,
             prepare,
@@ -116,19 +122,71 @@ class ManagedResources:
                 camera.configure()
 
     def remove_cameras(self, *, except_for: Sequence[str]) -> None:
-        """End all other cameras; no frame stays pending in their balances."""
-        log = self._node.get_logger()
+        """Receive no more frames of all other cameras; `end_removed` ends them."""
         removed = [self._cameras.pop(name) for name in [*self._cameras] if name not in except_for]
         for camera in removed:
-            camera.end()  # all of them first: after a frame that hangs, the next one would hang, too
-        for camera in removed:
-            if not camera.close(REST_TIMEOUT_S):
-                log.error(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
-                self._on_abandoned()
-            log.info(f"camera {camera.name or '(without a name)'} removed: {camera.balance()}")
+            camera.end()
+        self._removed += removed
+
+    async def end_removed(self) -> None:
+        """End the removed cameras while other callbacks are served; no frame stays pending in their balances.
+
+        If the frame of one hangs, its thread is abandoned and keeps the network, so another one is prepared.
+        """
+        while self._removed:
+            camera = self._removed.pop()
+            await self._waited(camera.rest)
+            self._close(camera)
+
+    def _close(self, camera: Camera) -> None:
+        log = self._node.get_logger()
+        if not camera.close(REST_TIMEOUT_S):
+            log.error(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
+            self._on_abandoned()
+            self._renew_kept()
+        log.info(f"camera {camera.name or '(without a name)'} removed: {camera.balance()}")
+
+    def _renew_kept(self) -> None:
+        """Begin to prepare another network if an abandoned thread keeps that of the detection."""
+        detection, executor = self.detection, self._node.executor
+        if detection is not None and executor is not None and self._worker.keeps(detection.model.detector):
+            executor.create_task(self._renew, detection)
+
+    async def _renew(self, detection: Detection) -> None:
+        """Let `detection` go on with another network, as an abandoned thread keeps the present one."""
+        kept = detection.preparation
+        self._node.get_logger().warning(
+            "the network is prepared again, because the abandoned thread keeps it; frames wait meanwhile"
+        )
+        twin = await self.loader.twin(detection.model)
+        is_wanted = self.detection is detection and detection.preparation is kept
+        if (error := twin.exception()) is not None:
+            if is_wanted:
+                await self._on_too_many(f"a frame that hangs, as no other network can be prepared: {error}")
+        elif is_wanted:
+            detection.apply(self._parameters.settings(), twin)
+            kept.result().close(is_at_rest=False)
+        else:
+            twin.result().close()
+
+    def paused(self) -> AbstractContextManager[None]:
+        """In the block no frame begins."""
+        return self._worker.paused()
+
+    async def rest(self) -> None:
+        """Wait until the frame in progress, if any, has ended or hangs, while other callbacks are served."""
+        if not self._worker.is_at_rest():
+            await self._waited(self._worker.rest)
+
+    async def _waited(self, rest: Callable[[float], bool]) -> None:
+        """Call `rest(REST_TIMEOUT_S)` in a thread: the executor itself never waits for a frame."""
+        await self._waits.finish(self._waits.submit(lambda: rest(REST_TIMEOUT_S)))
 
     def deactivate(self) -> bool:
-        """Release the detection; False if its frame hangs and the thread was abandoned."""
+        """Release the detection; False if its frame hangs and the thread was abandoned.
+
+        Call it `paused` and after `rest`: otherwise it waits for the frame in progress itself.
+        """
         detection, self.detection = self.detection, None
         return detection is None or detection.close()
 
@@ -148,6 +206,7 @@ class ManagedResources:
             log.warning("a model is still being loaded or freed: its thread is abandoned")
         if not self._worker.close(REST_TIMEOUT_S):
             log.warning("inference has still not finished: its thread is abandoned")
+        self._waits.close()
 
     def abandoned_threads(self) -> int:
         """Number of inference threads that hung and have not ended yet."""
@@ -181,6 +240,8 @@ class ManagedResources:
         names = self._names()
         self.add_cameras(names)
         self.remove_cameras(except_for=names)
+        while self._removed:  # without a detection no frame of theirs is in progress
+            self._close(self._removed.pop())
 
     def _names(self) -> tuple[str, ...]:
         """The cameras that the parameters name; valid even if other settings are not."""

@@ -226,13 +226,26 @@ class DetectorNode(PrintableNode, LifecycleNode):
         if label is None:
             refusal = refused_transition(wanted, possible, self.state_label)
             self.get_logger().warning(refusal, throttle_duration_sec=1.0)
-        elif label != "activate" or await self._resources.load():
-            response.success = getattr(self, f"trigger_{label}")() is SUCCESS
+        elif label == "activate":
+            response.success = await self._resources.load() and self.trigger_activate() is SUCCESS
+        else:
+            response.success = await self._trigger_at_rest(label)
         return response
 
-    def _give_up(self, reason: str) -> None:
-        if self.state_label == "active":
-            self.trigger_deactivate()
+    async def _trigger_at_rest(self, label: str) -> bool:
+        """Trigger a transition once the frame in progress has ended or hangs; return its success."""
+        before = self.state_label
+        with self._resources.paused():
+            await self._resources.rest()
+            if self.state_label == before:
+                return getattr(self, f"trigger_{label}")() is SUCCESS
+        self.get_logger().warning(
+            f"{label} canceled: another transition was requested while a frame was in progress"
+        )
+        return False
+
+    async def _give_up(self, reason: str) -> None:
+        if self.state_label == "active" and await self._trigger_at_rest("deactivate"):
             self.report(f"deactivated after {reason}")
 
     def _lose_device(self, reason: str) -> None:

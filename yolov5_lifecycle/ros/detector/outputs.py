@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 from lifecycle_msgs.msg import State
@@ -28,6 +29,7 @@ from yolov5_lifecycle.ros.topics import (
     endpoint_name,
     of_camera,
 )
+from yolov5_lifecycle.streaming.pipeline import Send
 
 _ACTIVE = LifecycleState("active", State.PRIMARY_STATE_ACTIVE)
 
@@ -92,14 +94,14 @@ class Outputs:
             int(publisher.get_subscription_count()) for publisher in (self._image, self._compressed_image)
         )
 
-    def publish_masks(self, label_image: NDArray[np.uint16], header: Header) -> None:
-        """Publish which pixels (H, W) belong to which detection; see `Detections.label_image`."""
-        self._masks.publish(masks_message(label_image, header))
+    def masks_message(self, label_image: NDArray[np.uint16], header: Header) -> Send:
+        """A message with the detection that each pixel (H, W) belongs to; see `Detections.label_image`."""
+        return partial(self._masks.publish, masks_message(label_image, header))
 
-    def publish_image(self, image: ColourImage, header: Header) -> None:
-        """Publish an annotated image, raw and compressed, on each topic that has a subscriber."""
+    def image_messages(self, image: ColourImage, header: Header) -> Iterator[Send]:
+        """Messages with an annotated image, raw and compressed, for each topic that has a subscriber."""
         if self._image.get_subscription_count():
-            self._image.publish(image_message(image.pixels, f"{image.order}8", header))
+            yield partial(self._image.publish, image_message(image.pixels, f"{image.order}8", header))
         if self._compressed_image.get_subscription_count():
             try:
                 jpeg = self._encode(image)
@@ -110,7 +112,8 @@ class Outputs:
                     throttle_duration_sec=5.0,
                 )
                 return
-            self._compressed_image.publish(compressed_image_message(jpeg, f"{image.order}8", header))
+            message = compressed_image_message(jpeg, f"{image.order}8", header)
+            yield partial(self._compressed_image.publish, message)
 
     def activate(self) -> None:
         """Activate the publishers, as rclpy does for those that exist when the node is activated."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.detection.detections import Detections
@@ -17,10 +15,11 @@ from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros import messages
-from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing
+from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing, PlacedImage
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
+from yolov5_lifecycle.streaming.pipeline import Send
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 
@@ -57,6 +56,11 @@ class Pipeline:
     """None while the setting `depth` is false."""
     tracking: TrackedDetection | None = None
 
+    @property
+    def network(self) -> Detector:
+        """The detector, which serves one thread at a time."""
+        return self.detector
+
     def detect(self, frame: ReceivedFrame) -> DetectedFrame:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
         image = self.read(frame)
@@ -82,62 +86,61 @@ class Pipeline:
         selection = replace(self.selection, with_masks=with_masks)
         return selection if self.tracking is None else self.tracking.wider(selection)
 
-    def publish(self, result: DetectedFrame) -> None:
-        """Publish the detections and, to subscribers, their places, masks and annotated image.
+    def messages(self, result: DetectedFrame) -> Iterator[Send]:
+        """The detections, then for subscribers their places, masks and the annotated image.
 
-        The tracker is updated here: an abandoned frame, which may return at any time, is not published.
+        The tracker is updated first: a tracker is used by frames of one network only, so not by two threads.
         """
         detections, header = result.found, result.frame.message.header
         if self.tracking is not None:
             detections = self.tracking.follow(detections, self.selection, messages.stamp_s(header))
-        class_names = self.detector.class_names
-        array = messages.detection_array(detections, class_names, header)
-        self.outputs.detections.publish(array)
+        array = messages.detection_array(detections, self.detector.class_names, header)
+        yield partial(self.outputs.detections.publish, array)
+        self._note(detections, result.frame.received_s)
+        placed = self._placed(array, detections, result.image)
+        if placed is not None and placed.frame_id is not None and self.outputs.subscribers_3d > 0:
+            message = messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
+            yield partial(self.outputs.detections_3d.publish, message)
+        yield from self._pictures(result, detections, placed.distances_m if placed else ())
+
+    def _note(self, detections: Detections, received_s: float) -> None:
+        """Add the frame whose detections were published to the statistics."""
         now_s = time.monotonic()
-        self.latencies.add(now_s, (now_s - result.frame.received_s) * 1e3)
+        self.latencies.add(now_s, (now_s - received_s) * 1e3)
         self.empty_frames.add(
             now_s, len(detections), best_missed=detections.best_missed, best_filtered=detections.best_filtered
         )
-        has_viewers = self.outputs.image_subscribers > 0
-        distances_m = self._publish_3d(array, detections, result.image, has_viewers=has_viewers)
-        label_image = self._publish_masks(detections, header, has_viewers=has_viewers)
+
+    def _placed(
+        self, array: Detection2DArray, detections: Detections, image: ColourImage
+    ) -> PlacedImage | None:
+        """The places of the detections, None if nobody needs them.
+
+        An image without depth gets no message: an empty one would mean that there are no objects.
+        """
+        if self.placing is None or self.outputs.subscribers_3d + self.outputs.image_subscribers == 0:
+            return None
+        return self.placing.place(detections.boxes_xyxy, image.size_hw, array.header.stamp)
+
+    def _pictures(
+        self, result: DetectedFrame, detections: Detections, distances_m: Sequence[float | None]
+    ) -> Iterator[Send]:
+        """The masks and the annotated image, each if it has a subscriber.
+
+        A subscriber that joins after the detection may get no masks for this image.
+        """
+        header, has_viewers = result.frame.message.header, self.outputs.image_subscribers > 0
+        has_mask_subscribers = self.outputs.mask_subscribers > 0
+        label_image = detections.label_image() if has_mask_subscribers or has_viewers else None
+        if has_mask_subscribers and label_image is not None:
+            yield self.outputs.masks_message(label_image, header)
         if has_viewers:
             drawn = annotate(
                 result.image,
                 detections,
-                class_names,
+                self.detector.class_names,
                 distances_m=distances_m,
                 label_image=label_image,
                 box_filter=self.selection.box_filter,
             )
-            self.outputs.publish_image(ColourImage(drawn, result.image.order), header)
-
-    def _publish_3d(
-        self, array: Detection2DArray, detections: Detections, image: ColourImage, *, has_viewers: bool
-    ) -> Sequence[float | None]:
-        """Publish the places of the detections; return their distances in metres, () if nobody needs them.
-
-        An image without depth gets no message: an empty one would mean that there are no objects.
-        """
-        has_subscribers = self.outputs.subscribers_3d > 0
-        if self.placing is None or not (has_subscribers or has_viewers):
-            return ()
-        placed = self.placing.place(detections.boxes_xyxy, image.size_hw, array.header.stamp)
-        if has_subscribers and placed.frame_id is not None:
-            self.outputs.detections_3d.publish(
-                messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
-            )
-        return placed.distances_m
-
-    def _publish_masks(
-        self, detections: Detections, header: Header, *, has_viewers: bool
-    ) -> NDArray[np.uint16] | None:
-        """Publish and return which pixels belong to which detection; None if no subscriber needs it.
-
-        A subscriber that joins after the detection may get no masks for this image.
-        """
-        has_subscribers = self.outputs.mask_subscribers > 0
-        label_image = detections.label_image() if has_subscribers or has_viewers else None
-        if has_subscribers and label_image is not None:
-            self.outputs.publish_masks(label_image, header)
-        return label_image
+            yield from self.outputs.image_messages(ColourImage(drawn, result.image.order), header)

@@ -51,6 +51,8 @@ class Changeable(Protocol):
 
     def remove_cameras(self, *, except_for: Sequence[str]) -> None: ...
 
+    async def end_removed(self) -> None: ...
+
 
 class Reconfiguration:
     """Handlers of the services that set parameters."""
@@ -108,7 +110,9 @@ class Reconfiguration:
             return await self._reload(detection, proposal)
         if detection is not None and (problems := _broken_by(proposal, detection.model)):
             return refusal(problems)
-        return self._commit(proposal)
+        result = self._commit(proposal)
+        await self._resources.end_removed()
+        return result
 
     async def _reload(self, detection: Detection, proposal: Proposal) -> SetParametersResult:
         if not await self._turns.begin():
@@ -149,6 +153,7 @@ class Reconfiguration:
             return self._commit(proposal, preparation)
         finally:
             is_replaced = detection.model is new
+            await self._resources.end_removed()
             if is_replaced:
                 self._node.get_logger().info(f"the model was replaced: {new.summary}")
             await self._loader.retire(old if is_replaced else new, after=detection.rest)
@@ -173,6 +178,8 @@ class Reconfiguration:
         """Apply settings that a program set through the methods of the node."""
         detection = self._resources.detection
         self._apply(before, after, detection.preparation if detection is not None else None)
+        if (executor := self._node.executor) is not None:
+            executor.create_task(self._resources.end_removed)
 
     def _apply(self, before: Settings, after: Settings, preparation: Preparation | None) -> None:
         """Change from settings `before` to `after`, and while active to the model of `preparation`."""

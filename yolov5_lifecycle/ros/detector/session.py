@@ -84,26 +84,29 @@ class Detection:
         )
 
     def close(self) -> bool:
-        """Stop all cameras, free the model; return False if a hung thread was abandoned."""
+        """Stop all cameras, free the model; return False if a hung thread was abandoned.
+
+        Waits for the frame in progress unless somebody has, see `Schedule.wait`.
+        """
         for camera in self._cameras.values():
             camera.unsubscribe()
         rested = self._worker.stop(REST_TIMEOUT_S)
-        self._worker.batch = None
+        self._worker.batch = None  # it holds the detector, whose memory is to be freed
         if self.preparation.exception() is None:
             # The thread of a removed camera may also hang in the model.
             self.model.close(is_at_rest=rested and self._worker.abandoned_threads() == 0)
         return rested
 
     def _detect(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
-        self._worker.batch = None  # a batch must not mix frames for two detectors
         for name in settings.camera_names:
             camera, own = self._cameras[name], settings.for_camera(name)
             if camera.stream is None:
                 camera.start(own, detector, is_active=is_active)
             else:
                 camera.stream.apply(own, detector)
-        if len(settings.cameras) > 1 and detector.batch_sizes:
-            self._worker.batch = BatchDetection(detector)
+        # Until here a batch has the previous detector, and only frames of cameras that still use that one.
+        is_batched = len(settings.cameras) > 1 and bool(detector.batch_sizes)
+        self._worker.batch = BatchDetection(detector) if is_batched else None
 
 
 def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:

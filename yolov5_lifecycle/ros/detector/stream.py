@@ -86,7 +86,10 @@ class Stream:
         return self._trying(lambda: present.look(topic))
 
     def apply(self, settings: Settings, detector: Detector) -> None:
-        """Change to `settings` and `detector` from the next frame on; do nothing if both are the same."""
+        """Change to `settings` and `detector` from the next frame on; do nothing if both are the same.
+
+        With another detector there is another tracker: an abandoned thread may still use the previous one.
+        """
         if settings == self._settings and detector is self._detector:
             return
         before, self._settings = self._settings, settings
