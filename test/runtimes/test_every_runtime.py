@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
 from support.random_model import random_frame, random_model
 from support.runtime_names import EVERY_RUNTIME
+from support.scripted_camera import PATIENCE_S
 
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
@@ -57,6 +60,30 @@ def test_a_closed_runtime_says_so_and_may_be_closed_again(runtime: Runtime) -> N
         runtime(random_frame(), "rgb")
     with pytest.raises(InferenceError, match="closed"):
         runtime.run_batch([random_frame()] * 2, ["rgb"] * 2, [0.0] * 2)
+
+
+def test_a_twin_gives_the_same_predictions_at_the_same_time(runtime: Runtime) -> None:
+    """With one network for both threads, OpenVINO raises and ONNX Runtime gives wrong numbers."""
+    frames = [np.roll(random_frame(), shift, axis=0) for shift in range(4)]
+    expected = [runtime(frame, "rgb").rows for frame in frames]
+    together = threading.Barrier(2)
+
+    def run(each: Runtime) -> bool:
+        together.wait(PATIENCE_S)
+        return all(
+            np.array_equal(each(frames[index % 4], "rgb").rows, expected[index % 4]) for index in range(200)
+        )
+
+    with ThreadPoolExecutor(2) as threads:
+        assert list(threads.map(run, (runtime, runtime.twin()))) == [True, True]
+
+
+def test_a_twin_outlives_the_runtime_that_it_comes_from(runtime: Runtime) -> None:
+    expected, twin = runtime(random_frame(), "rgb").rows, runtime.twin()
+    runtime.close()
+    np.testing.assert_array_equal(twin(random_frame(), "rgb").rows, expected)
+    with pytest.raises(InferenceError, match="closed"):
+        runtime.twin()
 
 
 def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(

@@ -1,0 +1,175 @@
+"""A thread that hangs keeps its network; the other cameras go on with another one, in every engine."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import Image
+from support.camera_client import CameraClient
+from support.colcon_workspace import REPOSITORY
+from support.detector_process import scene_image
+from support.preparations import Preparations, prediction
+from support.runtime_names import EVERY_RUNTIME
+from support.served_node import PATIENCE_S, ServedNode, class_ids_of
+from vision_msgs.msg import Detection2DArray
+
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.prepared_model import prepare_model
+from yolov5_lifecycle.runtimes.runtime import InferenceError
+
+WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
+COUNT = 30
+
+
+class BusyHang:
+    """Makes the next detection go on and on, using its network all the while, until `end`.
+
+    `rows` has every result of the network, `errors` what it raised.
+    """
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.is_armed = threading.Event()
+        self.entered = threading.Event()
+        self.thread: threading.Thread | None = None
+        self.rows: list[np.ndarray] = []
+        self.errors: list[str] = []
+        self._is_over = threading.Event()
+        self._detect = Detector.detect
+        patch.setattr(Detector, "detect", lambda *arguments: self._hang(*arguments))
+
+    def end(self) -> None:
+        self._is_over.set()
+        if self.thread is not None:
+            self.thread.join(PATIENCE_S)
+
+    def _hang(self, detector: Detector, image: Any, selection: Any) -> Any:
+        if self.is_armed.is_set():
+            self.is_armed.clear()
+            self.thread = threading.current_thread()
+            frame = np.random.default_rng(1).integers(
+                0, 256, (*detector.network_hw(image.size_hw), 3), np.uint8
+            )
+            try:
+                while not self._is_over.is_set():
+                    self.rows.append(detector.runtime(frame, "rgb").rows)
+                    self.entered.set()
+            except InferenceError as error:  # its network was closed, or another thread uses it
+                self.errors.append(str(error))
+        return self._detect(detector, image, selection)
+
+
+@pytest.fixture
+def hang(monkeypatch: pytest.MonkeyPatch) -> Iterator[BusyHang]:
+    hang = BusyHang(monkeypatch)
+    yield hang
+    hang.end()
+
+
+def boxes_of(message: Detection2DArray) -> list[tuple[float, ...]]:
+    return [
+        (found.bbox.center.position.x, found.bbox.center.position.y, found.results[0].hypothesis.score)
+        for found in message.detections
+    ]
+
+
+@pytest.mark.parametrize("runtime", EVERY_RUNTIME)
+def test_detections_are_right_while_an_abandoned_thread_uses_its_network(
+    runtime: str, hang: BusyHang, ros_domain: int
+) -> None:
+    parameters = [f"weights:={WEIGHTS}", "image_size:=320", f"runtime:={runtime}", "cameras:=[front, rear]"]
+    with ServedNode(prepare_model, parameters=parameters) as served:
+        front, rear = CameraClient(served, "front"), CameraClient(served, "rear")
+        served.bring_to("active")
+        shown: list[Image] = [scene_image(index) for index in range(3)]
+        expected = [boxes_of(detected(served, rear, image)) for image in shown]
+        assert all(expected)
+        front.detect()
+        hang.is_armed.set()
+        served.wait_for(lambda: bool(front.send()) and hang.entered.is_set(), "the network to be kept")
+        assert served.set(cameras=["rear"]) == (True, "")
+        for index in range(COUNT):
+            assert boxes_of(detected(served, rear, shown[index % 3])) == expected[index % 3]
+        status = served.statuses()["rear"]
+        assert ServedNode.counts_of({item.key: item.value for item in status.values})["failed"] == 0
+        hang.end()
+        assert len({rows.tobytes() for rows in hang.rows}) == 1
+        assert all("closed" in error for error in hang.errors)
+    assert served.escaped == []
+
+
+def detected(served: ServedNode, camera: CameraClient, image: Image) -> Detection2DArray:
+    """The detections of `camera` in `image`, sent until it is answered."""
+    first_sec = camera.send(image)
+
+    def is_answered() -> bool:
+        if camera.detections and camera.detections[-1].header.stamp.sec >= first_sec:
+            return True
+        camera.send(image)
+        return False
+
+    served.wait_for(is_answered, f"detections of {camera.name}")
+    return camera.detections[-1]
+
+
+def hanging(release: threading.Event, entered: threading.Event) -> Callable[[], np.ndarray]:
+    def run() -> np.ndarray:
+        entered.set()
+        assert release.wait(10 * PATIENCE_S)
+        return prediction("cat", 0.9)
+
+    return run
+
+
+@pytest.fixture
+def cameras(prepare: Preparations) -> Iterator[tuple[ServedNode, CameraClient, CameraClient]]:
+    with ServedNode(prepare, parameters=["cameras:=[front, rear]"]) as served:
+        front, rear = CameraClient(served, "front"), CameraClient(served, "rear")
+        served.bring_to("active")
+        front.detect()
+        rear.detect()
+        rear.wait_for(rear.send())  # the last one: none that waits may hang
+        yield served, front, rear
+    assert served.escaped == []
+
+
+def test_services_answer_while_a_removed_camera_hangs(
+    prepare: Preparations, cameras: tuple[ServedNode, CameraClient, CameraClient]
+) -> None:
+    served, front, rear = cameras
+    release, entered = threading.Event(), threading.Event()
+    prepare.running.run = hanging(release, entered)
+    served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to hang")
+    prepare.running.run = lambda: prediction("dog", 0.9)
+    removed = served.begin_set(cameras=["rear"])
+    for _ in range(10):
+        assert served.state() == "active"
+    assert not removed.done(), "the node answered only after it waited for the frame"
+    served.wait_for(removed.done, "the answer")
+    assert class_ids_of(rear.detect()) == ["dog"]
+    assert removed.result().result.successful
+    release.set()
+
+
+def test_a_network_that_cannot_be_prepared_again_deactivates_the_node_with_the_reason(
+    prepare: Preparations,
+    cameras: tuple[ServedNode, CameraClient, CameraClient],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    served, front, _ = cameras
+    release, entered = threading.Event(), threading.Event()
+    monkeypatch.setattr(type(prepare.running), "twin", refuse)
+    prepare.running.run = hanging(release, entered)
+    served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to hang")
+    assert served.set(cameras=["rear"]) == (True, "")
+    served.wait_for(lambda: served.state() == "inactive", "the node to deactivate itself")
+    told = "deactivated after a frame that hangs, as no other network can be prepared: no memory"
+    assert served.status().message == told
+    release.set()
+
+
+def refuse(_: object) -> None:
+    raise InferenceError("no memory")
