@@ -73,7 +73,11 @@ PINNED = {
         "test_cameras.py::test_cameras_whose_topics_are_remapped_to_one_name_are_refused",
         "test_cameras.py::test_an_added_camera_that_cannot_start_changes_nothing",
     ],
-    "a camera is removed while inference hangs at its frame": [
+    "a camera is removed while its frame hangs, at whatever step": [
+        "test_kept_network.py::test_detections_are_right_while_an_abandoned_thread_uses_its_network",
+        "test_kept_network.py::test_services_answer_while_a_removed_camera_hangs",
+        "test_kept_network.py::"
+        "test_a_network_that_cannot_be_prepared_again_deactivates_the_node_with_the_reason",
         "test_cameras.py::test_a_camera_whose_frame_hangs_can_be_removed_and_the_others_go_on",
     ],
     "depth image or `camera_info` missing, late, unreadable or of another size": [
@@ -94,7 +98,8 @@ PINNED = {
         "test_shared_memory.py::test_a_process_with_too_little_says_so_and_works",
         "test_shared_memory.py::test_a_process_that_the_tracer_ends_has_said_why",
     ],
-    "inference hangs": [
+    "a frame hangs, at whatever step": [
+        "test_slow_steps.py::test_while_a_frame_hangs_services_answer_and_deactivate_proceeds",
         "test_frames.py::test_a_hung_inference_does_not_block_deactivate",
         "test_worker.py::test_a_hung_frame_is_abandoned_and_its_late_result_dropped",
     ],
