@@ -117,7 +117,7 @@ class WaitingNetwork(Network):
 
 network = WaitingNetwork(TINY)
 network.load_state_dict(random_model(2).state_dict)
-runtime = TorchRuntime(network, device=torch.device("cuda:0"), dtype=torch.float32)
+runtime = TorchRuntime.of(network, device=torch.device("cuda:0"), dtype=torch.float32)
 on_cpu = TorchRuntime.load(random_model(2), device="cpu", precision="fp32")
 for grey in (50, 200):
     frame = np.full((64, 96, 3), grey, np.uint8)

@@ -25,7 +25,7 @@ CPU = torch.device("cpu")
 
 
 def runtime_of(network: Network) -> TorchRuntime:
-    return TorchRuntime(network, device=CPU, dtype=torch.float32)
+    return TorchRuntime.of(network, device=CPU, dtype=torch.float32)
 
 
 class FailingNetwork(Network):

@@ -69,7 +69,8 @@ class Masks:
             with np.errstate(all="ignore"):  # of very large numbers the share is 0, 1 or NaN
                 part = self.prototypes[:, ys.cells, xs.cells]
                 logits: NDArray[np.float32] = np.tensordot(self.coefficients[row], part, axes=1)
-                _interpolate(1 / (1 + np.exp(-logits)), ys, xs, inside)
+                share: NDArray[np.float32] = 1 / (1 + np.exp(-logits))
+                _interpolate(share, ys, xs, inside)
         return Window(ys.pixels, xs.pixels), inside
 
     def label_image(self, boxes_xyxy: NDArray[np.float32]) -> NDArray[np.uint16]:

@@ -7,7 +7,6 @@ import logging
 import pkgutil
 import threading
 from collections.abc import Callable, Collection, Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -47,11 +46,11 @@ class CompiledRuntime:
 
     device = "cpu"
 
-    def __init__(self, compiler: Compiler, engine: Engine, *, kept: int = MIN_KEPT) -> None:
+    def __init__(self, compiled: NetworksByShape[_Compiled], engine: Engine, *, segments: bool) -> None:
         self.precision = engine.precision
         self._engine = engine
-        self._segments = compiler.proto is not None
-        self._compiled = NetworksByShape(lambda shape: _Compiled(compiler, shape), kept=kept)
+        self._segments = segments
+        self._compiled = compiled
 
     @classmethod
     def load(
@@ -73,7 +72,9 @@ class CompiledRuntime:
                 "Use device 'cpu' or runtime 'torch'."
             )
         store = CompiledStore(cache_folder("compiled"))
-        return cls(Compiler(model, engine, store, quantization), engine, kept=kept)
+        compiler = Compiler(model, engine, store, quantization)
+        compiled = NetworksByShape(lambda shape: _Compiled(compiler, shape), kept=kept)
+        return cls(compiled, engine, segments=compiler.proto is not None)
 
     @property
     def name(self) -> str:
@@ -127,9 +128,7 @@ class CompiledRuntime:
 
     def twin(self) -> CompiledRuntime:
         """See `Runtime`."""
-        twin = copy(self)
-        twin._compiled = self._compiled.twin()
-        return twin
+        return CompiledRuntime(self._compiled.twin(), self._engine, segments=self._segments)
 
     def close(self) -> None:
         """See `Runtime`."""

@@ -3,58 +3,65 @@
 from __future__ import annotations
 
 import logging
-import threading
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
-from copy import copy
+from collections.abc import Callable, Collection, Sequence
 from typing import TypeVar
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network, fuse
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
+from yolov5_lifecycle.runtimes.recorded_network import Forward, RecordedNetwork
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError, Predictions
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
 
 _PRECISIONS = {torch.float32: "fp32", torch.float16: "fp16"}
 _TO_GREY = {"rgb": cv2.COLOR_RGB2GRAY, "bgr": cv2.COLOR_BGR2GRAY}
 _TO_RGB = {"bgr": cv2.COLOR_BGR2RGB, "grey": cv2.COLOR_GRAY2RGB}
-_WARM_UPS = 3  # libraries select algorithms and allocate memory, which is not allowed during capture
-_CAPTURE_PATIENCE_S = 10.0
-_ONE_AT_A_TIME = threading.Lock()
-_HAS_FAILED = threading.Event()
 
 Result = TypeVar("Result")
-Forward = Callable[[Tensor], tuple[Tensor, Tensor]]
-"""Frames (batch, h, w, 3) RGB or (batch, h, w, 1) grey -> all predictions (batch, N, 5 + C + M), and the
-features of the finest level (batch, channels, ny, nx). The next run may overwrite both.
-"""
 
 _log = logging.getLogger(__name__)
 
 
 class TorchRuntime:
-    """A fused network in channels-last layout. Takes ownership of `network`: fuses, converts and moves it."""
+    """A fused, channels-last network for images of `channels`, 3 or 1; `proto` if it segments."""
 
     name = "torch"
 
     def __init__(
-        self, network: Network, *, device: torch.device, dtype: torch.dtype, kept: int = MIN_KEPT
+        self,
+        forwards: NetworksByShape[Forward],
+        *,
+        device: torch.device,
+        dtype: torch.dtype,
+        channels: int,
+        proto: nn.Module | None,
     ) -> None:
+        self._forwards = forwards
         self._device = device
         self._dtype = dtype
-        self._channels = network.architecture.image_channels
+        self._channels = channels
+        self._proto = proto
+
+    @classmethod
+    def of(
+        cls, network: Network, *, device: torch.device, dtype: torch.dtype, kept: int = MIN_KEPT
+    ) -> TorchRuntime:
+        """Take ownership of `network`: fuse, convert and move it. `kept`: see `NetworksByShape`."""
         prepared = _prepared(network, device, dtype)
-        self._proto = prepared.head.proto if isinstance(prepared.head, Segment) else None
-        self._forwards: NetworksByShape[Forward] = NetworksByShape(
-            lambda shape: _forward(prepared, shape, device=device, dtype=dtype), kept=kept
+        return cls(
+            NetworksByShape(lambda shape: _forward(prepared, shape, device=device, dtype=dtype), kept=kept),
+            device=device,
+            dtype=dtype,
+            channels=prepared.architecture.image_channels,
+            proto=prepared.head.proto if isinstance(prepared.head, Segment) else None,
         )
 
     @classmethod
@@ -66,7 +73,7 @@ class TorchRuntime:
         torch_device = resolve_device(device)
         dtype = resolve_precision(precision, torch_device)
         try:
-            return cls(model.network(), device=torch_device, dtype=dtype, kept=kept)
+            return cls.of(model.network(), device=torch_device, dtype=dtype, kept=kept)
         except (torch.OutOfMemoryError, torch.AcceleratorError) as error:
             problem = _first_line(error)
         if _is_lost(torch_device):
@@ -132,9 +139,13 @@ class TorchRuntime:
 
     def twin(self) -> TorchRuntime:
         """See `Runtime`."""
-        twin = copy(self)
-        twin._forwards = self._forwards.twin()
-        return twin
+        return TorchRuntime(
+            self._forwards.twin(),
+            device=self._device,
+            dtype=self._dtype,
+            channels=self._channels,
+            proto=self._proto,
+        )
 
     def close(self) -> None:
         """See `Runtime`."""
@@ -183,61 +194,6 @@ def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: tor
         problem = _first_line(error.__context__ or error)  # the latter may only mention an earlier error
     _log.warning("The network runs without a CUDA graph, as it could not be captured: %s", problem)
     return eager
-
-
-class RecordedNetwork:
-    """A CUDA graph of `forward` for uint8 frames (batch, h, w, channels): one launch for all kernels.
-
-    Raises RuntimeError when `forward` fails or cannot be captured.
-    """
-
-    def __init__(self, forward: Forward, shape: tuple[int, ...], device: torch.device) -> None:
-        self._frames = torch.zeros(shape, dtype=torch.uint8, device=device)
-        with _alone(), torch.cuda.device(device):
-            self._graph = torch.cuda.CUDAGraph()
-            # torch's default capture stream belongs to the first GPU that captured, and stays the current
-            # stream after a failed capture.
-            stream = torch.cuda.Stream()
-            stream.wait_stream(torch.cuda.current_stream())
-            with torch.cuda.stream(stream):
-                for _ in range(_WARM_UPS):
-                    forward(self._frames)
-                # thread_local, as other threads may allocate GPU memory meanwhile, e.g. to load a model.
-                recording = torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local")
-                with _last_if_it_fails(), recording:
-                    self._predictions = forward(self._frames)
-            torch.cuda.current_stream().wait_stream(stream)
-
-    def __call__(self, frames: Tensor) -> tuple[Tensor, Tensor]:
-        """The output of `forward`, in memory that the next run overwrites."""
-        self._frames.copy_(frames)
-        self._graph.replay()
-        return self._predictions
-
-
-@contextmanager
-def _alone() -> Iterator[None]:
-    """Allow one capture at a time per process, as torch requires, and none after a failed one."""
-    if not _ONE_AT_A_TIME.acquire(timeout=_CAPTURE_PATIENCE_S):
-        raise RuntimeError(f"Another CUDA graph capture has not ended within {_CAPTURE_PATIENCE_S:g} s.")
-    try:
-        if _HAS_FAILED.is_set():
-            raise RuntimeError("An earlier CUDA graph capture in this process failed.")
-        yield
-    finally:
-        _ONE_AT_A_TIME.release()
-
-
-@contextmanager
-def _last_if_it_fails() -> Iterator[None]:
-    """Disable capture after a failure, which corrupts the allocator state (pytorch/pytorch#180395)."""
-    try:
-        yield
-    except torch.OutOfMemoryError:  # leaves the allocator intact
-        raise
-    except RuntimeError:
-        _HAS_FAILED.set()
-        raise
 
 
 def _likely(raw: Tensor, min_objectness: float) -> NDArray[np.float32]:

@@ -216,6 +216,9 @@ class AlwaysActive:
     def remove_cameras(self, *, except_for: Sequence[str]) -> None:
         raise AssertionError("no camera is removed")
 
+    async def end_removed(self) -> None:
+        """None was removed."""
+
 
 class ClassesOnly:
     """Stands in for a model and its detector."""
