@@ -69,7 +69,7 @@ class Masks:
             with np.errstate(all="ignore"):  # of very large numbers the share is 0, 1 or NaN
                 part = self.prototypes[:, ys.cells, xs.cells]
                 logits: NDArray[np.float32] = np.tensordot(self.coefficients[row], part, axes=1)
-                share: NDArray[np.float32] = 1 / (1 + np.exp(-logits))
+                share = np.asarray(1 / (1 + np.exp(-logits)), np.float32)
                 _interpolate(share, ys, xs, inside)
         return Window(ys.pixels, xs.pixels), inside
 
