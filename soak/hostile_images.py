@@ -16,12 +16,15 @@ from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 
 from soak.service_requests import Fuzz
 from yolov5_lifecycle.images.encodings import ENCODINGS
+from yolov5_lifecycle.images.frame_id import MAX_FRAME_ID
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 
 _COSTLY = [*HOSTILE_JPEGS.values(), *HOSTILE_PNGS.values()]
 _UNKNOWN = ("", "RGB8", "rgb8 ", "bayer_rggb16", "yuv444", "32FC1", "32FC3", "x" * 100_000)
 _NUMBERS = (0, 1, 2, 7, 48, 64, 640, MAX_SIDE_PX, MAX_SIDE_PX + 1, 2**31 - 1, 2**31, 2**32 - 1)
 _SIZES = (0, 1, 7, 191, 48 * 64, 48 * 64 * 3, 48 * 64 * 4, 1_000_000)
+_LONG_FRAME_ID_ODDS = 0.02
+_LONG_FRAME_IDS = (MAX_FRAME_ID + 1, 100_000, 16_000_000)
 MakeImage = Callable[[Fuzz], Image | CompressedImage | bytes]
 """Creates a message, or the bytes of one."""
 _ODD_SIZES_HW = ((1, 1), (1, MAX_SIDE_PX), (MAX_SIDE_PX, 1), (2, 3), (3, 4001), (1999, 5))
@@ -30,7 +33,9 @@ _FOREIGN = (b"GIF89a", b"BM", b"II*\0", b"RIFF\0\0\0\0WEBPVP8 ", b"\0\0\0\x0cjP 
 
 
 def hostile_image(fuzz: Fuzz) -> Image:
-    """A raw image with random fields that make it unreadable."""
+    """A raw image with random fields that make it unreadable, or with a frame_id that is too long."""
+    if fuzz.random.random() < _LONG_FRAME_ID_ODDS:
+        return _with_long_frame_id(fuzz)
     while True:
         choose = fuzz.random.choice
         message = Image(
@@ -51,7 +56,15 @@ def odd_image(fuzz: Fuzz) -> Image:
     height, width = fuzz.random.choice(_ODD_SIZES_HW)
     message = Image(height=height, width=width, step=3 * width, encoding="bgr8")
     fuzz.fill(message.header)
+    message.header.frame_id = message.header.frame_id[:MAX_FRAME_ID]
     message.data = array("B", fuzz.random.randbytes(3 * width) * height)
+    return message
+
+
+def _with_long_frame_id(fuzz: Fuzz) -> Image:
+    """A readable raw image, but for its frame_id."""
+    message = odd_image(fuzz)
+    message.header.frame_id = "x" * fuzz.random.choice(_LONG_FRAME_IDS)
     return message
 
 
@@ -83,6 +96,8 @@ def damaged_message(fuzz: Fuzz) -> bytes:
 
 def _is_readable(image: Image) -> bool:
     """Whether `image` follows sensor_msgs/Image, the last row with or without its padding."""
+    if len(image.header.frame_id) > MAX_FRAME_ID:
+        return False
     size_hw = image.height, image.width
     if image.encoding not in ENCODINGS or not 0 < min(size_hw) <= max(size_hw) <= MAX_SIDE_PX:
         return False

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
-from support.recorded_scene import COMPRESSED, IMAGE, TOPIC, raw, record, video
+from support.recorded_scene import COMPRESSED, IMAGE, TOPIC, jpeg, raw, record, video
 
+from yolov5_lifecycle.images.frame_id import MAX_FRAME_ID
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline import recording_limits
 from yolov5_lifecycle.offline.detect_bag import main
@@ -190,6 +191,15 @@ def test_damaged_messages_are_rejected_one_by_one(type_name: str) -> None:
         cut = damaged[: generator.integers(0, len(data))].tobytes()
         with pytest.raises(ImageError):
             RecordedImage(0, type_name, cut).load()
+
+
+@pytest.mark.parametrize("make", [raw, jpeg])
+def test_a_recorded_image_with_a_long_frame_id_is_rejected(make: Callable[[int], Any]) -> None:
+    message = make(0)
+    message.header.frame_id = "x" * (MAX_FRAME_ID + 1)
+    data = bytes(TYPES.serialize_cdr(message, message.__msgtype__))
+    with pytest.raises(ImageError, match="frame_id of at most 256 characters, found 257"):
+        RecordedImage(0, message.__msgtype__, data).load()
 
 
 def test_a_pipe_is_no_video(tmp_path: Path) -> None:

@@ -105,9 +105,9 @@ def test_the_image_is_a_read_only_view_of_any_buffer(make: Any) -> None:
 
 
 def test_a_message_gives_its_layout() -> None:
-    message = SimpleNamespace(
-        data=b"\x03\xe8" * 6, encoding="16UC1", height=2, width=3, step=6, is_bigendian=1
-    )
+    layout = {"encoding": "16UC1", "height": 2, "width": 3, "step": 6, "is_bigendian": 1}
+    header = SimpleNamespace(frame_id="depth")
+    message = SimpleNamespace(header=header, data=b"\x03\xe8" * 6, **layout)
     assert (all_metres(depth_image_of_message(message)) == 1.0).all()
 
 

@@ -28,7 +28,7 @@ def test_k_counts_where_p_is_empty() -> None:
 
 
 def test_a_message_gives_matrices_and_size() -> None:
-    message = SimpleNamespace(k=K, p=P, height=480, width=640)
+    message = SimpleNamespace(header=SimpleNamespace(frame_id="depth"), k=K, p=P, height=480, width=640)
     assert intrinsics_of_message(message) == intrinsics_of(K, P, SIZE_HW)
 
 

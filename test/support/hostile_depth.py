@@ -34,6 +34,9 @@ def hostile_camera_infos() -> dict[str, CameraInfo]:
         "found fx inf": camera_info_message(1.0, k=[float("inf")] * 9),
         "found fx 1e-300": camera_info_message(1.0, k=[1e-300] * 9),
         "found fx -1": camera_info_message(1.0, k=[-1.0] * 9),
+        "frame_id of at most 256 characters, found 100000": camera_info_message(
+            1.0, header=_framed("x" * 100_000)
+        ),
         "found 240 x 0": camera_info_message(1.0, width=0),
         "found 240 x 4294967295": camera_info_message(1.0, width=2**32 - 1),
     }

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded
+from yolov5_lifecycle.images.frame_id import check_frame_id
 from yolov5_lifecycle.images.image import ColourImage, ImageError, bytes_of, check_size
 from yolov5_lifecycle.images.jpeg_structure import is_jpeg, jpeg_size_hw
 from yolov5_lifecycle.images.png_structure import is_png, png_structure
@@ -27,7 +28,11 @@ _VALUES: dict[str, type[np.unsignedinteger[Any]]] = {
 
 
 def compressed_image(image: Any) -> ColourImage:
-    """Decode a sensor_msgs/CompressedImage, deserialised by any library. Raises ImageError."""
+    """Decode a sensor_msgs/CompressedImage, deserialised by any library; see `decode_compressed`.
+
+    Raises ImageError, also for a frame_id longer than MAX_FRAME_ID, before anything is decoded.
+    """
+    check_frame_id(image)
     return decode_compressed(image.data, format_text=image.format)
 
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.images.frame_id import check_frame_id
 from yolov5_lifecycle.images.image import ColourImage, ImageError, Order, bytes_of, check_size
 
 _CONVERSIONS: dict[tuple[Order, str], int | None] = {
@@ -193,7 +194,11 @@ ENCODINGS: Mapping[str, _Layout] = MappingProxyType(
 
 
 def raw_image(image: Any) -> ColourImage:
-    """Decode a sensor_msgs/Image, deserialised by any library; see `decode_raw`. Raises ImageError."""
+    """Decode a sensor_msgs/Image, deserialised by any library; see `decode_raw`.
+
+    Raises ImageError, also for a frame_id longer than MAX_FRAME_ID.
+    """
+    check_frame_id(image)
     return decode_raw(
         image.data,
         encoding=image.encoding,

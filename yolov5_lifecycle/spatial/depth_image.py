@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.images.frame_id import check_frame_id
 from yolov5_lifecycle.images.image import ImageError, bytes_of, check_size
 
 MIN_DEPTH_M = 0.01
@@ -105,7 +106,11 @@ def decode_depth(
 
 
 def depth_image_of_message(image: Any) -> DepthImage:
-    """The depth image in a sensor_msgs/Image, deserialised by any library; raises ImageError."""
+    """The depth image in a sensor_msgs/Image, deserialised by any library; see `decode_depth`.
+
+    Raises ImageError, also for a frame_id longer than MAX_FRAME_ID.
+    """
+    check_frame_id(image)
     return decode_depth(
         image.data,
         encoding=image.encoding,

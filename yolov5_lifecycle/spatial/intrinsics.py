@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from yolov5_lifecycle.images.image import MAX_SIDE_PX
+from yolov5_lifecycle.images.frame_id import check_frame_id
+from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError
 
 MIN_FOCAL_PX = 0.1
 MAX_PX = 1e7
@@ -63,5 +64,12 @@ def intrinsics_of(k: Sequence[float], p: Sequence[float], size_hw: tuple[int, in
 
 
 def intrinsics_of_message(camera_info: Any) -> Intrinsics:
-    """The intrinsics in a sensor_msgs/CameraInfo, deserialised by any library; raises IntrinsicsError."""
+    """The intrinsics in a sensor_msgs/CameraInfo, deserialised by any library.
+
+    Raises IntrinsicsError as `intrinsics_of`, and for a frame_id longer than MAX_FRAME_ID.
+    """
+    try:
+        check_frame_id(camera_info)
+    except ImageError as error:
+        raise IntrinsicsError(str(error)) from None
     return intrinsics_of(camera_info.k, camera_info.p, (camera_info.height, camera_info.width))

@@ -24,6 +24,20 @@ def test_a_rejected_image_is_counted_and_the_next_one_detected(served: ServedNod
     assert counts.pop("received") == sum(counts.values())
 
 
+def test_an_image_with_a_long_frame_id_is_rejected_before_it_is_detected(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+    long = image()
+    long.header.frame_id = "x" * 1_000_000
+    served.publish(long)
+    reason = "Expected a frame_id of at most 256 characters, found 1000000. Correct it in the driver"
+    served.wait_for(lambda: reason in served.status().message, "the rejection")
+    assert served.counts()["rejected"] == 1
+    assert not served.detections
+    assert not prepare.running.calls
+
+
 @pytest.mark.long
 def test_rejected_images_do_not_flood_the_log(served: ServedNode) -> None:
     served.bring_to("active")

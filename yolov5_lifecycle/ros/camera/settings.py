@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rclpy.node import Node
 
+from yolov5_lifecycle.images.frame_id import MAX_FRAME_ID
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.parameters.declaration import declare
@@ -62,7 +63,7 @@ class CameraSettings(BaseModel):
         "rgb8", description="Encoding of the images; of a JPEG, after decompression."
     )
     frame_id: Annotated[str, Change.READ_ONLY] = Field(
-        "camera", description="Coordinate frame in the header of the images."
+        "camera", max_length=MAX_FRAME_ID, description="Coordinate frame in the header of the images."
     )
     camera_info_url: Annotated[str, Change.READ_ONLY] = Field(
         "",

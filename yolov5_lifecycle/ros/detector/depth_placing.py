@@ -19,9 +19,6 @@ from yolov5_lifecycle.spatial.intrinsics import Intrinsics, IntrinsicsError, int
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
 from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
 
-MAX_FRAME_ID = 256
-"""Characters. Each detection repeats the name, so a huge one would multiply."""
-
 
 @dataclass(frozen=True, eq=False)
 class FramedDepth:
@@ -89,8 +86,7 @@ class DepthPlacing:
         """Keep a depth image, without a copy; reject one that cannot be read."""
         self.counts.depth_images += 1
         try:
-            frame_id = _checked_frame_id(message.header.frame_id)
-            depth = FramedDepth(depth_image_of_message(message), frame_id)
+            depth = FramedDepth(depth_image_of_message(message), message.header.frame_id)
         except ImageError as error:
             self.counts.rejected_depth_images += 1
             self._reject(f"depth images are rejected: {error}")
@@ -158,15 +154,6 @@ def _explained(
     sizes = (image_size_hw, depth.size_hw, intrinsics.size_hw)
     colour, of_depth, of_info = (f"{width}x{height}" for height, width in sizes)
     return f"{reason.value}: images of {colour}, depth images of {of_depth}, camera_info of {of_info} pixels"
-
-
-def _checked_frame_id(frame_id: str) -> str:
-    if len(frame_id) > MAX_FRAME_ID:
-        raise ImageError(
-            f"Expected a frame_id of at most {MAX_FRAME_ID} characters, found {len(frame_id)}. Correct it in "
-            "the depth camera."
-        )
-    return frame_id
 
 
 def _nanoseconds(stamp: Time) -> int:
