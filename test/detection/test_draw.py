@@ -12,7 +12,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.draw import annotate, class_colour, draw_masks, printable, text_colour
+from yolov5_lifecycle.detection.draw import (
+    MAX_DRAWN,
+    annotate,
+    class_colour,
+    draw_masks,
+    printable,
+    text_colour,
+)
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import ColourImage, Order
 
@@ -258,6 +265,19 @@ def test_pixels_of_no_object_stay_as_they_are_whatever_the_masks(height: int, wi
 )
 def test_letters_that_cannot_be_drawn_are_replaced(name: str, expected: str) -> None:
     assert printable(name) == expected
+
+
+def test_a_name_takes_no_more_work_than_a_label_shows() -> None:
+    word = "\ufdfa"  # 18 letters once it is decomposed
+    assert len(printable(200 * word)) == 41 * 18
+
+
+def test_of_very_many_boxes_the_best_are_drawn() -> None:
+    rows = np.arange(MAX_DRAWN + 1, dtype=np.float32)
+    boxes_xyxy = np.stack((rows * 2, rows * 0 + 9, rows * 2 + 1, rows * 0 + 10), axis=1)
+    scores, class_ids = np.full(len(rows), 0.5, np.float32), np.zeros(len(rows), np.int64)
+    drawn = annotate(black(11, 2 * len(rows)), Detections(boxes_xyxy, scores, class_ids), ["?"])
+    assert drawn[10].any(axis=-1).reshape(-1, 2).any(axis=1).tolist() == [True] * MAX_DRAWN + [False]
 
 
 def test_the_classes_of_coco_have_80_colours() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from yolov5_lifecycle.evaluation.ground_truth import MAX_BOXES_PER_IMAGE, LabelError
-from yolov5_lifecycle.evaluation.yolo_labels import parsed_labels, read_labels
+from yolov5_lifecycle.evaluation.yolo_labels import label_text, parsed_labels
 
 
 @pytest.mark.parametrize(
@@ -72,10 +72,10 @@ def test_the_number_of_objects_is_limited() -> None:
 
 
 def test_a_file_that_is_no_text_is_refused_and_a_missing_one_has_no_labels(tmp_path: Path) -> None:
-    assert read_labels(tmp_path / "missing.txt", 2) is None
+    assert label_text(tmp_path / "missing.txt") is None
     (tmp_path / "bytes.txt").write_bytes(b"\xff\xfe0 0.5")
     os.mkfifo(tmp_path / "pipe.txt")
     (tmp_path / "folder.txt").mkdir()
     for name in ("bytes.txt", "pipe.txt", "folder.txt"):
         with pytest.raises(LabelError):
-            read_labels(tmp_path / name, 2)
+            label_text(tmp_path / name)

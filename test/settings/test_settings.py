@@ -46,6 +46,10 @@ from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAM
         pytest.param({"classes": "[2, square]"}, 'Did you mean ["2", square]?', id="index-and-name"),
         pytest.param({"classes": (1.5,) * 10_000}, "is not a list of at most", id="numbers-instead-of-texts"),
         pytest.param({"classes": ("a",) * 10_001}, "a list of at most 10000 strings", id="huge-list"),
+        pytest.param({"classes": ("cat", "x" * 201)}, "of at most 200 characters", id="long-class"),
+        pytest.param(
+            {"class_thresholds": ("x" * 201 + ": 0.5",)}, "with more than 200 characters", id="long-threshold"
+        ),
         pytest.param({"class_thresholds": ("person",)}, "'person' is not a class name", id="no-threshold"),
         pytest.param({"class_thresholds": (": 0.5",)}, "': 0.5' is not a class name", id="nameless-class"),
         pytest.param({"class_thresholds": ("a: 1.5",)}, "a number from 0 to 1, as in", id="high-threshold"),

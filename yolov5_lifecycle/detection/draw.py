@@ -23,6 +23,8 @@ MASK_OPACITY = 0.5
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _MAX_NAME_CHARACTERS = 40
+MAX_DRAWN = 1000
+"""Boxes drawn on an image, the best ones: of more, none could be made out."""
 _GOLDEN_RATIO = 0.618034  # its multiples spread evenly over the hue circle for any number of classes
 
 
@@ -43,7 +45,8 @@ def annotate(
     of `box_filter` are drawn faintly below them.
 
     Line width and font size scale with the image; a label that does not fit is truncated. Non-ASCII
-    characters lose their accents or become question marks. Higher scores are drawn over lower ones.
+    characters lose their accents or become question marks. Higher scores are drawn over lower ones; only the
+    MAX_DRAWN highest have boxes and labels.
     """
     canvas = np.array(image.pixels, order="C")
     pen = _Pen.for_image(image.size_hw)
@@ -56,12 +59,13 @@ def annotate(
         )
     corners = _corners_inside(detections.boxes_xyxy, image.size_hw)
     class_ids, details = detections.class_ids.tolist(), _details(detections, distances_m)
-    rows = list(zip(corners, class_ids, details, strict=True))[::-1]
+    rows = list(zip(corners, class_ids, details, strict=True))[:MAX_DRAWN][::-1]
+    shown = {class_id: printable(class_names[class_id]) for _, class_id, _ in rows}
     for (x1, y1, x2, y2), class_id, _ in rows:
         cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, image.order), pen.line_px)
     for (x1, y1, _, _), class_id, detail in rows:
         colour = class_colour(class_id, image.order)
-        label = pen.label(printable(class_names[class_id]), detail, canvas.shape[1])
+        label = pen.label(shown[class_id], detail, canvas.shape[1])
         _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, image.order))
     return canvas
 
@@ -110,7 +114,8 @@ def text_colour(background: Colour, order: Order) -> Colour:
 
 
 def printable(text: str) -> str:
-    """`text` in printable ASCII, the characters of OpenCV's Hershey fonts."""
+    """The beginning of `text`, as much as a label may show, in printable ASCII, as in the Hershey fonts."""
+    text = text[: _MAX_NAME_CHARACTERS + 1]
     plain = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
     return "".join(letter if " " <= letter <= "~" else "?" for letter in plain)
 

@@ -13,8 +13,10 @@ import numpy as np
 
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_BOXES_PER_IMAGE,
+    MAX_CLASS_NAME,
     MAX_CLASSES,
     MAX_IMAGES,
+    MAX_OBJECTS,
     Boxes,
     DataError,
     LabelError,
@@ -22,7 +24,10 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     LabelledPath,
     Labels,
     Problems,
+    Progress,
+    check_count,
     confined_path,
+    keep_silent,
 )
 from yolov5_lifecycle.evaluation.yolo_folder import absolute
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
@@ -32,18 +37,22 @@ from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 MAX_BYTES = 256 << 20
 MAX_CONTAINERS = 8_000_000
 """Objects and lists in a file, each 60 bytes or more in Python. COCO's file of 5,000 images has 200,000."""
-_MAX_NAME = 200
+MAX_VALUES = 32_000_000
+"""Commas in a file: values of 32 bytes or more in Python."""
 _MAX_PX = 1e6
 
 
-def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) -> LabelledFolder:
+def read_coco_file(
+    path: Path, problems: Problems, *, root: Path | None = None, progress: Progress = keep_silent
+) -> LabelledFolder:
     """The images and labels of the COCO file at `path`.
 
     The names of images are relative to the folder `root` and may not leave it. Without `root`, it is the
     first of these that has one of the images: the folder of `path`, `images` in it, the folder above, and
     there `images` and the folder of the split, such as `val2017` for `instances_val2017.json`. Problems with
-    single records are added to `problems`. Raises DataError if nothing is left.
+    single records are added to `problems`. Raises DataError if nothing is left or a limit is exceeded.
     """
+    progress("reading the COCO file")
     content = _content(path)
     categories = _categories(content["categories"], problems)
     images = _images(content["images"], problems)
@@ -70,6 +79,7 @@ def _content(path: Path) -> Mapping[str, list[Any]]:
         text = read_regular_file(path, MAX_BYTES)
         if text.count(b"{") + text.count(b"[") > MAX_CONTAINERS:
             raise DataError(f"{path}: found more than {MAX_CONTAINERS} objects and lists, the limit.")
+        check_count(path, "values", text.count(b","), MAX_VALUES)
         content = json.loads(text)
     except (OSError, RegularFileError) as error:
         problem = error.strerror if isinstance(error, OSError) else str(error)
@@ -83,6 +93,8 @@ def _content(path: Path) -> Mapping[str, list[Any]]:
     keys = ("images", "annotations", "categories")
     if not isinstance(content, dict) or not all(isinstance(content.get(key), list) for key in keys):
         raise DataError(f"{path}: expected COCO's lists {', '.join(keys)}.")
+    for key, limit in zip(keys, (MAX_IMAGES, MAX_OBJECTS, MAX_CLASSES), strict=True):
+        check_count(path, key, len(content[key]), limit)
     return content
 
 
@@ -96,9 +108,9 @@ class _Categories:
 
 def _categories(records: Sequence[Any], problems: Problems) -> _Categories:
     categories = _Categories()
-    for record in records[:MAX_CLASSES]:
+    for record in records:
         match record:
-            case {"id": int(number), "name": str(name)} if 0 < len(name) <= _MAX_NAME:
+            case {"id": int(number), "name": str(name)} if 0 < len(name) <= MAX_CLASS_NAME:
                 if number not in categories.ids:
                     categories.ids[number] = len(categories.names)
                     categories.names.append(name)
@@ -111,7 +123,7 @@ def _categories(records: Sequence[Any], problems: Problems) -> _Categories:
 def _images(records: Sequence[Any], problems: Problems) -> dict[int, tuple[str, tuple[int, int] | None]]:
     """File name and height and width, if given, of the images by id."""
     images: dict[int, tuple[str, tuple[int, int] | None]] = {}
-    for record in records[:MAX_IMAGES]:
+    for record in records:
         match record:
             case {"id": int(number), "file_name": str(name)} if number not in images:
                 if Path(name[:4096]).suffix.lower() in IMAGE_SUFFIXES:

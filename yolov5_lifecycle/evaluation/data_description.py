@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
+from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASS_NAME, MAX_CLASSES, DataError
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.settings.parameter_yaml import (
     MAX_DEPTH,
@@ -19,7 +19,6 @@ from yolov5_lifecycle.settings.parameter_yaml import (
 
 SPLITS = ("val", "test", "train")
 """The first of these that `data.yaml` has is evaluated."""
-_MAX_NAME = 200
 _NO_PATH = ("", "~", "null", "Null", "NULL")
 """An entry without a value, as YAML writes it."""
 
@@ -103,6 +102,6 @@ def _class_names(names: object) -> tuple[str, ...] | None:
         raise ValueError("names must be a list of class names, or a mapping from 0, 1, ... to them")
     if not all(isinstance(name, str) and name for name in names):
         raise ValueError("names must be texts")
-    if len(names) > MAX_CLASSES or any(len(name) > _MAX_NAME for name in names):
-        raise ValueError(f"expected at most {MAX_CLASSES} names of at most {_MAX_NAME} characters")
+    if len(names) > MAX_CLASSES or any(len(name) > MAX_CLASS_NAME for name in names):
+        raise ValueError(f"expected at most {MAX_CLASSES} names of at most {MAX_CLASS_NAME} characters")
     return tuple(names)

@@ -15,8 +15,13 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.printable import in_one_line
 
 MAX_BOXES_PER_IMAGE = 10_000
-MAX_IMAGES = 1_000_000
+MAX_IMAGES = 250_000
+"""In a data set; COCO's training set has 118,287. Each takes about 2 kB."""
+MAX_OBJECTS = 2_000_000
+"""In all images of a data set; COCO's training set has 860,001. Each takes up to 1 kB while it is read."""
 MAX_CLASSES = 10_000
+MAX_CLASS_NAME = 200
+"""Characters, as in weights files."""
 MAX_LISTED = 10
 """Number of problems that are reported one by one; further ones are only counted."""
 _MAX_SHOWN = 300
@@ -32,6 +37,24 @@ class DataError(ValueError):
 
 class LabelError(ValueError):
     """Labels of an image that cannot be used; the message states what was expected and found."""
+
+
+Progress = Callable[[str], None]
+"""Shows what is being read, such as `labels: 3000 of 5000 images`."""
+PROGRESS_PERIOD = 500
+"""Images between two calls of Progress."""
+
+
+def keep_silent(_: str) -> None:
+    """A `Progress` that shows nothing."""
+
+
+def check_count(
+    where: object, what: str, count: int, limit: int, *, remedy: str = "evaluate a part of the data"
+) -> None:
+    """Raise DataError if there are more than `limit` of `what`; `where` and `remedy` are for the message."""
+    if count > limit:
+        raise DataError(f"{where}: expected at most {limit:,} {what}, found {count:,} or more: {remedy}.")
 
 
 class Problems:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 from yolov5_lifecycle.evaluation.data_description import SPLITS, DataDescription, read_description
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_CLASSES,
     MAX_IMAGES,
+    MAX_OBJECTS,
+    PROGRESS_PERIOD,
     Boxes,
     DataError,
     LabelError,
@@ -17,39 +21,57 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     LabelledPath,
     Labels,
     Problems,
+    Progress,
+    check_count,
     confined_path,
+    keep_silent,
 )
-from yolov5_lifecycle.evaluation.yolo_labels import read_labels
+from yolov5_lifecycle.evaluation.yolo_labels import label_text, parsed_labels
+from yolov5_lifecycle.folder_listing import FolderTree, entries
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 YAML_SUFFIXES = (".yaml", ".yml")
-_MAX_LIST_BYTES = 256 << 20
+MAX_LIST_BYTES = 64 << 20
+MAX_LABEL_CHARACTERS = 1 << 30
+"""Of all label files together; those of COCO's training set, with polygons, have 0.5 GB."""
 _NOTHING = DataDescription("", {}, None)
 
 
 def read_yolo_folder(
-    data: Path, problems: Problems, *, split: str | None = None, root: Path | None = None
+    data: Path,
+    problems: Problems,
+    *,
+    split: str | None = None,
+    root: Path | None = None,
+    progress: Progress = keep_silent,
 ) -> LabelledFolder:
     """The images and labels of `data`: a folder, or the `data.yaml` of one.
 
     `split`: which entry of `data.yaml`; None: the first of SPLITS that it has. Nothing outside of the folder
     `root` is read; None: the folder of `data.yaml`. Problems with single files are added to `problems`.
-    Raises DataError if nothing is left.
+    Raises DataError if nothing is left or a limit is exceeded, and OSError.
     """
     description_path = _description_path(data)
     description = read_description(description_path) if description_path else _NOTHING
     folder = absolute(description_path.parent if description_path else data)
     reader = _Reader(folder, absolute(root) if root else folder, problems)
-    entries = _entries(description, data, split)
-    paths = dict.fromkeys(path for entry in entries for path in reader.images(entry, description.folder))
+    progress("looking for images")
+    wanted = _entries(description, data, split)
+    paths = _paths(reader, wanted, description.folder)
     class_count = len(description.class_names or ()) or MAX_CLASSES
     if not paths:
         raise DataError(
-            f"{data}: there are no images ({', '.join(IMAGE_SUFFIXES)}) in {', '.join(entries)}. Expected a "
-            f"folder with images/ and labels/, or a data.yaml that names them. {problems.summary}".strip()
+            f"{data}: there are no images ({', '.join(IMAGE_SUFFIXES)}) in {', '.join(wanted)[:1000]}. "
+            "Expected a folder with images/ and labels/, or a data.yaml that names them. "
+            f"{problems.summary}".strip()
         )
-    images = [image for path in paths if (image := reader.labelled(path, class_count))]
+    images = []
+    for number, path in enumerate(paths):
+        if number % PROGRESS_PERIOD == 0:
+            progress(f"labels: {number} of {len(paths)} images")
+        if (image := reader.labelled(path, class_count)) is not None:
+            images.append(image)
     if not reader.label_files:
         path = next(iter(paths))
         raise DataError(
@@ -74,7 +96,7 @@ def _description_path(data: Path) -> Path | None:
         return data
     if (usual := data / "data.yaml").exists():
         return usual
-    found = [file for file in sorted(data.iterdir()) if file.suffix.lower() in YAML_SUFFIXES]
+    found = sorted(file for file in entries(data) if file.suffix.lower() in YAML_SUFFIXES)
     if len(found) > 1:
         names = ", ".join(file.name for file in found[:10])
         raise DataError(f"{data}: expected one data.yaml, found {names}: give the path of one of them.")
@@ -92,12 +114,29 @@ def _entries(description: DataDescription, data: Path, split: str | None) -> tup
     return splits[split]
 
 
+def _paths(reader: _Reader, texts: tuple[str, ...], base: str) -> list[Path]:
+    """The images of the entries `texts`, each once."""
+    paths: dict[Path, None] = {}
+    for text in dict.fromkeys(texts):
+        for path in reader.images(text, base):
+            paths[path] = None
+            check_count(path.parent, "images in a data set", len(paths), MAX_IMAGES)
+    return list(paths)
+
+
 class _Reader:
-    """Finds images and reads their labels; `label_files` counts those that exist."""
+    """Finds images and reads their labels; `label_files` counts those that exist.
+
+    What it reads is limited in total, whatever is repeated.
+    """
 
     def __init__(self, folder: Path, root: Path, problems: Problems) -> None:
         self.root = root
         self.label_files = 0
+        self._tree = FolderTree()
+        self._lines = 0
+        self._label_characters = 0
+        self._objects = 0
         self._folder = folder
         self._problems = problems
 
@@ -107,7 +146,7 @@ class _Reader:
         if path is None:
             return
         if path.is_dir():
-            yield from _images_below(path)
+            yield from sorted(filter(_is_image, self._tree.files(path)))
         elif path.suffix.lower() == ".txt":
             yield from self._listed(path)
         elif _is_image(path):
@@ -115,14 +154,24 @@ class _Reader:
 
     def labelled(self, path: Path, class_count: int) -> LabelledPath | None:
         """The image with its labels, none if it has no label file; None if they are broken."""
+        label_path = _label_path(path, self.root)
         try:
-            labels = read_labels(_label_path(path, self.root), class_count)
+            text = label_text(label_path)
+            labels = None if text is None else self._parsed(label_path, text, class_count)
         except LabelError as error:
             self.label_files += 1
-            self._problems.add("broken labels", _label_path(path, self.root), error)
+            self._problems.add("broken labels", label_path, error)
             return None
         self.label_files += labels is not None
         return LabelledPath(path, labels or Labels(Boxes.of([], [])))
+
+    def _parsed(self, path: Path, text: str, class_count: int) -> Labels:
+        self._label_characters += len(text)
+        check_count(path.parent, "characters in label files", self._label_characters, MAX_LABEL_CHARACTERS)
+        labels = parsed_labels(text, class_count)
+        self._objects += len(labels.boxes)
+        check_count(path.parent, "objects in a data set", self._objects, MAX_OBJECTS)
+        return labels
 
     def _located(self, entry: str, base: str) -> Path | None:
         """The path of an entry; like in YOLOv5, without a leading `../` if only that path exists."""
@@ -154,11 +203,14 @@ class _Reader:
     def _listed(self, path: Path) -> Iterator[Path]:
         """The images of a list, one path a line, relative to the list."""
         try:
-            lines = read_regular_file(path, _MAX_LIST_BYTES).decode().splitlines()
+            text = read_regular_file(path, MAX_LIST_BYTES).decode()
         except (OSError, RegularFileError, UnicodeDecodeError) as error:
             self._problems.add("unusable entries", path, error)
             return
-        for line in filter(None, map(str.strip, lines[:MAX_IMAGES])):
+        lines = list(islice(io.StringIO(text, newline=None), MAX_IMAGES + 1))
+        self._lines += len(lines)
+        check_count(path, "lines in the lists of images", self._lines, MAX_IMAGES)
+        for line in filter(None, dict.fromkeys(map(str.strip, lines))):
             if (image := self._listed_image(path, line)) is not None:
                 yield image
 
@@ -175,16 +227,6 @@ class _Reader:
 
 def _is_image(path: Path) -> bool:
     return path.suffix.lower() in IMAGE_SUFFIXES
-
-
-def _images_below(folder: Path) -> list[Path]:
-    """The image files in `folder` and below it, sorted; links to folders are not followed."""
-    found: list[Path] = []
-    for parent, _, names in os.walk(folder):
-        found += (Path(parent, name) for name in names if _is_image(Path(name)))
-        if len(found) > MAX_IMAGES:
-            raise DataError(f"{folder}: there are more than {MAX_IMAGES} images.")
-    return sorted(found)
 
 
 def _label_path(path: Path, root: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from pathlib import Path
 
@@ -13,33 +14,38 @@ from yolov5_lifecycle.evaluation.ground_truth import (
 )
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 
-_MAX_BYTES = 16 << 20
+MAX_BYTES = 4 << 20
+"""Of a label file; the largest of COCO, with polygons, has 60 kB."""
+MAX_LINES = 2 * MAX_BOXES_PER_IMAGE
 _TOLERANCE = 1e-4
 """How far outside of the image a fraction may be, as tools round."""
 _MIN_POLYGON_FIELDS = 7
 
 
-def read_labels(path: Path, class_count: int) -> Labels | None:
-    """The labels in the file at `path`; None if it does not exist.
+def label_text(path: Path) -> str | None:
+    """The text of the label file at `path`, for `parsed_labels`; None if it does not exist.
 
-    Equal lines count once. Raises LabelError, with the line, if one is broken: an image with unknown
-    objects cannot be evaluated.
+    Raises LabelError.
     """
     try:
-        text = read_regular_file(path, _MAX_BYTES).decode()
+        return read_regular_file(path, MAX_BYTES).decode()
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, RegularFileError) as error:
         raise LabelError(error.strerror if isinstance(error, OSError) else str(error)) from None
     except UnicodeDecodeError:
         raise LabelError("expected a text, found other bytes") from None
-    return parsed_labels(text, class_count)
 
 
 def parsed_labels(text: str, class_count: int) -> Labels:
-    """The labels in `text`, with class ids below `class_count`; raises LabelError."""
+    """The labels in `text`, with class ids below `class_count`; equal lines count once.
+
+    Raises LabelError, with the line, if one is broken: an image with unknown objects cannot be evaluated.
+    """
     objects: dict[tuple[int, tuple[float, ...]], None] = {}
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
+        if number > MAX_LINES:
+            raise LabelError(f"more than {MAX_LINES} lines")
         if not line.strip():
             continue
         if len(objects) == MAX_BOXES_PER_IMAGE:

@@ -13,6 +13,8 @@ from typing import Any
 
 from rosbags.rosbag2 import storage_mcap
 
+from yolov5_lifecycle.folder_listing import entries
+
 MAX_METADATA_BYTES = 16 << 20
 MAX_CHUNK_BYTES = 1 << 30
 """Of a decompressed chunk of messages. rosbag2 writes chunks of some megabytes."""
@@ -35,7 +37,7 @@ def check_files(path: Path) -> None:
 
     Reading a pipe would block forever, and metadata.yaml may name files in its folder as it likes.
     """
-    for file in [path] if not path.is_dir() else sorted(path.iterdir()):
+    for file in [path] if not path.is_dir() else sorted(entries(path)):
         is_storage = any(suffix in (".mcap", ".db3") for suffix in file.suffixes)
         is_read = is_storage or file.name == "metadata.yaml" or not file.is_dir()
         if is_read and file.exists() and not file.is_file():

@@ -7,8 +7,10 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
+from yolov5_lifecycle.folder_listing import MAX_ENTRIES, entries
 from yolov5_lifecycle.offline.image_files import is_image
 from yolov5_lifecycle.printable import is_utf8
 from yolov5_lifecycle.sources.frames import SourceError
@@ -34,7 +36,7 @@ def is_recording(path: Path) -> bool:
     """Whether `path` is a rosbag2 file, possibly compressed, or a folder that contains such files."""
     if not path.is_dir():
         return path.suffix in _SUFFIXES
-    return any(map(is_storage, path.iterdir()))
+    return any(map(is_storage, entries(path)))
 
 
 def is_storage(path: Path) -> bool:
@@ -44,7 +46,7 @@ def is_storage(path: Path) -> bool:
 
 def is_mcap(path: Path) -> bool:
     """Whether the recording at `path` is in MCAP, otherwise it is in SQLite; raises OSError."""
-    files = [path] if path.is_file() else path.iterdir()
+    files = [path] if path.is_file() else entries(path)
     return any(".mcap" in file.suffixes for file in files)
 
 
@@ -102,21 +104,26 @@ def _matches(path: Path) -> list[Path]:
     """The paths that match `path` as a pattern; none if a file has this very name."""
     if os.path.lexists(path) or not any(wildcard in str(path) for wildcard in _WILDCARDS):
         return []
-    return list(map(Path, sorted(glob.glob(str(path), recursive=True))))  # noqa: PTH207
+    found = list(islice(glob.iglob(str(path), recursive=True), MAX_ENTRIES + 1))  # noqa: PTH207
+    if len(found) > MAX_ENTRIES:
+        raise SourceError(
+            f"{path}: expected at most {MAX_ENTRIES:,} matches, found more: narrow the pattern."
+        )
+    return list(map(Path, sorted(found)))
 
 
 def _has_recordings(path: Path) -> bool:
     """Whether `path` is a folder of recordings, and neither one itself nor a folder of images."""
     if not path.is_dir() or (path / METADATA).exists():
         return False
-    files = list(path.iterdir())
+    files = list(entries(path))
     if any(map(is_storage, files)):  # a single file without metadata is a damaged recording
         return len(_children(path)) > 1
     return not any(map(is_image, files)) and bool(_children(path))
 
 
 def _children(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.name[0] != "." and _may_be_recording(path))
+    return sorted(path for path in entries(folder) if path.name[0] != "." and _may_be_recording(path))
 
 
 def _may_be_recording(path: Path) -> bool:

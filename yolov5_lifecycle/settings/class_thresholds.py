@@ -7,6 +7,8 @@ import re
 from yolov5_lifecycle.printable import in_one_line
 
 _NUMBER = re.compile(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+MAX_CLASS_NAME = 200
+"""Characters; no model has longer names."""
 _MAX_NUMBER = 40
 _MAX_SHOWN = 60
 
@@ -22,6 +24,10 @@ def class_threshold(entry: str) -> tuple[str, float]:
     """
     name, colon, text = (part.strip() for part in entry.rpartition(":"))
     is_number = len(text) <= _MAX_NUMBER and _NUMBER.fullmatch(text) is not None
+    if len(name) > MAX_CLASS_NAME:
+        raise ClassThresholdError(
+            f"'{in_one_line(entry, _MAX_SHOWN)}' names a class with more than {MAX_CLASS_NAME} characters"
+        )
     if not (name and colon and is_number and float(text) <= 1):
         shown = in_one_line(entry, _MAX_SHOWN)
         raise ClassThresholdError(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 
 from yolov5_lifecycle.images.region import Region, RegionError
 from yolov5_lifecycle.settings.camera_names import camera_names_rule
-from yolov5_lifecycle.settings.class_thresholds import ClassThresholdError, class_thresholds
+from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME, ClassThresholdError, class_thresholds
 from yolov5_lifecycle.settings.schema import violation
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 
@@ -42,6 +42,13 @@ def device(value: str) -> str:
         else did_you_mean(value, ("auto", "cpu", "cuda", "mps"))
     )
     raise violation(f"must be auto, cpu, cuda, cuda:N, N or mps.{hint}")
+
+
+def classes(value: tuple[str, ...]) -> tuple[str, ...]:
+    """Names or indices of classes."""
+    if any(len(name) > MAX_CLASS_NAME for name in value):
+        raise violation(f"must be names or indices of at most {MAX_CLASS_NAME} characters.")
+    return value
 
 
 def thresholds_of_classes(value: tuple[str, ...]) -> tuple[str, ...]:
@@ -80,6 +87,7 @@ RULES: Mapping[str, Rule] = {
     "weights_sha256": digest,
     "weights_dirs": folders,
     "device": device,
+    "classes": classes,
     "class_thresholds": thresholds_of_classes,
     "regions": regions,
     "ignore_regions": regions,

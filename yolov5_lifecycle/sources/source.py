@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.folder_listing import FolderSizeError, entries
 from yolov5_lifecycle.images.compressed import decode_image_file
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError
 from yolov5_lifecycle.printable import in_one_line, is_utf8
@@ -200,8 +201,11 @@ def image_paths(path: Path) -> list[Path]:
     """`path` itself, or the images in that folder in natural order; SourceError if it has none."""
     if not path.is_dir():
         return [path]
-    found = (file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
-    paths = sorted(found, key=_natural_order)
+    found = (file for file in entries(path) if file.suffix.lower() in IMAGE_SUFFIXES)
+    try:
+        paths = sorted(found, key=_natural_order)
+    except FolderSizeError as error:
+        raise SourceError(str(error)) from None
     if not paths:
         raise SourceError(f"The folder {path} has no images ({', '.join(IMAGE_SUFFIXES)}).")
     return paths

@@ -19,6 +19,7 @@ from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
+from yolov5_lifecycle.offline.evaluate import evaluating
 from yolov5_lifecycle.offline.evaluate.command import main
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
@@ -283,3 +284,18 @@ def test_the_name_of_a_weights_file_is_not_interpreted(
 def test_weights_that_do_not_exist_are_named(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["missing.pt", str(data), *FAST]) == 1
     assert "missing.pt" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("MAX_CLASSES_IN_IMAGES", "expected at most 2 classes x images, found 24"),
+        ("MAX_FOUND", "expected at most 2 detections, found"),
+    ],
+)
+def test_what_pycocotools_would_have_to_hold_is_limited(
+    name: str, told: str, data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(evaluating, name, 2)
+    assert evaluate(data) == 1
+    assert told in capsys.readouterr().err

@@ -10,6 +10,8 @@ import pytest
 from support.evaluated_offline import evaluate, labelled_drive, report_of
 from support.recorded_scene import TOPIC
 
+from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
+from yolov5_lifecycle.offline.evaluate import labelled_recording
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 
@@ -25,6 +27,11 @@ def no_class(message: Any) -> Any:
 
 def unknown_class(message: Any) -> Any:
     message.detections[0].results[0].hypothesis.class_id = "unicorn"
+    return message
+
+
+def long_class(message: Any) -> Any:
+    message.detections[0].results[0].hypothesis.class_id = "x" * 201
     return message
 
 
@@ -72,6 +79,43 @@ def without_stars(message: Any) -> Any:
 def stampless(message: Any) -> Any:
     message.header.stamp.sec = message.header.stamp.nanosec = 0
     return message
+
+
+def test_class_names_that_occur_are_limited_in_length(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = labelled_drive(tmp_path / "drive", class_names=None, change=long_class)
+    assert evaluate(drive) == 1
+    assert "found a class name of 201 characters, more than 200" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("names", "reason"),
+    [
+        pytest.param(["x" * 201], "a class name of 201 characters, more than 200", id="length"),
+        pytest.param(["x"] * (MAX_CLASSES + 1), "found 10001 classes, more than 10000", id="number"),
+    ],
+)
+def test_class_names_of_label_info_are_limited(
+    names: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evaluate(labelled_drive(tmp_path / "drive", class_names=names))
+    assert reason in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("MAX_IMAGES", "expected at most 2 messages on /yolov5/detections, found 3"),
+        ("MAX_OBJECTS", "expected at most 2 objects in a data set, found"),
+    ],
+)
+def test_labels_of_a_recording_are_limited_in_total(
+    name: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(labelled_recording, name, 2)
+    assert evaluate(labelled_drive(tmp_path / "drive")) == 1
+    assert told in capsys.readouterr().err
 
 
 def test_detections_with_the_same_stamp_label_no_image(

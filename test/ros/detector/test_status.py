@@ -208,3 +208,12 @@ def test_a_reason_is_logged_once_a_minute_whatever_its_numbers(ros_domain: int) 
     words = ("for 5 s", "nothing scored", "for 8 s", "for 9 s", "no publisher of images")
     assert len(logged) == len(words)
     assert all(word in text for word, text in zip(words, logged, strict=True))
+
+
+def test_the_digest_of_a_configuration_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    computed: list[Settings] = []
+    monkeypatch.setattr(Settings, "digest", lambda settings: computed.append(settings) or "0" * 12)
+    status = dataclasses.replace(GOOD, settings=Settings(max_rate=7.0))
+    for _ in range(3):
+        assert status.of_node.values["configuration"] == "0" * 12
+    assert len(computed) == 1

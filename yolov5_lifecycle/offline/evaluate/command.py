@@ -91,7 +91,9 @@ def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) ->
     with ExitStack() as stack:
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
         options = _data_options(arguments)
-        data = stack.enter_context(labelled_data(arguments.data, options, watch.problems))
+        data = stack.enter_context(
+            labelled_data(arguments.data, options, watch.problems, progress=terminal.begin)
+        )
         classes, evaluations = evaluate_models(
             data, wanted, watch=watch, problems=watch.problems, prepare=prepare
         )

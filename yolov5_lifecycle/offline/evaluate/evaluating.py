@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.detection.selection import class_ids, selection
 from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE, EvaluatedClasses, EvaluatedImage
-from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Problems
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Problems, check_count
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detecting import OfflineDetector, Watch
 from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData, LabelledImage
@@ -24,6 +25,11 @@ TIMED_IMAGES = 30
 
 NOT_APPLIED = ("regions", "ignore_regions", "min_box_size", "max_box_size", "tracker")
 """Settings that stay at their defaults: regions and sizes would remove detections, but not labels."""
+MAX_CLASSES_IN_IMAGES = 32_000_000
+"""Classes x images; pycocotools takes 0.2 kB and some microseconds for each pair."""
+MAX_FOUND = 5_000_000
+"""Detections of a model that are kept; each takes about 1.5 kB while pycocotools compares them."""
+_FEWER = "lower max_detections, or evaluate a part of the data"
 _WHILE_EVALUATING = {
     "confidence_threshold": MIN_CONFIDENCE,
     **{name: SETTINGS_BY_NAME[name].default for name in ("class_thresholds", *NOT_APPLIED)},
@@ -103,6 +109,8 @@ def evaluate_models(
     classes = EvaluatedClasses.shared(
         data.class_names, [(model.offline.class_names, model.wanted) for model in models]
     )
+    pairs = len(classes.names) * data.expected
+    check_count("the data set", "classes x images", pairs, MAX_CLASSES_IN_IMAGES)
     timed: dict[int, LabelledImage] = {}
     found = [_found(data, model, classes, problems, timed) for model in models]
     common = sorted(set(found[0]).intersection(*found[1:]))
@@ -133,6 +141,7 @@ def _found(
 ) -> dict[int, EvaluatedImage]:
     """The evaluated images by number; a sample of them is kept in `timed`."""
     images: dict[int, EvaluatedImage] = {}
+    counts: Counter[str] = Counter()
     sample = set(np.linspace(0, max(data.expected - 1, 0), TIMED_IMAGES).round().astype(int).tolist())
 
     def keep(stored: LabelledImage, image: ColourImage, detections: Detections) -> None:
@@ -143,6 +152,8 @@ def _found(
                 problems.add("broken labels", stored.label, error)
             return
         found = classes.found(detections, model.number)
+        counts["found"] += len(found.scores)
+        check_count("the model", "detections", counts["found"], MAX_FOUND, remedy=_FEWER)
         images[stored.number] = EvaluatedImage(stored.label, image.size_hw, truth, found)
         if stored.number in sample:
             timed[stored.number] = stored

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
-from yolov5_lifecycle.evaluation.ground_truth import DataError, Labels, Problems
+from yolov5_lifecycle.evaluation.ground_truth import DataError, Labels, Problems, Progress, keep_silent
 from yolov5_lifecycle.evaluation.yolo_folder import YAML_SUFFIXES, read_yolo_folder
 from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, LabelledData
 from yolov5_lifecycle.offline.image_files import ImageFile
@@ -47,7 +47,9 @@ def has_labels(source: Path) -> bool:
 
 
 @contextmanager
-def labelled_data(source: Path, options: DataOptions, problems: Problems) -> Iterator[LabelledData]:
+def labelled_data(
+    source: Path, options: DataOptions, problems: Problems, *, progress: Progress = keep_silent
+) -> Iterator[LabelledData]:
     """Open the data set `source`. Problems with single images are added to `problems`.
 
     Raises DataError if nothing can be used, RecordingError, and ImportError without rosbags.
@@ -57,12 +59,12 @@ def labelled_data(source: Path, options: DataOptions, problems: Problems) -> Ite
         # rosbags is an extra.
         from yolov5_lifecycle.offline.evaluate.labelled_recording import labelled_recording
 
-        with labelled_recording(source, options, problems) as data:
+        with labelled_recording(source, options, problems, progress=progress) as data:
             yield data
         return
     if kind == "COCO":
-        folder = read_coco_file(source, problems, root=options.root)
+        folder = read_coco_file(source, problems, root=options.root, progress=progress)
     else:
-        folder = read_yolo_folder(source, problems, split=options.split, root=options.root)
+        folder = read_yolo_folder(source, problems, split=options.split, root=options.root, progress=progress)
     files = [_LabelledFile(image.path, number, image.labels) for number, image in enumerate(folder.images)]
     yield LabelledData(kind, folder.class_names, len(files), lambda: files)

@@ -12,12 +12,19 @@ from typing import Any
 
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_BOXES_PER_IMAGE,
+    MAX_CLASS_NAME,
     MAX_CLASSES,
+    MAX_IMAGES,
+    MAX_OBJECTS,
+    PROGRESS_PERIOD,
     Boxes,
     DataError,
     LabelError,
     Labels,
     Problems,
+    Progress,
+    check_count,
+    keep_silent,
 )
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, LabelledData
@@ -43,18 +50,27 @@ class _LabelledRecordedImage(RecordedImage):
 
 
 @contextmanager
-def labelled_recording(source: Path, options: DataOptions, problems: Problems) -> Iterator[LabelledData]:
+def labelled_recording(
+    source: Path, options: DataOptions, problems: Problems, *, progress: Progress = keep_silent
+) -> Iterator[LabelledData]:
     """Open the recording `source`; images and detections with one stamp in their headers belong together.
 
     Its classes are those of the `label_info` of the same node, if it has one, else those that occur. Raises
-    RecordingError, and DataError if there are no detections that can be used.
+    RecordingError, and DataError if there are no detections that can be used, or more than the limits.
     """
     with open_recording(source) as recording:
         topic = recording.image_topic(options.topic)
         truth_topic = _truth_topic(source, recording, options.truth_topic)
         class_names = _label_info(recording, truth_topic, problems)
         class_ids = {name: index for index, name in enumerate(class_names)}
-        labels = _labels(recording, truth_topic, class_ids, may_add=not class_ids, problems=problems)
+        labels = _labels(
+            recording,
+            truth_topic,
+            class_ids,
+            may_add=not class_ids,
+            problems=problems,
+            progress=progress,
+        )
         if not labels:
             raise DataError(
                 f"{source}: none of {truth_topic.count} messages on {truth_topic.name} can be used. "
@@ -87,12 +103,25 @@ def _label_info(recording: Recording, truth_topic: RecordedTopic, problems: Prob
     for topic in near or (topics if len(topics) == 1 else []):
         for recorded in recording.messages(topic):
             try:
-                pairs = {int(one.class_id): str(one.class_name) for one in recorded.message.class_map}
-            except ImageError as error:
+                pairs = _class_names(recorded.message.class_map)
+            except (ImageError, LabelError) as error:
                 problems.add("unusable entries", topic.name, error)
                 continue
             return tuple(dict.fromkeys(pairs[class_id] for class_id in sorted(pairs)))
     return ()
+
+
+def _class_names(class_map: Any) -> dict[int, str]:
+    """The names by class id; raises LabelError."""
+    if len(class_map) > MAX_CLASSES:
+        raise LabelError(f"found {len(class_map)} classes, more than {MAX_CLASSES}")
+    return {int(one.class_id): _class_name(str(one.class_name)) for one in class_map}
+
+
+def _class_name(name: str) -> str:
+    if len(name) > MAX_CLASS_NAME:
+        raise LabelError(f"found a class name of {len(name)} characters, more than {MAX_CLASS_NAME}")
+    return name
 
 
 def _labels(
@@ -102,11 +131,16 @@ def _labels(
     *,
     may_add: bool,
     problems: Problems,
+    progress: Progress,
 ) -> dict[Stamp, Labels]:
     """The labels by stamp. If `may_add`, class names that are new are added to `class_ids`."""
     labels: dict[Stamp, Labels] = {}
     counts: Counter[Stamp] = Counter()
-    for recorded in recording.messages(topic):
+    objects = 0
+    for number, recorded in enumerate(recording.messages(topic)):
+        check_count(recording.path, f"messages on {topic.name[:200]}", number + 1, MAX_IMAGES)
+        if number % PROGRESS_PERIOD == 0:
+            progress(f"labels: {number} messages")
         try:
             message = recorded.message
             stamp = _stamp(message)
@@ -118,6 +152,8 @@ def _labels(
             problems.add("broken labels", recorded.label, error)
             continue
         labels[stamp] = Labels(boxes)
+        objects += len(boxes)
+        check_count(recording.path, "objects in a data set", objects, MAX_OBJECTS)
     return {stamp: found for stamp, found in labels.items() if counts[stamp] == 1}
 
 
@@ -135,7 +171,7 @@ def _boxes(detections: Any, class_ids: dict[str, int], *, may_add: bool) -> Boxe
             raise LabelError("a detection has no class")
         name = max(detection.results, key=lambda result: result.hypothesis.score).hypothesis.class_id
         if may_add and len(class_ids) < MAX_CLASSES:
-            class_ids.setdefault(name, len(class_ids))
+            class_ids.setdefault(_class_name(name), len(class_ids))
         if name not in class_ids:
             raise LabelError(f"the class '{name[:40]}' is not in its label_info")
         ids.append(class_ids[name])
@@ -163,13 +199,13 @@ def _images(
         except ImageError as error:
             problems.add("unusable images", recorded.label, error)
             continue
-        if stamp in seen:
-            problems.add("unusable images", recorded.label, "another image has the same stamp")
-            continue
-        seen.add(stamp)
         found = labels.get(stamp)
         if found is None:
             problems.add("images without labels", recorded.label, "there are no detections with its stamp")
             continue
+        if stamp in seen:
+            problems.add("unusable images", recorded.label, "another image has the same stamp")
+            continue
+        seen.add(stamp)
         yield _LabelledRecordedImage(recorded.timestamp_ns, recorded.type_name, recorded.data, number, found)
         number += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
@@ -92,5 +93,10 @@ class Status:
         if self.resident_mb is not None:
             values["resident memory MB"] = f"{self.resident_mb:.0f}"
         if self.settings is not None:
-            values["configuration"] = self.settings.digest()
+            values["configuration"] = _digest(self.settings)
         return values | (self.model.facts if self.model is not None else {})
+
+
+@lru_cache(maxsize=1)  # asked every second; with lists of 10,000 classes it takes long
+def _digest(settings: Settings) -> str:
+    return settings.digest()

@@ -1,0 +1,69 @@
+"""Folders with many files are listed up to a limit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from yolov5_lifecycle import folder_listing
+from yolov5_lifecycle.folder_listing import FolderSizeError, FolderTree, entries
+from yolov5_lifecycle.offline import recordings
+from yolov5_lifecycle.offline.recordings import is_recording, recordings_of
+from yolov5_lifecycle.sources.frames import SourceError
+from yolov5_lifecycle.sources.source import image_paths
+
+LIMIT = 5
+
+
+@pytest.fixture(autouse=True)
+def low_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(folder_listing, "MAX_ENTRIES", LIMIT)
+    monkeypatch.setattr(recordings, "MAX_ENTRIES", LIMIT)
+
+
+def filled(folder: Path, count: int, suffix: str = ".jpg") -> Path:
+    folder.mkdir(exist_ok=True)
+    for number in range(count):
+        (folder / f"{number}{suffix}").touch()
+    return folder
+
+
+def test_a_folder_with_as_many_files_as_the_limit_is_listed(tmp_path: Path) -> None:
+    assert len(list(entries(filled(tmp_path, LIMIT)))) == LIMIT
+    assert len(list(FolderTree().files(tmp_path))) == LIMIT
+
+
+def test_a_folder_with_more_files_is_refused_with_the_limit(tmp_path: Path) -> None:
+    with pytest.raises(FolderSizeError, match="expected at most 5 files and folders, found more"):
+        list(entries(filled(tmp_path, LIMIT + 1)))
+
+
+def test_folders_below_count_together_however_often_they_are_listed(tmp_path: Path) -> None:
+    filled(tmp_path, 1)
+    filled(tmp_path / "below", 1)  # 3 entries: two files and a folder
+    tree = FolderTree()
+    assert sorted(path.name for path in tree.files(tmp_path)) == ["0.jpg", "0.jpg"]
+    with pytest.raises(FolderSizeError):
+        list(tree.files(tmp_path))
+
+
+def test_links_to_folders_are_not_followed(tmp_path: Path) -> None:
+    (filled(tmp_path / "below", 1) / "loop").symlink_to(tmp_path)
+    assert [path.name for path in FolderTree().files(tmp_path) if not path.is_dir()] == ["0.jpg"]
+
+
+def test_a_folder_of_too_many_images_is_no_source(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="expected at most 5 files"):
+        image_paths(filled(tmp_path, LIMIT + 1))
+
+
+def test_a_folder_of_too_many_files_is_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(FolderSizeError):
+        is_recording(filled(tmp_path, LIMIT + 1))
+
+
+def test_a_pattern_with_too_many_matches_is_refused(tmp_path: Path) -> None:
+    filled(tmp_path / "drives", LIMIT + 1, ".mcap")
+    with pytest.raises(SourceError, match="expected at most 5 matches, found more"):
+        recordings_of([tmp_path / "drives" / "*.mcap"], tmp_path / "results")

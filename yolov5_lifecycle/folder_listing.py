@@ -1,0 +1,67 @@
+"""Folders named by the user: listed up to a limit."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+MAX_ENTRIES = 1_000_000
+"""Files and folders; listing that many takes about a second."""
+
+
+class FolderSizeError(OSError):
+    """A folder with more entries than the limit; the message says how many were expected."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(
+            f"{folder}: expected at most {MAX_ENTRIES:,} files and folders, found more: "
+            "name a smaller folder."
+        )
+
+
+def entries(folder: Path) -> Iterator[Path]:
+    """What is directly in `folder`, in any order; raises OSError, also beyond MAX_ENTRIES entries."""
+    with os.scandir(folder) as found:
+        for count, entry in enumerate(found, start=1):
+            if count > MAX_ENTRIES:
+                raise FolderSizeError(folder)
+            yield Path(entry.path)
+
+
+class FolderTree:
+    """The files in folders and below them; all calls of `files` together list MAX_ENTRIES entries."""
+
+    def __init__(self) -> None:
+        self._listed = 0
+
+    def files(self, folder: Path) -> Iterator[Path]:
+        """The files below `folder`, in any order; links to folders are not followed.
+
+        A subfolder that cannot be listed is left out. Raises FolderSizeError.
+        """
+        waiting = [os.fspath(folder)]
+        while waiting:
+            for entry in _listed(waiting.pop()):
+                self._listed += 1
+                if self._listed > MAX_ENTRIES:
+                    raise FolderSizeError(folder)
+                if _is_folder(entry):
+                    waiting.append(entry.path)
+                else:
+                    yield Path(entry.path)
+
+
+def _listed(folder: str) -> Iterator[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as found:
+            yield from found
+    except OSError:  # like os.walk
+        return
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir(follow_symlinks=False)
+    except OSError:
+        return False
