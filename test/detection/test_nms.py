@@ -196,6 +196,19 @@ def test_the_best_score_of_many_rows_is_reported() -> None:
     assert best_missed == pytest.approx((raw[:, 4] * raw[:, 5:].max(axis=1)).max())
 
 
+def test_only_the_best_candidates_are_compared_with_the_regions() -> None:
+    compared: list[int] = []
+
+    def counts(boxes_xyxy: NDArray[np.float32]) -> NDArray[np.bool_]:
+        compared.append(len(boxes_xyxy))
+        return np.ones(len(boxes_xyxy), np.bool_)
+
+    raw = np.tile(raw_rows((10, 10, 4, 4, 0.4, 1.0, 0.0)), (MAX_CANDIDATES + 1, 1))
+    raw[-1, 4] = 0.45
+    assert select(raw, Selection(confidence_threshold=0.5), counts).best_missed == pytest.approx(0.45)
+    assert max(compared) == MAX_CANDIDATES
+
+
 def test_corners_are_half_the_size_around_the_centre() -> None:
     corners = cxcywh_to_xyxy(np.array([[10, 20, 4, 6], [0, 0, 1, 3]], np.float32))
     np.testing.assert_array_equal(corners, [[8, 17, 12, 23], [-0.5, -1.5, 0.5, 1.5]])

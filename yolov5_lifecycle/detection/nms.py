@@ -158,11 +158,15 @@ def _by_priority(found: _Candidates, selection: Selection) -> _Candidates:
 
 
 def _best_missed(raw: NDArray[np.float32], selection: Selection, counts: Counts | None) -> float:
-    """The highest score worth reporting that is not above its threshold, of a box that counts."""
+    """The highest score worth reporting that is not above its threshold, of a box that counts.
+
+    Of many, only the MAX_CANDIDATES highest are compared with the regions, which takes time.
+    """
     found = _scored(raw, WORTH_TELLING, selection.classes)
     if counts is not None:
-        is_below = ~selection.admits(found.scores, found.class_ids)
-        found = found.at(is_below & counts(cxcywh_to_xyxy(raw[found.rows, :4])))
+        below = found.at(~selection.admits(found.scores, found.class_ids))
+        found = below.at(np.argsort(-below.scores, kind="stable")[:MAX_CANDIDATES])
+        found = found.at(counts(cxcywh_to_xyxy(raw[found.rows, :4])))
     return float(found.scores.max(initial=0.0))
 
 
