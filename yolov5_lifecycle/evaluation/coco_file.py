@@ -13,7 +13,6 @@ import numpy as np
 
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_BOXES_PER_IMAGE,
-    MAX_CLASS_NAME,
     MAX_CLASSES,
     MAX_IMAGES,
     MAX_OBJECTS,
@@ -32,6 +31,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
 from yolov5_lifecycle.evaluation.yolo_folder import absolute
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 MAX_BYTES = 256 << 20

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import yaml
 
-from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASS_NAME, MAX_CLASSES, DataError
+from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME
 from yolov5_lifecycle.settings.parameter_yaml import (
     MAX_DEPTH,
     MAX_FILE_BYTES,

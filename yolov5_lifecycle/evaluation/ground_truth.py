@@ -20,8 +20,6 @@ MAX_IMAGES = 250_000
 MAX_OBJECTS = 2_000_000
 """In all images of a data set; COCO's training set has 860,001. Each takes up to 1 kB while it is read."""
 MAX_CLASSES = 10_000
-MAX_CLASS_NAME = 200
-"""Characters, as in weights files."""
 MAX_LISTED = 10
 """Number of problems that are reported one by one; further ones are only counted."""
 _MAX_SHOWN = 300

@@ -212,7 +212,12 @@ def test_a_reason_is_logged_once_a_minute_whatever_its_numbers(ros_domain: int) 
 
 def test_the_digest_of_a_configuration_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     computed: list[Settings] = []
-    monkeypatch.setattr(Settings, "digest", lambda settings: computed.append(settings) or "0" * 12)
+
+    def digest(settings: Settings) -> str:
+        computed.append(settings)
+        return "0" * 12
+
+    monkeypatch.setattr(Settings, "digest", digest)
     status = dataclasses.replace(GOOD, settings=Settings(max_rate=7.0))
     for _ in range(3):
         assert status.of_node.values["configuration"] == "0" * 12

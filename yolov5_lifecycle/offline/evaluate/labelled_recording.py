@@ -12,7 +12,6 @@ from typing import Any
 
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_BOXES_PER_IMAGE,
-    MAX_CLASS_NAME,
     MAX_CLASSES,
     MAX_IMAGES,
     MAX_OBJECTS,
@@ -34,6 +33,7 @@ from yolov5_lifecycle.offline.recording import (
     Recording,
     open_recording,
 )
+from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
 _LABEL_INFO = "vision_msgs/msg/LabelInfo"
