@@ -16,7 +16,7 @@ from support.compressed_files import KINDS, compressed
 from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 from support.small_families import EVERY_SMALL
 
-from fuzz import data_files, depth_stream, tracked_images
+from fuzz import data_files, depth_stream, described_files, tracked_images
 from fuzz.refusals import taken
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
@@ -204,6 +204,13 @@ TARGETS = {
     "labels": Target(data_files.check_labels, data_files.label_seeds),
     "coco-files": Target(data_files.check_coco_file, data_files.coco_seeds),
     "calibrations": Target(data_files.check_calibration, data_files.calibration_seeds),
+    "parameter-files": Target(described_files.check_parameter_file, described_files.parameter_file_seeds),
+    "descriptions": Target(described_files.check_description, described_files.description_seeds),
+    "image-lists": Target(described_files.check_image_list, described_files.image_list_seeds),
+    "camera-calibrations": Target(
+        described_files.check_camera_calibration, described_files.camera_calibration_seeds
+    ),
+    "recordings": Target(described_files.check_recording, described_files.recording_seeds),
     "depth": Target(depth_stream.check_depth_stream, depth_stream.seeds),
     "tracker": Target(tracked_images.check_tracked_images, tracked_images.seeds),
 }
