@@ -168,6 +168,14 @@ def test_a_bomb_is_unpacked_no_further_than_it_claims(monkeypatch: pytest.Monkey
         unpacked_message(zstd.compress(bytes(50_000_000)))
 
 
+@pytest.mark.parametrize("is_folder", [True, False], ids=["folder", "file"])
+def test_a_large_index_is_not_read(is_folder: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = compressed(tmp_path)
+    monkeypatch.setattr(recording_limits, "MAX_INDEX_BYTES", 10)
+    with pytest.raises(RecordingError, match=r"the index has \d+ bytes, expected at most 10"):
+        images(path.parent if is_folder else path)
+
+
 @pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE, CompressionMode.STORAGE])
 @pytest.mark.parametrize("storage", [MCAP, SQLITE], ids=["MCAP", "SQLite"])
 def test_honest_compression_is_read(tmp_path: Path, mode: CompressionMode, storage: StoragePlugin) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2.reader import DirectoryReader
+from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -23,6 +24,7 @@ from yolov5_lifecycle.offline.recording_limits import (
     bounded_reading,
     check_chunks,
     check_files,
+    check_index,
     unpacked_message,
 )
 from yolov5_lifecycle.offline.recordings import is_mcap, sqlite_problem
@@ -208,8 +210,20 @@ class _SqliteReader(Sqlite3Reader):
         super().open()
 
 
+class _McapReader(McapReader):
+    """Raises LimitError instead of reading an index that is too large."""
+
+    def read_index(self) -> None:
+        check_index(self.path.stat().st_size - self.data_end)
+        super().read_index()
+
+
 class _DirectoryReader(DirectoryReader):
-    STORAGE_PLUGINS: Mapping[str, Any] = {**DirectoryReader.STORAGE_PLUGINS, "sqlite3": _SqliteReader}
+    STORAGE_PLUGINS: Mapping[str, Any] = {
+        **DirectoryReader.STORAGE_PLUGINS,
+        "sqlite3": _SqliteReader,
+        "mcap": _McapReader,
+    }
 
 
 class _Reader(Reader):
@@ -217,6 +231,7 @@ class _Reader(Reader):
         **Reader.STORAGE_PLUGINS,
         "dir": _DirectoryReader,
         ".db3": _SqliteReader,
+        ".mcap": _McapReader,
     }
 
 

@@ -16,6 +16,8 @@ from rosbags.rosbag2 import storage_mcap
 from yolov5_lifecycle.folder_listing import entries
 
 MAX_METADATA_BYTES = 16 << 20
+MAX_INDEX_BYTES = 256 << 20
+"""Of the index at the end of an MCAP file, which takes ten times as much memory. A terabyte has 30 MB."""
 MAX_CHUNK_BYTES = 1 << 30
 """Of a decompressed chunk of messages. rosbag2 writes chunks of some megabytes."""
 MAX_VALUE_BYTES = 1 << 30
@@ -80,6 +82,12 @@ def _authorized(action: int, _: str | None, name: str | None, __: str | None, vi
     if view is not None or is_foreign_function or action == _APSW.SQLITE_RECURSIVE:
         return int(_APSW.SQLITE_DENY)
     return int(_APSW.SQLITE_OK)
+
+
+def check_index(size_bytes: int) -> None:
+    """Raise LimitError for an index of an MCAP file that is too large to be read."""
+    if size_bytes > MAX_INDEX_BYTES:
+        raise LimitError(f"the index has {size_bytes} bytes, expected at most {MAX_INDEX_BYTES}")
 
 
 def check_chunks(storage: Any) -> None:
