@@ -17,7 +17,11 @@ from fuzz.refusals import taken
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
 from yolov5_lifecycle.evaluation.ground_truth import Boxes, DataError, LabelError, Problems
 from yolov5_lifecycle.evaluation.yolo_labels import parsed_labels
-from yolov5_lifecycle.quantization.calibration_file import CalibrationError, read_calibration
+from yolov5_lifecycle.quantization.calibration_file import (
+    CalibrationError,
+    read_calibration,
+    write_calibration,
+)
 
 _SIZE_HW = (100, 200)
 _CLASSES = 3
@@ -74,10 +78,11 @@ def coco_seeds() -> Iterator[bytes]:
 
 def calibration_seeds() -> Iterator[bytes]:
     """The calibration of the shapes model, with few of its layers."""
-    fields = json.loads(_CALIBRATION.read_text())
-    for name in ("ranges", "means"):
-        fields[name] = dict(list(fields[name].items())[:_KEPT_LAYERS])
-    yield json.dumps(fields).encode()
+    whole = read_calibration(_CALIBRATION, weights=_CALIBRATION, weights_sha256=_digest())
+    few = {name: dict(list(getattr(whole, name).items())[:_KEPT_LAYERS]) for name in ("ranges", "means")}
+    path = _folder() / "seed.calibration.json"
+    write_calibration(path, whole.model_copy(update=few))
+    yield path.read_bytes()
 
 
 def _check_boxes(boxes: Boxes, classes: int) -> None:

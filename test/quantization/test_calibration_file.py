@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.calibrations import DIGEST, a_calibration
+from support.calibrations import DIGEST, a_calibration, a_reference
 from support.special_cache_files import SPECIAL_CACHE_FILES
 
 from yolov5_lifecycle.quantization.calibration_file import (
     MAX_FILE_BYTES,
     CalibrationError,
+    content_sha256,
     path_beside,
     read_calibration,
     write_calibration,
@@ -55,19 +56,24 @@ def test_a_missing_one_is_refused_with_the_command_that_makes_it(tmp_path: Path)
         read(tmp_path / "best.calibration.json")
 
 
+def stored() -> dict[str, Any]:
+    """What the file of a calibration holds."""
+    fields: dict[str, Any] = json.loads(a_calibration().model_dump_json())
+    return fields | {"content_sha256": content_sha256(a_calibration())}
+
+
 def with_(**changed: object) -> Callable[[], bytes]:
     """The text of a calibration with other fields."""
 
     def text() -> bytes:
-        fields: dict[str, Any] = json.loads(a_calibration().model_dump_json())
-        return json.dumps(fields | changed).encode()
+        return json.dumps(stored() | changed).encode()
 
     return text
 
 
 def without(name: str) -> Callable[[], bytes]:
     def text() -> bytes:
-        fields: dict[str, Any] = json.loads(a_calibration().model_dump_json())
+        fields = stored()
         del fields[name]
         return json.dumps(fields).encode()
 
@@ -78,6 +84,18 @@ def of_one_tensor(low: object, high: object) -> Callable[[], bytes]:
     return with_(ranges={"x": [low, high]})
 
 
+def of_one_layer(name: str, high: float) -> Callable[[], bytes]:
+    """A calibration whose only change is the upper end of one range."""
+
+    def text() -> bytes:
+        fields = stored()
+        fields["ranges"][name][1] = high
+        return json.dumps(fields).encode()
+
+    return text
+
+
+REFERENCE = json.loads(a_reference().model_dump_json())
 MEASURED = json.loads(a_calibration().measured[0].model_dump_json())
 HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "empty": (lambda: b"", "EOF"),
@@ -86,7 +104,11 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "a list": (lambda: b"[1, 2]", "object"),
     "deep lists": (lambda: b"[" * 100_000, "recursion"),
     "deep ranges": (lambda: b'{"ranges": ' + b'{"a": ' * 100_000, "recursion"),
-    "another format": (with_(format="yolov5_lifecycle calibration 2"), "format"),
+    "another format": (with_(format="yolov5_lifecycle calibration 3"), "format"),
+    "of a version without digest and reference": (
+        with_(format="yolov5_lifecycle calibration 1"),
+        "format: Input should be 'yolov5_lifecycle calibration 2'",
+    ),
     "an unknown field": (with_(run="rm -rf ~"), "run: Extra inputs"),
     "no ranges at all": (without("ranges"), "ranges: Field required"),
     "no tensors": (with_(ranges={}), "ranges"),
@@ -110,6 +132,28 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "a long name": (with_(ranges={"x" * 1000: [0.0, 1.0]}), "ranges"),
     "too many tensors": (with_(ranges={f"t{i}": [0.0, 1.0] for i in range(10_001)}), "ranges"),
     "weights of 3 bits": (with_(weight_bits=3), "weight_bits"),
+    "without its own digest": (without("content_sha256"), "content_sha256: Field required"),
+    "a changed range": (of_one_layer("model.1.conv", 6.4), "does not match its own digest"),
+    "a changed mean": (lambda: with_()().replace(b"0.4, 0.5", b"0.4, 0.6"), "does not match its own digest"),
+    "a changed measurement": (
+        with_(measured=[MEASURED | {"agreement_f1": 0.999}]),
+        "does not match its own digest",
+    ),
+    "means far outside the range": (
+        with_(means={"model.0.conv": [1e9, 0.5, 0.5], "model.1.conv": [0.1, 0.2]}),
+        "'model.0.conv': expected means near the range, 0 to 1",
+    ),
+    "no reference": (without("reference"), "reference: Field required"),
+    "a reference that is no base64": (with_(reference=REFERENCE | {"rgb": "@@@@"}), "expected base64"),
+    "a reference that is no ASCII": (with_(reference=REFERENCE | {"rgb": "\u00e9" * 4}), "expected base64"),
+    "a reference with too few pixels": (
+        with_(reference=REFERENCE | {"rgb": "AAAA"}),
+        "expected 192 bytes of pixels, found 3",
+    ),
+    "a huge reference": (with_(reference=REFERENCE | {"size_hw": [100_000, 100_000]}), "size_hw"),
+    "a long reference": (with_(reference=REFERENCE | {"rgb": "A" * 100_000}), "reference.rgb"),
+    "a reference with no noise at all": (with_(reference=REFERENCE | {"noise": []}), "reference.noise"),
+    "a reference with negative noise": (with_(reference=REFERENCE | {"noise": [-1.0]}), "reference.noise"),
     "an image size of 0": (with_(image_size=0), "image_size"),
     "an agreement above 1": (with_(measured=[MEASURED | {"agreement_f1": 2.0}]), "agreement_f1"),
     "no time at all": (with_(measured=[MEASURED | {"ms_per_image": 0.0}]), "ms_per_image"),

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement
+import base64
+import json
+from pathlib import Path
+
+from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement, read_calibration
+from yolov5_lifecycle.quantization.reference import Reference
 
 DIGEST = "ab" * 32
 
@@ -20,6 +25,7 @@ def a_calibration(**changed: object) -> Calibration:
         "ranges": {"model.0.conv": (0.0, 1.0), "model.1.conv": (-0.278, 6.5)},
         "means": {"model.0.conv": (0.4, 0.5, 0.5), "model.1.conv": (0.1, 0.2)},
         "fp32_layers": ("model.1.conv",),
+        "reference": a_reference(),
         "detections": 120,
         "measured": (measurement("fp32", 20.0, 1.0), measurement("int8", 10.0, 0.99)),
         "processor": "A processor",
@@ -27,6 +33,18 @@ def a_calibration(**changed: object) -> Calibration:
         "versions": {"openvino": "2026.1"},
     }
     return Calibration(**fields | changed)  # type: ignore[arg-type]
+
+
+def a_reference() -> Reference:
+    """A grey image of 8x8 pixels, for a network of three levels."""
+    grey = base64.b64encode(bytes([114] * 192)).decode()
+    return Reference(size_hw=(8, 8), rgb=grey, noise=(0.01, 0.01, 0.01))
+
+
+def calibration_at(path: Path) -> Calibration:
+    """The calibration at `path`, whatever weights it belongs to."""
+    digest = json.loads(path.read_text())["weights_sha256"]
+    return read_calibration(path, weights=path, weights_sha256=digest)
 
 
 def measurement(precision: str, ms_per_image: float, agreement_f1: float) -> Measurement:

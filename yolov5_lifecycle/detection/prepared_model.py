@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -17,12 +18,22 @@ from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.process.memory import release_unused_memory
-from yolov5_lifecycle.quantization.calibration_file import Calibration, find_calibration
-from yolov5_lifecycle.quantization.precision_choice import Wish, choose
+from yolov5_lifecycle.quantization.calibration_file import (
+    Calibration,
+    CalibrationError,
+    find_calibration,
+    path_beside,
+    remedy,
+)
+from yolov5_lifecycle.quantization.comparison import deviation
+from yolov5_lifecycle.quantization.precision_choice import Used, Wish, choose
 from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
 from yolov5_lifecycle.runtimes.registry import load_runtime
+from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -105,15 +116,18 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
         device=settings.device,
         allowed=partial(confined, folders=_folders(settings)) if settings.weights_dirs else None,
     )
-    detector = load_detector(
-        weights.model,
-        runtime=settings.runtime,
-        device=settings.device,
-        precision=settings.precision,
-        image_size=settings.image_size,
-        cameras=len(sizes_hw),
-        calibration=calibration,
-    )
+    try:
+        detector = load_detector(
+            weights.model,
+            runtime=settings.runtime,
+            device=settings.device,
+            precision=settings.precision,
+            image_size=settings.image_size,
+            cameras=len(sizes_hw),
+            calibration=calibration,
+        )
+    except CalibrationError as error:
+        raise CalibrationError(f"{path_beside(weights.path)}: {error}. {remedy(weights.path)}.") from None
     try:
         detector.warm_up(sizes_hw)
         if settings.max_batch > 1:
@@ -150,8 +164,10 @@ def load_detector(
     `calibration`: that of the model, or why there is none. With `auto` the fastest runtime is measured and
     cached, see `choose_runtime`, and so is the speed of int8, see `choose_precision`.
 
-    Raises DeviceError, RuntimeAbsentError and QuantizationError (all ValueErrors), ValueError for the image
-    size, InferenceError when measuring fails.
+    A network in int8 is first compared with fp32, see `deviation`: if it differs too much, `auto` uses fp32.
+
+    Raises DeviceError, RuntimeAbsentError, QuantizationError and, for int8 that differs from fp32,
+    CalibrationError (all ValueErrors), ValueError for the image size, InferenceError when measuring fails.
     """
     stride = size_multiple(model.architecture)
     check_image_size(image_size, stride)
@@ -165,13 +181,8 @@ def load_detector(
     )
     # Besides the network of every camera there are those for batches and for a camera that changes its size.
     kept = max(MIN_KEPT, KEPT_PER_CAMERA * cameras)
-    loaded = load_runtime(
-        model,
-        used.runtime.runtime,
-        device=device,
-        precision=used.precision.precision,
-        kept=kept,
-        quantization=calibration.quantization if isinstance(calibration, Calibration) else None,
+    used, loaded = _loaded(
+        model, used, calibration, device=device, precision=precision, kept=kept, frame_hw=frame_hw
     )
     return Detector(
         loaded,
@@ -182,6 +193,40 @@ def load_detector(
         precision_choice=used.precision.reason,
         mask_coefficients=model.architecture.mask_coefficients,
     )
+
+
+def _loaded(
+    model: Model,
+    used: Used,
+    calibration: Calibration | str,
+    *,
+    device: str,
+    precision: str,
+    kept: int,
+    frame_hw: tuple[int, int],
+) -> tuple[Used, Runtime]:
+    """The runtime of `used`; with the `precision` auto in fp32, if int8 differs too much from that.
+
+    Raises CalibrationError if it does and `precision` is int8, else like `load_detector`.
+    """
+    known = calibration if isinstance(calibration, Calibration) else None
+    quantization = known.quantization if known else None
+    load = partial(load_runtime, model, device=device, kept=kept, quantization=quantization)
+    loaded = load(used.runtime.runtime, precision=used.precision.precision)
+    if known is None or loaded.precision != "int8":
+        return used, loaded
+    try:
+        problem = deviation(model, known, loaded, frame_hw)
+    except InferenceError as error:
+        problem = f"int8 cannot be compared with fp32: {error}"
+    if not problem:
+        return used, loaded
+    loaded.close()
+    if precision == "int8":
+        raise CalibrationError(f"this calibration is not usable: {problem}")
+    _log.warning("int8 is not used: the calibration is not usable: %s", problem)
+    used = used.without_int8(f"the calibration is not usable: {problem}")
+    return used, load(used.runtime.runtime, precision="fp32")
 
 
 def load_model(

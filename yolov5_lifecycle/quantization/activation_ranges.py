@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
 from yolov5_lifecycle.runtimes.quantization import LEVELS, Activation, Range, convolutions
@@ -105,15 +106,24 @@ def activations(
     return {path: histogram.activation() for path, histogram in histograms.items()}
 
 
+def network_pixels(pixels: NDArray[np.uint8], order: Order, channels: int) -> Tensor:
+    """(1, channels, h, w), floats in [0, 1], as the network reads them; `pixels`: (h, w, 3) or (h, w)."""
+    from yolov5_lifecycle.runtimes.compiled_runtime import write_planes  # its package is optional
+
+    planes: NDArray[np.uint8] = np.empty((channels, *pixels.shape[:2]), np.uint8)
+    write_planes(pixels, order, planes)
+    return torch.from_numpy(planes)[None].float() / 255
+
+
 def _observe(
     network: Network, frame: Tensor, observers: Mapping[nn.Conv2d, Callable[[Tensor], None]]
 ) -> None:
-    with _reading(observers), torch.no_grad(), denormals_as_zero():
+    with reading(observers), torch.no_grad(), denormals_as_zero():
         network.features(frame)
 
 
 @contextmanager
-def _reading(observers: Mapping[nn.Conv2d, Callable[[Tensor], None]]) -> Iterator[None]:
+def reading(observers: Mapping[nn.Conv2d, Callable[[Tensor], None]]) -> Iterator[None]:
     """Give each observer what its convolution reads."""
     handles = [
         module.register_forward_pre_hook(lambda _, inputs, observe=observe: observe(inputs[0]))

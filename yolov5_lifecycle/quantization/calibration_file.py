@@ -19,6 +19,7 @@ from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.quantization.reference import Reference
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.quantization import (
     Activation,
@@ -67,7 +68,8 @@ class Measurement(_Record):
 class Calibration(_Record):
     """The content of a calibration file."""
 
-    format: Literal["yolov5_lifecycle calibration 1"] = "yolov5_lifecycle calibration 1"
+    format: Literal["yolov5_lifecycle calibration 2"] = "yolov5_lifecycle calibration 2"
+    """Version 1 had neither a digest nor a reference, so that nothing would show whether it is damaged."""
     weights_sha256: Digest
     data_sha256: Digest
     """Digest of the pixels of the calibration images."""
@@ -83,6 +85,7 @@ class Calibration(_Record):
     """Mean of each channel that the convolution reads."""
     fp32_layers: Annotated[tuple[Name, ...], Field(max_length=MAX_TENSORS)]
     """Paths of the convolutions that stay in fp32."""
+    reference: Reference
     detections: Annotated[int, Field(ge=0, le=1_000_000_000)]
     """Detections of fp32 in the compared images; the fewer, the less is known."""
     measured: Annotated[tuple[Measurement, ...], Field(max_length=20)]
@@ -103,6 +106,10 @@ class Calibration(_Record):
     def _fits_together(self) -> Calibration:
         if self.means.keys() != self.ranges.keys():
             raise ValueError("means: expected those of the same convolutions as the ranges")
+        for name, (low, high) in self.ranges.items():
+            width = high - low
+            if not all(low - width <= mean <= high + width for mean in self.means[name]):
+                raise ValueError(f"{name[:50]!r}: expected means near the range, {low:g} to {high:g}")
         measured = [(each.runtime, each.precision) for each in self.measured]
         if len(set(measured)) < len(measured):
             raise ValueError("measured: expected each runtime and precision once")
@@ -118,6 +125,25 @@ class Calibration(_Record):
         """What was measured with `runtime` in `precision`."""
         wanted = (runtime, precision)
         return next((each for each in self.measured if (each.runtime, each.precision) == wanted), None)
+
+
+class _Stored(Calibration):
+    """What the file holds: the calibration, and the digest that shows damage."""
+
+    content_sha256: Digest
+
+    @property
+    def calibration(self) -> Calibration:
+        """Without the digest; raises ValueError if that is of other content."""
+        calibration = Calibration.model_validate(self.model_dump(exclude={"content_sha256"}))
+        if self.content_sha256 != content_sha256(calibration):
+            raise ValueError("it is damaged or was edited: its content does not match its own digest")
+        return calibration
+
+
+def content_sha256(calibration: Calibration) -> str:
+    """Digest of everything in `calibration`, which its file also holds."""
+    return hashlib.sha256(_text(calibration.model_dump(mode="json")).encode()).hexdigest()
 
 
 def path_beside(weights: Path) -> Path:
@@ -139,15 +165,16 @@ def read_calibration(path: Path, *, weights: Path, weights_sha256: str) -> Calib
     Raises CalibrationError; nothing in the file is executed, and at most MAX_FILE_BYTES are read.
     """
     try:
-        calibration = Calibration.model_validate_json(read_regular_file(path, MAX_FILE_BYTES))
+        stored = _Stored.model_validate_json(read_regular_file(path, MAX_FILE_BYTES))
+        calibration = stored.calibration
     except FileNotFoundError:
         raise CalibrationError(f"{path}: calibration not found. {remedy(weights)}.") from None
-    except RegularFileError as error:
-        problem = str(error)
     except OSError as error:
         problem = f"it cannot be read: {error.strerror}"
     except ValidationError as error:
         problem = _first_problem(error)
+    except ValueError as error:  # not a regular file, too large, or another digest
+        problem = str(error)
     else:
         if calibration.weights_sha256 != weights_sha256:
             raise CalibrationError(
@@ -215,7 +242,8 @@ def _check_network(calibration: Calibration, path: Path, weights: WeightsFile) -
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write the file at `path`, whole or not at all. Raises OSError."""
-    write_whole(path, _text(calibration.model_dump(mode="json")).encode())
+    fields = calibration.model_dump(mode="json") | {"content_sha256": content_sha256(calibration)}
+    write_whole(path, _text(fields).encode())
 
 
 def _text(fields: Mapping[str, object]) -> str:

@@ -10,6 +10,7 @@ import torch
 
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement
+from yolov5_lifecycle.quantization.comparison import MAX_NOISE
 from yolov5_lifecycle.runtimes.auto import (
     Choice,
     choice_key,
@@ -55,6 +56,12 @@ class Used:
 
     runtime: Choice
     precision: PrecisionChoice
+    in_fp32: Choice
+    """The runtime if int8 turns out to be unusable."""
+
+    def without_int8(self, reason: str) -> Used:
+        """In fp32 instead."""
+        return Used(self.in_fp32, PrecisionChoice("fp32", reason), self.in_fp32)
 
 
 def choose(
@@ -72,17 +79,18 @@ def choose(
     if wish.precision in COARSE:
         runtime = COARSE_RUNTIME if wish.runtime == "auto" else wish.runtime
         reason = "as set" if wish.runtime == runtime else f"the only one for {wish.precision}"
-        return Used(Choice(runtime, reason), PrecisionChoice(wish.precision, "as set"))
+        choice = Choice(runtime, reason)
+        return Used(choice, PrecisionChoice(wish.precision, "as set"), choice)
     choice = Choice(wish.runtime, "as set")
     if wish.runtime == "auto":
         choice = choose_runtime(model, device=wish.device, precision=wish.precision, frame_hw=frame_hw)
     if wish.precision != "auto":
-        return Used(choice, PrecisionChoice(wish.precision, "as set"))
+        return Used(choice, PrecisionChoice(wish.precision, "as set"), choice)
     device = resolve_device(wish.device) if choice.runtime == "torch" else torch.device("cpu")
     if device.type != "cpu":
-        return Used(choice, PrecisionChoice("auto", f"that of {device.type}"))
+        return Used(choice, PrecisionChoice("auto", f"that of {device.type}"), choice)
     if isinstance(calibration, str):
-        return Used(choice, PrecisionChoice("fp32", calibration))
+        return Used(choice, PrecisionChoice("fp32", calibration), choice)
     precision = choose_precision(
         model,
         calibration,
@@ -91,9 +99,10 @@ def choose(
         image_size=image_size,
         frame_hw=frame_hw,
     )
+    in_fp32 = choice
     if precision.precision == "int8" and choice.runtime != COARSE_RUNTIME:
         choice = Choice(COARSE_RUNTIME, f"the only one for int8; in fp32: {choice.runtime}, {choice.reason}")
-    return Used(choice, precision)
+    return Used(choice, precision, in_fp32)
 
 
 def choose_precision(
@@ -151,6 +160,8 @@ def quality_problem(calibration: Calibration, *, image_size: int) -> str:
         )
     if measured.map_loss is not None and measured.map_loss > MAX_MAP_LOSS:
         return f"int8 loses {measured.map_loss:.1f} points of mAP, which is more than {MAX_MAP_LOSS:g}"
+    if max(calibration.reference.noise) > MAX_NOISE:
+        return "int8 differs from fp32 too much on the reference image: calibrate with other or more images"
     return ""
 
 

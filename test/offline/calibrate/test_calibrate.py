@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.calibrations import a_calibration, measurement
+from support.calibrations import a_calibration, calibration_at, measurement
 from support.random_model import random_model
 
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
@@ -28,7 +28,7 @@ from yolov5_lifecycle.offline.calibrate.calibration_frames import (
 )
 from yolov5_lifecycle.offline.calibrate.command import main, report, verdict
 from yolov5_lifecycle.offline.image_files import VideoFrame
-from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside
+from yolov5_lifecycle.quantization.calibration_file import path_beside
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
@@ -136,7 +136,7 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
     assert main([str(weights), str(folder / "images"), "--image-size", "64"]) == 0
     told = capsys.readouterr()
     assert "broken.png: left out: " in told.err
-    calibration = Calibration.model_validate_json(path.read_bytes())
+    calibration = calibration_at(path)
     assert told.out == report(calibration, path, "DATA has no labels")
     assert calibration.measurement("openvino", "int8").map_loss is None  # type: ignore[union-attr]
     assert (calibration.images, calibration.image_size) == (6, 64)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.calibrations import calibration_at
 from support.evaluated_offline import WEIGHTS, as_coco, evaluate, labelled_drive, report_of, shapes
 
 from yolov5_lifecycle.checkpoints.locate import load_weights
@@ -22,7 +23,6 @@ from yolov5_lifecycle.offline.calibrate.map_loss import MapLoss
 from yolov5_lifecycle.offline.detecting import Account
 from yolov5_lifecycle.offline.evaluate.labelled_data import has_labels, labelled_data
 from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, LabelledData
-from yolov5_lifecycle.quantization.calibration_file import Calibration
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 from yolov5_lifecycle.settings.settings import validated
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
@@ -223,7 +223,7 @@ def test_the_loss_is_written_and_reported(
     path = tmp_path / "best.calibration.json"
     assert calibrate(data, path) == 0
     told = capsys.readouterr().out
-    calibration = Calibration.model_validate_json(path.read_bytes())
+    calibration = calibration_at(path)
     int8, fp32 = (calibration.measurement("openvino", precision) for precision in ("int8", "fp32"))
     assert int8 is not None
     assert fp32 is not None

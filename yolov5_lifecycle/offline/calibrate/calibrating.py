@@ -9,9 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import distributions
 from typing import Literal
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.detection.detections import Detections
@@ -23,8 +21,10 @@ from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.offline.calibrate.agreement import agreement
 from yolov5_lifecycle.offline.calibrate.calibration_frames import halves
-from yolov5_lifecycle.quantization.activation_ranges import activations
+from yolov5_lifecycle.quantization.activation_ranges import activations, network_pixels
 from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurement
+from yolov5_lifecycle.quantization.comparison import Fp32Network
+from yolov5_lifecycle.quantization.reference import Reference, reduced
 from yolov5_lifecycle.quantization.sensitivity import most_sensitive
 from yolov5_lifecycle.runtimes.cache import processor
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
@@ -75,7 +75,8 @@ class Calibrating:
     def result(self) -> Calibration:
         """The calibration. Raises RuntimeAbsentError, InferenceError and ValueError."""
         read, order = self._activations()
-        quantization = self._chosen(read, order)
+        quantization, shown = self._chosen(read, order)
+        reference = self._reference(quantization, shown)
         measured, found = self._measured(quantization)
         return Calibration(
             weights_sha256=self._weights.sha256,
@@ -88,6 +89,7 @@ class Calibrating:
             ranges={name: each.range for name, each in read.items()},
             means={name: each.means for name, each in read.items()},
             fp32_layers=tuple(sorted(quantization.fp32_layers)),
+            reference=reference,
             detections=found,
             measured=measured,
             processor=_processor_name(),
@@ -99,7 +101,7 @@ class Calibrating:
         """The activations that convolutions read, and the paths of these, the most sensitive first."""
         network = fuse(self._weights.model.network())
         channels = self._weights.model.architecture.image_channels
-        frames = [_pixels(image, channels) for image in self._learned]
+        frames = [network_pixels(image.pixels, image.order, channels) for image in self._learned]
         read = activations(
             network, frames, progress=lambda done: self._tell(f"ranges: {done} of {len(frames)} images")
         )
@@ -112,18 +114,32 @@ class Calibrating:
         )
         return read, order
 
-    def _chosen(self, read: Mapping[str, Activation], order: Sequence[str]) -> Quantization:
-        """All layers in int8 if that agrees well, else half of them.
+    def _chosen(
+        self, read: Mapping[str, Activation], order: Sequence[str]
+    ) -> tuple[Quantization, ColourImage]:
+        """All layers in int8 if that agrees well, else half of them; and the image that shows most objects.
 
         Shares in between were tried: a few hundred detections cannot distinguish them.
         """
         truth = self._detections(self._detector(COARSE_RUNTIME, "fp32"), self._learned)
+        shown = max(zip(truth, self._learned, strict=True), key=lambda pair: len(pair[0]))[1]
         self._tell("comparing int8 with fp32")
         whole = Quantization(read, frozenset(), self._bits)
         found = self._detections(self._detector(COARSE_RUNTIME, "int8", whole), self._learned)
         if agreement(truth, found).f1 >= _GOOD_AGREEMENT:
-            return whole
-        return Quantization(read, frozenset(order[: round(_FP32_SHARE * len(order))]), self._bits)
+            return whole, shown
+        return Quantization(read, frozenset(order[: round(_FP32_SHARE * len(order))]), self._bits), shown
+
+    def _reference(self, quantization: Quantization, shown: ColourImage) -> Reference:
+        """`shown`, reduced, and what int8 changes in it."""
+        model = self._weights.model
+        size_hw, rgb = reduced(shown)
+        reference = Reference(size_hw=size_hw, rgb=rgb, noise=(0.0,))
+        int8 = load_runtime(model, COARSE_RUNTIME, device="cpu", precision="int8", quantization=quantization)
+        found = Fp32Network(model).compare(int8, {}, reference.frame(shown.size_hw))
+        int8.close()
+        noise = tuple(float(f"{level:.4g}") for level in found.levels)
+        return reference.model_copy(update={"noise": noise})
 
     def _measured(self, quantization: Quantization) -> tuple[tuple[Measurement, ...], int]:
         """The measurements, and the number of detections in fp32."""
@@ -181,15 +197,6 @@ class Calibrating:
             stride=size_multiple(model.architecture),
             mask_coefficients=model.architecture.mask_coefficients,
         )
-
-
-def _pixels(image: ColourImage, channels: int) -> torch.Tensor:
-    """(1, channels, h, w), floats in [0, 1], as the network reads them."""
-    from yolov5_lifecycle.runtimes.compiled_runtime import write_planes  # its package is optional
-
-    planes: NDArray[np.uint8] = np.empty((channels, *image.size_hw), np.uint8)
-    write_planes(image.pixels, image.order, planes)
-    return torch.from_numpy(planes)[None].float() / 255
 
 
 def _digest(images: Sequence[ColourImage]) -> str:

@@ -1,0 +1,270 @@
+"""A calibration that is intact and absurd is noticed when the model is loaded; an honest one never is."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.calibrations import a_calibration, calibration_at
+from support.colcon_workspace import REPOSITORY
+from support.random_model import TINY, TINY_SEGMENT, random_model
+from support.small_families import SMALL_FAMILIES
+
+from tools.shapes.evaluate import UNSEEN_SEED, evaluate, stills
+from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
+from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.detection.prepared_model import PreparedModel, load_model, prepare_model
+from yolov5_lifecycle.models.architecture import Architecture
+from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.models.network import fuse
+from yolov5_lifecycle.quantization.activation_ranges import activations, network_pixels
+from yolov5_lifecycle.quantization.calibration_file import (
+    Calibration,
+    CalibrationError,
+    path_beside,
+    write_calibration,
+)
+from yolov5_lifecycle.quantization.comparison import MAX_NOISE, Fp32Network, deviation
+from yolov5_lifecycle.quantization.reference import Reference, contrast_card
+from yolov5_lifecycle.runtimes.auto import choice_key, write_figures
+from yolov5_lifecycle.runtimes.cache import cache_folder
+from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
+from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
+from yolov5_lifecycle.runtimes.registry import installed_runtimes, load_runtime
+from yolov5_lifecycle.settings.settings import Settings
+
+SHAPES = REPOSITORY / "weights" / "shapes.safetensors"
+IMAGE_SIZE = 320
+FRAME_HW = (256, 320)
+ONE_LAYER = "model.8.cv2.conv"
+"""In it int8 changes the predictions least: the coarsest level by 6 % of its variance."""
+Change = Callable[[str, Activation], Activation]
+pytestmark = pytest.mark.skipif("openvino" not in installed_runtimes(), reason="no openvino: make install")
+
+
+@pytest.fixture(scope="module")
+def honest() -> Calibration:
+    """That of the shapes, as if made here at IMAGE_SIZE."""
+    changed = {"image_size": IMAGE_SIZE, "weight_bits": weight_bits(abilities())}
+    return calibration_at(path_beside(SHAPES)).model_copy(update=changed)
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    return Path(shutil.copy(SHAPES, tmp_path / "best.safetensors"))
+
+
+def to_range(low: float, high: float) -> Change:
+    return lambda _, read: Activation((low, high), read.means)
+
+
+def only(path: str, change: Change) -> Change:
+    return lambda name, read: change(name, read) if name == path else read
+
+
+def changed(calibration: Calibration, change: Change) -> Calibration:
+    read = {name: change(name, each) for name, each in calibration.quantization.activations.items()}
+    return of_activations(calibration, read)
+
+
+def of_activations(calibration: Calibration, read: dict[str, Activation]) -> Calibration:
+    ranges, means = ({name: getattr(each, of) for name, each in read.items()} for of in ("range", "means"))
+    return calibration.model_copy(update={"ranges": ranges, "means": means})
+
+
+def upside_down(calibration: Calibration) -> Calibration:
+    """Each convolution has the range of another one, the first that of the last; means are clipped to it."""
+    read = calibration.quantization.activations
+    others = dict(zip(read, reversed(list(read.values())), strict=True))
+    return of_activations(
+        calibration,
+        {
+            name: Activation(others[name].range, tuple(np.clip(each.means, *others[name].range).tolist()))
+            for name, each in read.items()
+        },
+    )
+
+
+def with_reference_of_nothing(calibration: Calibration) -> Calibration:
+    """Everything is rounded to zero, and the reference is black and claims that this is usual."""
+    reference = calibration.reference
+    black = a_calibration().reference.model_copy(update={"rgb": "A" * 256})
+    hidden = black.model_copy(update={"noise": (MAX_NOISE,) * len(reference.noise)})
+    return changed(calibration, to_range(-1e9, 1e9)).model_copy(update={"reference": hidden})
+
+
+ABSURD: dict[str, Callable[[Calibration], Calibration]] = {
+    "ranges of 1e9": lambda found: changed(found, to_range(-1e9, 1e9)),
+    "ranges of 1e6": lambda found: changed(found, to_range(-1e6, 1e6)),
+    "tiny ranges": lambda found: changed(found, to_range(-1e-5, 1e-5)),
+    "the smallest ranges": lambda found: changed(found, to_range(0.0, 1e-6)),
+    "wide ranges and means of 1e9": lambda found: changed(
+        found, lambda _, read: Activation((-1e9, 1e9), (1e9,) * len(read.means))
+    ),
+    "means of 1e9": lambda found: changed(
+        found, lambda _, read: Activation(read.range, (1e9,) * len(read.means))
+    ),
+    "means of 1e9 in one layer": lambda found: changed(
+        found, only(ONE_LAYER, lambda _, read: Activation(read.range, (1e9,) * len(read.means)))
+    ),
+    "one layer of 1e9": lambda found: changed(found, only(ONE_LAYER, to_range(-1e9, 1e9))),
+    "one tiny layer": lambda found: changed(found, only(ONE_LAYER, to_range(-1e-5, 1e-5))),
+    "a first layer of 1e9": lambda found: changed(found, only("model.0.conv", to_range(0, 1e9))),
+    "ranges for negative values": lambda found: changed(
+        found, lambda _, read: Activation((-read.range[1], 0.0), (0.0,) * len(read.means))
+    ),
+    "ranges sixteen times as wide": lambda found: changed(
+        found, lambda _, read: Activation((16 * read.range[0], 16 * read.range[1]), read.means)
+    ),
+    "a quarter of the ranges": lambda found: changed(
+        found,
+        lambda _, read: Activation(
+            (read.range[0] / 4, read.range[1] / 4),
+            tuple(np.clip(read.means, read.range[0] / 4, read.range[1] / 4).tolist()),
+        ),
+    ),
+    "swapped layers": upside_down,
+    "a reference that shows nothing": with_reference_of_nothing,
+    "a reference of another network": lambda found: found.model_copy(
+        update={"reference": found.reference.model_copy(update={"noise": (0.01,)})}
+    ),
+}
+
+
+def is_fast(model: Model, calibration: Calibration) -> None:
+    """Claim in the cache that int8 is fast here."""
+    frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=IMAGE_SIZE, stride=32).network_hw
+    digest = calibration.quantization.digest
+    key = choice_key(model, installed_runtimes(), frame_hw, "int8", "openvino", digest)
+    assert write_figures(cache_folder("choices") / f"{key}.json", {"fp32": 20.0, "int8": 1.0}) == ""
+
+
+def prepared(weights: Path, calibration: Calibration, precision: str = "auto") -> PreparedModel:
+    write_calibration(path_beside(weights), calibration)
+    is_fast(load_weights(weights).model, calibration)
+    settings = Settings(
+        weights=str(weights), image_size=IMAGE_SIZE, device="cpu", runtime="openvino", precision=precision
+    )
+    return prepare_model(settings, [FRAME_HW])
+
+
+def recall(model: PreparedModel) -> float:
+    found = evaluate(model.detector, stills(UNSEEN_SEED, 10, FRAME_HW)).recall
+    model.close()
+    return found
+
+
+@pytest.mark.parametrize("spoilt", ABSURD.values(), ids=ABSURD)
+def test_auto_uses_fp32_instead_of_an_absurd_calibration_and_says_why(
+    spoilt: Callable[[Calibration], Calibration],
+    honest: Calibration,
+    weights: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        model = prepared(weights, spoilt(honest))
+    assert (model.facts["precision"], model.facts["runtime"]) == ("fp32", "openvino")
+    reason = model.facts["precision choice"]
+    assert reason.startswith(("the calibration is not usable: ", "int8 is not considered: "))
+    assert any(record.getMessage().endswith(reason.partition(": ")[2]) for record in caplog.records)
+    assert recall(model) >= 0.9
+
+
+@pytest.mark.parametrize("spoilt", ABSURD.values(), ids=ABSURD)
+def test_int8_with_an_absurd_calibration_is_refused_with_the_command_to_type(
+    spoilt: Callable[[Calibration], Calibration], honest: Calibration, weights: Path
+) -> None:
+    write_calibration(path_beside(weights), spoilt(honest))
+    with pytest.raises(CalibrationError, match=rf"usable.*`calibrate {weights} DATA`") as refusal:
+        load_model(weights, precision="int8", device="cpu", image_size=IMAGE_SIZE)
+    assert str(refusal.value).startswith(f"{path_beside(weights)}: ")
+
+
+def test_auto_uses_int8_with_an_honest_calibration(honest: Calibration, weights: Path) -> None:
+    model = prepared(weights, honest)
+    assert model.facts["precision"] == "int8"
+    assert recall(model) >= 0.9
+
+
+@pytest.mark.parametrize("image_size", [64, 320, 640])
+def test_int8_with_an_honest_calibration_is_used_at_every_size(image_size: int) -> None:
+    detector = load_model(SHAPES, precision="int8", device="cpu", image_size=image_size)
+    assert detector.runtime.precision == "int8"
+    detector.close()
+
+
+def photograph(seed: int, hw: tuple[int, int]) -> np.ndarray:
+    """Blurred noise with the spectrum of a photograph: much in the coarse, little in the fine."""
+    rng = np.random.default_rng(seed)
+    whole = np.zeros((*hw, 3))
+    for cells in (3, 6, 12, 24, 48):
+        coarse = rng.normal(0, 200 / cells, (cells, cells, 3))
+        whole += cv2.resize(coarse, hw[::-1], interpolation=cv2.INTER_CUBIC)
+    return np.clip(whole + 114, 0, 255).astype(np.uint8)
+
+
+FAMILIES: dict[str, Architecture] = {"tiny": TINY, "tiny with masks": TINY_SEGMENT} | {
+    name: dataclasses.replace(each, classes=3) for name, each in SMALL_FAMILIES.items()
+}
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("architecture", FAMILIES.values(), ids=FAMILIES)
+def test_the_noise_of_an_honest_calibration_of_a_random_network_is_below_the_limits(
+    architecture: Architecture, seed: int
+) -> None:
+    model = random_model(seed, architecture)
+    frames = [network_pixels(photograph(number, FRAME_HW), "rgb", 3) for number in range(8)]
+    read = activations(fuse(model.network()), frames, progress=lambda _: None)
+    quantization = Quantization(read, frozenset(), weight_bits(abilities()))
+    int8 = load_runtime(model, "openvino", device="cpu", precision="int8", quantization=quantization)
+    for frame in (photograph(99, FRAME_HW), contrast_card(FRAME_HW)):
+        found = Fp32Network(model).compare(int8, read, frame)
+        assert max(found.levels) < 0.8 * MAX_NOISE
+        assert max(found.inputs.values()) < 0.4
+    int8.close()
+
+
+@pytest.mark.long
+def test_the_official_yolov5n_is_compared_without_complaint(reference_dir: Path) -> None:
+    weights = load_weights(reference_dir / "weights" / "yolov5n.pt")
+    photo = cv2.imread(str(reference_dir / "images" / "bus.jpg"))[..., ::-1]
+    crops = [photo[top : top + 600, left : left + 800] for top in (0, 240, 480) for left in (0, 10)]
+    frames = [np.ascontiguousarray(cv2.resize(crop, FRAME_HW[::-1])) for crop in crops]
+    pixels = [network_pixels(frame, "rgb", 3) for frame in frames]
+    read = activations(fuse(weights.model.network()), pixels, progress=lambda _: None)
+    for bits in (7, 8):
+        quantization = Quantization(read, frozenset(), bits)
+        int8 = load_runtime(
+            weights.model, "openvino", device="cpu", precision="int8", quantization=quantization
+        )
+        for frame in (frames[2], contrast_card(FRAME_HW)):
+            assert max(Fp32Network(weights.model).compare(int8, read, frame).levels) < 0.4 * MAX_NOISE
+        int8.close()
+
+
+def test_the_reference_is_enlarged_to_the_input_of_the_network(honest: Calibration) -> None:
+    frame = honest.reference.frame(FRAME_HW)
+    assert (frame.shape, frame.dtype) == ((*FRAME_HW, 3), np.uint8)
+    assert frame.std() > 10
+    assert Reference.model_validate_json(honest.reference.model_dump_json()) == honest.reference
+
+
+def test_the_generated_image_is_always_the_same() -> None:
+    assert (contrast_card(FRAME_HW) == contrast_card(FRAME_HW)).all()
+    assert contrast_card((64, 64)).shape == (64, 64, 3)
+    assert contrast_card(FRAME_HW).std() > 60
+
+
+def test_an_honest_calibration_has_no_deviation(honest: Calibration) -> None:
+    model = load_weights(SHAPES).model
+    int8 = load_runtime(model, "openvino", device="cpu", precision="int8", quantization=honest.quantization)
+    assert deviation(model, honest, int8, FRAME_HW) == ""
+    int8.close()
