@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from yolov5_lifecycle.unfinished import hold, remove_abandoned, temporary_folder
@@ -21,7 +21,25 @@ def write_whole(path: Path, *parts: bytes, is_durable: bool = True) -> None:
     If not `is_durable`, a power failure may leave a damaged file. A killed process leaves a file `.*.part`
     next to it, which is locked while the process lives. Raises OSError.
     """
-    descriptor, unfinished = _new_file(path.parent)
+    with _written(path.parent, parts, is_durable=is_durable) as unfinished:
+        unfinished.replace(path)
+
+
+def write_together(contents: Mapping[Path, bytes]) -> None:
+    """Like `write_whole` for each path, in order, after all of them have been written. Raises OSError."""
+    with ExitStack() as stack:
+        unfinished = {
+            path: stack.enter_context(_written(path.parent, [content], is_durable=True))
+            for path, content in contents.items()
+        }
+        for path, file in unfinished.items():
+            file.replace(path)
+
+
+@contextmanager
+def _written(folder: Path, parts: Iterable[bytes], *, is_durable: bool) -> Iterator[Path]:
+    """A locked file in `folder` with `parts` in it; removed on exit unless it was renamed."""
+    descriptor, unfinished = _new_file(folder)
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.writelines(parts)
@@ -29,7 +47,7 @@ def write_whole(path: Path, *parts: bytes, is_durable: bool = True) -> None:
             if is_durable:
                 os.fsync(descriptor)
             os.fchmod(descriptor, 0o644)
-            unfinished.replace(path)  # before closing the descriptor releases the lock
+            yield unfinished  # to be renamed before closing the descriptor releases the lock
     finally:
         unfinished.unlink(missing_ok=True)
 

@@ -32,6 +32,14 @@ def in_lines(text: str, limit: int = MAX_TEXT) -> str:
     return lines if len(lines) <= limit and len(text) <= 2 * limit else _cut(lines, len(text), limit)
 
 
+def in_report(text: str) -> str:
+    """The lines of `text`, which this program composed, without unprintable characters; of any length.
+
+    The names in them must already be one line each: see `in_one_line`.
+    """
+    return "\n".join(map(_printable, text.split("\n")))
+
+
 def is_utf8(text: str) -> bool:
     """Whether `text` can be encoded as UTF-8: a path may have bytes that cannot."""
     try:

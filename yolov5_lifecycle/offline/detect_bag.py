@@ -27,7 +27,7 @@ from yolov5_lifecycle.offline.detector_options import (
 from yolov5_lifecycle.offline.image_files import has_still_images
 from yolov5_lifecycle.offline.recordings import are_many, is_recording, recordings_of
 from yolov5_lifecycle.offline.terminal import Terminal, report
-from yolov5_lifecycle.process.standard_streams import complain
+from yolov5_lifecycle.process.standard_streams import complain, show_report
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     except KeyboardInterrupt:
         _complain("interrupted; unfinished output was removed")
         return 130
-    sys.stderr.write(report(account))
+    show_report(report(account))
     return 0
 
 
@@ -143,7 +143,7 @@ def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
     with unwound_by_sigterm(), closing(BatchTerminal()) as terminal:
         new_workers = functools.partial(_workers, arguments.jobs, arguments.ray)
         tally = detect_recordings(sources, plan, new_workers=new_workers, watch=terminal)
-    sys.stderr.write(batch_report(tally))
+    show_report(batch_report(tally))
     return EXIT_SET_ASIDE if tally.in_state("set aside") else 0
 
 

@@ -6,6 +6,7 @@ import time
 from collections import Counter
 
 from yolov5_lifecycle.offline.detecting import Account
+from yolov5_lifecycle.printable import MAX_TEXT, in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
@@ -28,7 +29,7 @@ class ProgressLine:
             self.show_now(text)
 
     def show_now(self, text: str) -> None:
-        show_progress(f"{text:<60}")  # padded to overwrite a longer text
+        show_progress(text)
         self._is_open = True
 
     def close(self) -> None:
@@ -84,5 +85,5 @@ def report(account: Account) -> str:
 
 def objects_line(objects: Counter[str]) -> str:
     """The line of the summary that counts detections."""
-    names = ", ".join(f"{name} {count}" for name, count in objects.most_common())
+    names = in_one_line(", ".join(f"{name} {count}" for name, count in objects.most_common()), MAX_TEXT)
     return f"detections  {objects.total()}{': ' if names else ''}{names}\n"

@@ -6,13 +6,15 @@ import os
 import sys
 from contextlib import suppress
 
-from yolov5_lifecycle.printable import in_lines
+from yolov5_lifecycle.printable import in_lines, in_one_line, in_report
 
 EXIT_NOT_WRITTEN = 1
 """Exit code if stdout could not be written, for example to a full disk."""
 EXIT_NOBODY_READS = 141
 """Exit code if the reader of stdout closed it, as `| head` does; equals a shell's code for SIGPIPE."""
 
+_LINE = 78
+"""Letters of a progress line: fewer than the usual 80, so that it is not broken, and padded to overwrite."""
 _STREAMS = ("stdin", "stdout", "stderr")
 
 
@@ -31,14 +33,15 @@ def open_standard_streams() -> None:
 
 
 def write_output(command: str, text: str) -> int:
-    """Write `text` to stdout; returns 0, or the exit code for an output that could not be written.
+    """Write the lines of `text` to stdout; returns 0, or the exit code for output that cannot be written.
 
-    Escapes characters that the output encoding lacks. No-op without stdout.
+    Replaces unprintable characters, see `in_report`, and escapes those that the output encoding lacks. No-op
+    without stdout.
     """
     if sys.stdout is None:
         return 0
     encoding = sys.stdout.encoding or "utf-8"
-    return _guarded(command, 0, text.encode(encoding, "backslashreplace").decode(encoding))
+    return _guarded(command, 0, in_report(text).encode(encoding, "backslashreplace").decode(encoding))
 
 
 def flush_output(command: str, code: int) -> int:
@@ -72,11 +75,22 @@ def complain(command: str, problem: object) -> None:
         sys.stderr.flush()
 
 
+def show_report(text: str) -> None:
+    """Write the lines of `text` to stderr if possible, see `in_report`."""
+    with suppress(OSError):
+        sys.stderr.write(in_report(text))
+        sys.stderr.flush()
+
+
 def show_progress(text: str, *, done: bool = False) -> None:
-    """Overwrite the previous progress line with `text`; `done` ends it. No-op if stderr is no terminal."""
+    """Overwrite the previous progress line with `text`, which may contain untrusted text; `done` ends it.
+
+    Without text the line stays as it is. No-op if stderr is no terminal.
+    """
     if sys.stderr.isatty():
+        line = f"\r{in_one_line(text, _LINE):<{_LINE}}" if text else ""
         end = "\n" if done else ""
-        sys.stderr.write(f"\r{text}{end}")
+        sys.stderr.write(f"{line}{end}")
         sys.stderr.flush()
 
 

@@ -7,8 +7,9 @@ import os
 import stat
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from yolov5_lifecycle.atomic_file import write_whole
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
@@ -19,23 +20,35 @@ from yolov5_lifecycle.offline.recordings import METADATA, SourceRecording, is_st
 RECORD_NAME = "detect_bag.json"
 _MAX_RECORD_BYTES = 16 << 20
 _BLOCK_BYTES = 1 << 20
+_MAX_NAME = 4 * 255
+"""A name of 255 bytes that are no text has 4 letters for each."""
 
-FileStamp = tuple[str, int, int]
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+FileName = Annotated[str, Field(min_length=1, max_length=_MAX_NAME)]
+Bytes = Annotated[int, Field(ge=0, lt=1 << 63)]
+FileStamp = tuple[FileName, Bytes, Annotated[int, Field(gt=-(1 << 63), lt=1 << 63)]]
 """Name, size in bytes and time of the last change in nanoseconds."""
 
 
 class Record(BaseModel):
     """What a result was made from, its files, and its row of the summary."""
 
-    model_config = ConfigDict(frozen=True, strict=True)
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
-    weights_sha256: str
-    settings_sha256: str
-    recording_sha256: str
+    weights_sha256: Digest
+    settings_sha256: Digest
+    recording_sha256: Digest
     recording_files: tuple[FileStamp, ...]
-    result_bytes: dict[str, int]
+    result_bytes: Annotated[dict[FileName, Bytes], Field(min_length=1)]
     """Size of each of its files."""
     result: RecordingResult
+
+    @field_validator("result")
+    @classmethod
+    def _is_done(cls, value: RecordingResult) -> RecordingResult:
+        if value.state != "done":
+            raise ValueError("expected the row of a recording that is done")
+        return value
 
     def is_of(self, plan: Plan, folder: Path) -> bool:
         """Whether the result in `folder` is whole and was made with the model and settings of `plan`."""
@@ -52,11 +65,12 @@ class Record(BaseModel):
 
 
 def read_record(folder: Path) -> Record | None:
-    """The record of the result in `folder`; None if there is none that is valid."""
+    """The record of the result in `folder`; None if there is none that is valid and of that name."""
     try:
-        return Record.model_validate_json(read_regular_file(folder / RECORD_NAME, _MAX_RECORD_BYTES))
+        record = Record.model_validate_json(read_regular_file(folder / RECORD_NAME, _MAX_RECORD_BYTES))
     except (OSError, RegularFileError, ValidationError):
         return None
+    return record if record.result.recording == folder.name else None
 
 
 def result_bytes(folder: Path) -> dict[str, int]:

@@ -63,16 +63,17 @@ def _check_answer(address: str) -> None:
 
 
 class Actor:
-    """Runs in a process of the cluster; answers with what can be sent as JSON."""
+    """Runs in a process of the cluster; answers in JSON, see `Answer`."""
 
     def __init__(self, plan: str) -> None:
         prepare_environment()
         self._plan = plan
         self._task: RecordingTask | None = None
 
-    def load(self) -> tuple[list[str], str]:
-        """Runtime and precision of the loaded model, and "", or why it cannot be loaded."""
+    def load(self) -> str:
+        """Load the model."""
         # Imported here: they import torch, for which the environment must be prepared.
+        from yolov5_lifecycle.offline.batch.answers import encoded, refusal
         from yolov5_lifecycle.offline.batch.plan import Plan
         from yolov5_lifecycle.offline.batch.recording_task import RecordingTask
         from yolov5_lifecycle.runtimes.runtime import InferenceError
@@ -80,19 +81,20 @@ class Actor:
         try:
             self._task = RecordingTask(Plan.model_validate_json(self._plan), lambda _: None)
         except (ValueError, OSError, ImportError, InferenceError) as error:
-            return [], str(error) or type(error).__name__
-        return [self._task.runtime, self._task.precision], ""
+            return encoded(refusal(error))
+        return encoded({"ready": [self._task.runtime, self._task.precision]})
 
-    def detect(self, name: str, path: str) -> tuple[dict[str, object], str]:
-        """The row of the recording, and "", or why nothing more can be written."""
+    def detect(self, name: str, path: str) -> str:
+        """Detect in a recording."""
+        from yolov5_lifecycle.offline.batch.answers import encoded, refusal
         from yolov5_lifecycle.offline.batch.recording_task import NoRoomError
         from yolov5_lifecycle.offline.recordings import SourceRecording
 
         assert self._task is not None
         try:
-            return self._task.run(SourceRecording(name, Path(path))).model_dump(), ""
+            return encoded({"ended": self._task.run(SourceRecording(name, Path(path))).model_dump()})
         except NoRoomError as error:
-            return {}, str(error)
+            return encoded(refusal(error))
 
 
 class RayWorkers:
@@ -102,7 +104,7 @@ class RayWorkers:
         self.max_count = max_count
         self._numbers = itertools.count()
         self._actors: dict[int, Any] = {}
-        self._pending: dict[Any, int] = {}
+        self._pending: dict[Any, tuple[int, str | None]] = {}
         self._output: Path | None = None
 
     def start(self, plan: Plan) -> int:
@@ -112,13 +114,13 @@ class RayWorkers:
         # Ray itself sets OMP_NUM_THREADS to the number of processors.
         actor = ray.remote(num_cpus=1, max_restarts=0)(Actor).remote(plan.model_dump_json())
         self._actors[number] = actor
-        self._pending[actor.load.remote()] = number
+        self._pending[actor.load.remote()] = (number, None)
         self._output = plan.output
         return number
 
     def begin(self, worker: int, source: SourceRecording) -> None:
         call = self._actors[worker].detect.remote(source.name, str(source.path))
-        self._pending[call] = worker
+        self._pending[call] = (worker, source.name)
 
     def events(self, timeout_s: float) -> list[Event]:
         import ray
@@ -139,22 +141,28 @@ class RayWorkers:
     def _event(self, call: Any) -> Event:
         import ray
 
-        from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
+        from yolov5_lifecycle.offline.batch.answers import AnswerError, read_answer
         from yolov5_lifecycle.offline.batch.workers import Died, Ended, Ready, Refused
+        from yolov5_lifecycle.printable import in_one_line
 
-        number = self._pending.pop(call)
+        number, recording = self._pending.pop(call)
+        expected = frozenset({"ready" if recording is None else "ended", "refused"})
         try:
-            answer, refusal = ray.get(call)
+            answer = read_answer(str(ray.get(call)), expected=expected, recording=recording)
+        except AnswerError as error:
+            ray.kill(self._actors.pop(number))
+            return Died(number, str(error))
         except ray.exceptions.RayError as error:
             ray.kill(self._actors.pop(number))
             reason = str(error).strip().splitlines()
-            return Died(number, f"the worker died ({reason[0] if reason else type(error).__name__})")
-        if refusal:
-            ray.kill(self._actors.pop(number))
-            return Refused(number, refusal)
-        if isinstance(answer, list):
-            return Ready(number, *answer)
-        return Ended(number, RecordingResult.model_validate(answer))
+            told = in_one_line(reason[0]) if reason else type(error).__name__
+            return Died(number, f"the worker died ({told})")
+        if answer.ready is not None:
+            return Ready(number, *answer.ready)
+        if answer.ended is not None:
+            return Ended(number, answer.ended)
+        ray.kill(self._actors.pop(number))
+        return Refused(number, answer.refused or "")
 
 
 def _remove_unfinished(folder: Path) -> None:

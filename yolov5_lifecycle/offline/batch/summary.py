@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from yolov5_lifecycle.atomic_file import OutputError, write_whole
+from yolov5_lifecycle.atomic_file import OutputError, write_together, write_whole
 from yolov5_lifecycle.offline.batch.plan import Plan
 from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
 from yolov5_lifecycle.process.missing_package import absence_of
@@ -36,10 +36,10 @@ _COLUMNS = {
 }
 
 
-def remove_summary(folder: Path) -> None:
-    """Remove the summary of an earlier run; raises OutputError for files of others, and OSError.
+def check_summary(folder: Path) -> None:
+    """Raise OutputError if `folder` has a file of somebody else where the summary will be.
 
-    The table is removed first and written last: without the JSON file it belongs to somebody else.
+    The table is written after the JSON file: without that it belongs to somebody else.
     """
     json_file, table = folder / JSON_NAME, folder / PARQUET_NAME
     if not _is_summary(json_file):
@@ -48,8 +48,6 @@ def remove_summary(folder: Path) -> None:
             raise OutputError(
                 f"{foreign} is not a summary of detect_bag: move it, or choose another --output."
             )
-    for file in (table, json_file):
-        file.unlink(missing_ok=True)
 
 
 def _is_summary(path: Path) -> bool:
@@ -62,12 +60,19 @@ def _is_summary(path: Path) -> bool:
 
 
 def write_summary(plan: Plan, results: Sequence[RecordingResult]) -> list[str]:
-    """Write both files to the folder of results and return why one was left out. Raises OSError."""
-    text = json.dumps(summary(plan, results), indent=1, ensure_ascii=False)
-    write_whole(plan.output / JSON_NAME, text.encode(), b"\n")
+    """Write both files to the folder of results and return why one was left out. Raises OSError.
+
+    They replace those of an earlier run when both are whole.
+    """
+    text = json.dumps(summary(plan, results), indent=1, ensure_ascii=False).encode(
+        "utf-8", "backslashreplace"
+    )
+    json_file, table = plan.output / JSON_NAME, plan.output / PARQUET_NAME
     if absence := absence_of("pyarrow"):
+        write_whole(json_file, text, b"\n")
+        table.unlink(missing_ok=True)  # it would be that of an earlier run
         return [f"{PARQUET_NAME} was not written, only {JSON_NAME}: {absence}"]
-    write_whole(plan.output / PARQUET_NAME, _parquet(results))
+    write_together({json_file: text + b"\n", table: _parquet(results)})
     return []
 
 

@@ -14,11 +14,11 @@ from yolov5_lifecycle.atomic_file import OutputError, remove_unfinished_outputs
 from yolov5_lifecycle.offline.batch.finished import finished_before
 from yolov5_lifecycle.offline.batch.plan import Plan
 from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
-from yolov5_lifecycle.offline.batch.summary import remove_summary, write_summary
+from yolov5_lifecycle.offline.batch.summary import check_summary, write_summary
 from yolov5_lifecycle.offline.batch.workers import Died, Ended, Event, Progress, Ready, Refused, Workers
 from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_mcap, is_recording, sqlite_problem
-from yolov5_lifecycle.printable import is_utf8
+from yolov5_lifecycle.printable import in_lines, is_utf8
 from yolov5_lifecycle.unfinished import hold, open_itself
 
 MAX_DEATHS = 2
@@ -97,7 +97,7 @@ def detect_recordings(
             raise OutputError(
                 f"{plan.output}: {problem}: choose another --output, or convert the recordings to MCAP."
             )
-        remove_summary(plan.output)
+        check_summary(plan.output)
         if waiting:
             with closing(new_workers(len(waiting))) as workers:
                 _Batch(waiting, plan, workers, tally, watch).run()
@@ -246,6 +246,6 @@ class _Batch:
             reason = f"{event.reason} {MAX_DEATHS} times while reading this recording"
             self._end(
                 RecordingResult(
-                    recording=source.name, path=str(source.path), state="set aside", reason=reason
+                    recording=source.name, path=str(source.path), state="set aside", reason=in_lines(reason)
                 )
             )

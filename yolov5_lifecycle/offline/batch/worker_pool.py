@@ -13,8 +13,8 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from yolov5_lifecycle.offline.batch.answers import MAX_BYTES, AnswerError, read_answer
 from yolov5_lifecycle.offline.batch.plan import Plan
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
 from yolov5_lifecycle.offline.batch.workers import Died, Ended, Event, Progress, Ready, Refused
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.process.environment import compute_threads
@@ -27,6 +27,8 @@ _THREADS = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 """Variables for the number of threads of torch, which the runtimes follow, and of OpenCV."""
 _WORKER_BYTES = 1 << 30
 _READ_BYTES = 1 << 16
+_WHILE_LOADING = frozenset({"ready", "refused"})
+_WHILE_RUNNING = frozenset({"progress", "ended", "refused"})
 _END_S = 10.0
 
 
@@ -42,10 +44,25 @@ class _Worker:
     process: subprocess.Popen[bytes]
     connection: socket.socket
     received: bytearray = field(default_factory=bytearray)
+    expected: frozenset[str] = frozenset()
+    """The answers that it may give now."""
+    recording: str | None = None
+    """Name of the recording that it was given last."""
 
     def send(self, text: str) -> None:
         with suppress(OSError):  # it has died, which is reported when its connection is read
             self.connection.sendall(text.encode() + b"\n")
+
+    def lines(self, block: bytes) -> list[bytes]:
+        """The lines that are whole with `block`; raises AnswerError if one is too long."""
+        self.received += block
+        if b"\n" not in block:
+            if len(self.received) > MAX_BYTES:
+                raise AnswerError(f"the worker answered more than {MAX_BYTES} bytes")
+            return []
+        *lines, rest = bytes(self.received).split(b"\n")
+        self.received = bytearray(rest)
+        return lines
 
     def ended(self, patience_s: float) -> int:
         """Wait for its end, kill it after `patience_s`, and return its exit code."""
@@ -80,11 +97,14 @@ class ProcessWorkers:
             self._spares = [self._new_process() for _ in range(self.max_count)]
         worker = self._workers[number] = self._spares.pop() if self._spares else self._new_process()
         self._selector.register(worker.connection, selectors.EVENT_READ, number)
+        worker.expected = _WHILE_LOADING
         worker.send(plan.model_dump_json())
         return number
 
     def begin(self, worker: int, source: SourceRecording) -> None:
-        self._workers[worker].send(json.dumps({"name": source.name, "path": str(source.path)}))
+        running = self._workers[worker]
+        running.expected, running.recording = _WHILE_RUNNING, source.name
+        running.send(json.dumps({"name": source.name, "path": str(source.path)}))
 
     def events(self, timeout_s: float) -> list[Event]:
         return [
@@ -110,9 +130,12 @@ class ProcessWorkers:
             block = b""
         if not block:
             return [Died(number, _reason(self._forget(number)))]
-        *lines, rest = (bytes(worker.received) + block).split(b"\n")
-        worker.received = bytearray(rest)
-        events = [_event(number, line) for line in lines]
+        try:
+            events = [_event(number, worker, line) for line in worker.lines(block)]
+        except AnswerError as error:
+            worker.process.kill()
+            self._forget(number)
+            return [Died(number, str(error))]
         if any(isinstance(event, Refused) for event in events):
             self._forget(number)
         return events
@@ -138,15 +161,17 @@ class ProcessWorkers:
         return _Worker(process, own)
 
 
-def _event(number: int, line: bytes) -> Event:
-    ((kind, value),) = json.loads(line).items()
-    if kind == "ready":
-        return Ready(number, *value)
-    if kind == "refused":
-        return Refused(number, value)
-    if kind == "progress":
-        return Progress(number, value)
-    return Ended(number, RecordingResult.model_validate(value))
+def _event(number: int, worker: _Worker, line: bytes) -> Event:
+    """What `worker` answered; raises AnswerError if it was not asked that."""
+    answer = read_answer(line, expected=worker.expected, recording=worker.recording)
+    if answer.progress is not None:
+        return Progress(number, answer.progress)
+    worker.expected = frozenset()  # until it is given the next recording
+    if answer.ready is not None:
+        return Ready(number, *answer.ready)
+    if answer.ended is not None:
+        return Ended(number, answer.ended)
+    return Refused(number, answer.refused or "")
 
 
 def _reason(code: int) -> str:

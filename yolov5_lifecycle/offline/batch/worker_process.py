@@ -41,16 +41,19 @@ def main(descriptor: int) -> NoReturn:
 
 def _served(connection: socket.socket) -> int:
     """The exit code."""
+    from yolov5_lifecycle.offline.batch.answers import encoded
+
     with connection.makefile("r", encoding="utf-8") as requests:
 
         def send(answer: dict[str, object]) -> None:
-            connection.sendall(json.dumps(answer).encode() + b"\n")
+            connection.sendall(encoded(answer).encode() + b"\n")
 
         return _answered(requests, send)
 
 
 def _answered(requests: Iterable[str], send: Send) -> int:
     # Imported here: they import numpy and torch, for which the environment must be prepared.
+    from yolov5_lifecycle.offline.batch.answers import refusal
     from yolov5_lifecycle.offline.batch.plan import Plan
     from yolov5_lifecycle.offline.batch.recording_task import NoRoomError, RecordingTask
     from yolov5_lifecycle.offline.recordings import SourceRecording
@@ -60,7 +63,7 @@ def _answered(requests: Iterable[str], send: Send) -> int:
     try:
         task = RecordingTask(Plan.model_validate_json(next(lines)), _Pulse(send))
     except (ValueError, OSError, ImportError, InferenceError) as error:
-        send({"refused": str(error)})
+        send(refusal(error))
         return 0
     send({"ready": [task.runtime, task.precision]})
     for line in lines:
@@ -68,7 +71,7 @@ def _answered(requests: Iterable[str], send: Send) -> int:
         try:
             result = task.run(SourceRecording(request["name"], Path(request["path"])))
         except NoRoomError as error:
-            send({"refused": str(error)})
+            send(refusal(error))
             return 0
         except DeviceLostError:
             return _EXIT_DEVICE_LOST

@@ -32,7 +32,6 @@ from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _MAX_TOLD = 10
 _MAX_PATH = 4096
-_LINE = 72
 _EPILOG = f"""\
 DATA is one of
   a folder of images, a video or a ros2 bag recording
@@ -179,7 +178,7 @@ class _Terminal:
         self._is_line_open = False
 
     def tell(self, text: str) -> None:
-        show_progress(f"{text:<{_LINE}}")
+        show_progress(text)
         self._is_line_open = True
 
     def progress(self, account: Account) -> None:

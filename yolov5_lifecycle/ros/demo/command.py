@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from yolov5_lifecycle.commands.command_line import CommandParser
+from yolov5_lifecycle.printable import in_report
 from yolov5_lifecycle.ros.console.options import DEFAULT_PORT
 from yolov5_lifecycle.ros.demo.child_process import ProcessError, entry_point
 from yolov5_lifecycle.ros.demo.demonstration import Demonstration, Phase
@@ -139,7 +140,7 @@ def _run(report: Callable[[str], None]) -> Outcome:
 
 
 def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
+    sys.stdout.write(in_report(text) + "\n")
     sys.stdout.flush()
 
 
