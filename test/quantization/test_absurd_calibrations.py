@@ -116,7 +116,7 @@ ABSURD: dict[str, Callable[[Calibration], Calibration]] = {
     ),
     "one layer of 1e9": lambda found: changed(found, only(ONE_LAYER, to_range(-1e9, 1e9))),
     "one tiny layer": lambda found: changed(found, only(ONE_LAYER, to_range(-1e-5, 1e-5))),
-    "a first layer of 1e9": lambda found: changed(found, only("model.0.conv", to_range(0, 1e9))),
+    "a first layer of 1e9": lambda found: changed(found, only("model.0.conv", to_range(0.0, 1e9))),
     "ranges for negative values": lambda found: changed(
         found, lambda _, read: Activation((-read.range[1], 0.0), (0.0,) * len(read.means))
     ),

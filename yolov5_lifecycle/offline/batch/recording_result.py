@@ -22,10 +22,16 @@ def _utf8(text: str) -> str:
     return text
 
 
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("expected printable characters, as in the class names of a model")
+    return text
+
+
 Count = Annotated[int, Field(ge=0, le=_MAX_COUNT)]
 """A sum over MAX_CLASSES classes still has 64 bits."""
 Text = Annotated[str, Field(max_length=MAX_TEXT), AfterValidator(_utf8)]
-ClassName = Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH), AfterValidator(_utf8)]
+ClassName = Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH), AfterValidator(_printable)]
 
 
 class RecordingResult(BaseModel):

@@ -75,10 +75,14 @@ class _Worker:
 
 
 class ProcessWorkers:
-    """Up to `max_count` processes that share the cores of this machine. See `Workers`."""
+    """Up to `max_count` processes that share the cores of this machine. See `Workers`.
 
-    def __init__(self, max_count: int) -> None:
+    Each runs `main` of `module`.
+    """
+
+    def __init__(self, max_count: int, *, module: str = _MODULE) -> None:
         self.max_count = max_count
+        self._module = module
         self.threads = max(1, compute_threads() // max_count)
         self._workers: dict[int, _Worker] = {}
         self._spares: list[_Worker] = []
@@ -148,7 +152,7 @@ class ProcessWorkers:
 
     def _new_process(self) -> _Worker:
         own, other = socket.socketpair()
-        program = _PROGRAM.format(path=sys.path, module=_MODULE, descriptor=other.fileno())
+        program = _PROGRAM.format(path=sys.path, module=self._module, descriptor=other.fileno())
         with other:
             process = subprocess.Popen(
                 [sys.executable, "-c", program],
