@@ -7,6 +7,7 @@ import logging
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,7 +32,13 @@ from yolov5_lifecycle.quantization.calibration_file import (
     path_beside,
     write_calibration,
 )
-from yolov5_lifecycle.quantization.comparison import MAX_NOISE, Fp32Network, deviation
+from yolov5_lifecycle.quantization.comparison import (
+    MAX_CARD_NOISE,
+    MAX_INPUT_NOISE,
+    MAX_NOISE,
+    Fp32Network,
+    deviation,
+)
 from yolov5_lifecycle.quantization.reference import Reference, contrast_card
 from yolov5_lifecycle.runtimes.auto import choice_key, write_figures
 from yolov5_lifecycle.runtimes.cache import cache_folder
@@ -94,10 +101,22 @@ def upside_down(calibration: Calibration) -> Calibration:
 
 def with_reference_of_nothing(calibration: Calibration) -> Calibration:
     """Everything is rounded to zero, and the reference is black and claims that this is usual."""
-    reference = calibration.reference
-    black = a_calibration().reference.model_copy(update={"rgb": "A" * 256})
-    hidden = black.model_copy(update={"noise": (MAX_NOISE,) * len(reference.noise)})
-    return changed(calibration, to_range(-1e9, 1e9)).model_copy(update={"reference": hidden})
+    return changed(calibration, to_range(-1e9, 1e9)).model_copy(update={"reference": black_reference()})
+
+
+def made_from_nothing(calibration: Calibration) -> Calibration:
+    """Ranges of a black image, of pixels up to 0.001: on that int8 is as good as fp32, on others blind."""
+    network = fuse(load_weights(SHAPES).model.network())
+    black = network_pixels(np.zeros((*FRAME_HW, 3), np.uint8), "rgb", 3)
+    read = activations(network, [black], progress=lambda _: None)
+    read["model.0.conv"] = Activation((0.0, 0.001), read["model.0.conv"].means)
+    return of_activations(calibration, read).model_copy(update={"reference": black_reference()})
+
+
+def black_reference() -> Reference:
+    """Which claims that int8 differs as much as may be."""
+    grey = a_calibration().reference
+    return grey.model_copy(update={"rgb": "A" * 256, "noise": (MAX_NOISE,) * len(grey.noise)})
 
 
 ABSURD: dict[str, Callable[[Calibration], Calibration]] = {
@@ -132,10 +151,28 @@ ABSURD: dict[str, Callable[[Calibration], Calibration]] = {
     ),
     "swapped layers": upside_down,
     "a reference that shows nothing": with_reference_of_nothing,
+    "ranges and reference of the dark": made_from_nothing,
     "a reference of another network": lambda found: found.model_copy(
         update={"reference": found.reference.model_copy(update={"noise": (0.01,)})}
     ),
 }
+
+
+_SOON = (
+    "ranges of 1e9",
+    "tiny ranges",
+    "one layer of 1e9",
+    "swapped layers",
+    "ranges and reference of the dark",
+)
+
+
+def cases(*soon: str) -> list[Any]:
+    """Those of ABSURD, all but `soon` long."""
+    return [
+        pytest.param(spoil, id=name, marks=() if name in soon else pytest.mark.long)
+        for name, spoil in ABSURD.items()
+    ]
 
 
 def is_fast(model: Model, calibration: Calibration) -> None:
@@ -161,7 +198,7 @@ def recall(model: PreparedModel) -> float:
     return found
 
 
-@pytest.mark.parametrize("spoilt", ABSURD.values(), ids=ABSURD)
+@pytest.mark.parametrize("spoilt", cases(*_SOON))
 def test_auto_uses_fp32_instead_of_an_absurd_calibration_and_says_why(
     spoilt: Callable[[Calibration], Calibration],
     honest: Calibration,
@@ -177,7 +214,7 @@ def test_auto_uses_fp32_instead_of_an_absurd_calibration_and_says_why(
     assert recall(model) >= 0.9
 
 
-@pytest.mark.parametrize("spoilt", ABSURD.values(), ids=ABSURD)
+@pytest.mark.parametrize("spoilt", cases("ranges of 1e9"))
 def test_int8_with_an_absurd_calibration_is_refused_with_the_command_to_type(
     spoilt: Callable[[Calibration], Calibration], honest: Calibration, weights: Path
 ) -> None:
@@ -193,7 +230,7 @@ def test_auto_uses_int8_with_an_honest_calibration(honest: Calibration, weights:
     assert recall(model) >= 0.9
 
 
-@pytest.mark.parametrize("image_size", [64, 320, 640])
+@pytest.mark.parametrize("image_size", [64, 320, pytest.param(640, marks=pytest.mark.long)])
 def test_int8_with_an_honest_calibration_is_used_at_every_size(image_size: int) -> None:
     detector = load_model(SHAPES, precision="int8", device="cpu", image_size=image_size)
     assert detector.runtime.precision == "int8"
@@ -225,10 +262,11 @@ def test_the_noise_of_an_honest_calibration_of_a_random_network_is_below_the_lim
     read = activations(fuse(model.network()), frames, progress=lambda _: None)
     quantization = Quantization(read, frozenset(), weight_bits(abilities()))
     int8 = load_runtime(model, "openvino", device="cpu", precision="int8", quantization=quantization)
-    for frame in (photograph(99, FRAME_HW), contrast_card(FRAME_HW)):
-        found = Fp32Network(model).compare(int8, read, frame)
-        assert max(found.levels) < 0.8 * MAX_NOISE
-        assert max(found.inputs.values()) < 0.4
+    network = Fp32Network(model)
+    for frame, limit in ((photograph(99, FRAME_HW), MAX_NOISE), (contrast_card(FRAME_HW), MAX_CARD_NOISE)):
+        found = network.compare(int8, read, frame)
+        assert max(found.levels) < 0.8 * limit
+        assert max(found.inputs.values()) < 0.8 * MAX_INPUT_NOISE
     int8.close()
 
 
@@ -245,8 +283,9 @@ def test_the_official_yolov5n_is_compared_without_complaint(reference_dir: Path)
         int8 = load_runtime(
             weights.model, "openvino", device="cpu", precision="int8", quantization=quantization
         )
-        for frame in (frames[2], contrast_card(FRAME_HW)):
-            assert max(Fp32Network(weights.model).compare(int8, read, frame).levels) < 0.4 * MAX_NOISE
+        network = Fp32Network(weights.model)
+        for frame, limit in ((frames[2], MAX_NOISE), (contrast_card(FRAME_HW), MAX_CARD_NOISE)):
+            assert max(network.compare(int8, read, frame).levels) < 0.6 * limit
         int8.close()
 
 
