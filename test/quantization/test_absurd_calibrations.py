@@ -183,12 +183,10 @@ def is_fast(model: Model, calibration: Calibration) -> None:
     assert write_figures(cache_folder("choices") / f"{key}.json", {"fp32": 20.0, "int8": 1.0}) == ""
 
 
-def prepared(weights: Path, calibration: Calibration, precision: str = "auto") -> PreparedModel:
+def prepared(weights: Path, calibration: Calibration) -> PreparedModel:
     write_calibration(path_beside(weights), calibration)
     is_fast(load_weights(weights).model, calibration)
-    settings = Settings(
-        weights=str(weights), image_size=IMAGE_SIZE, device="cpu", runtime="openvino", precision=precision
-    )
+    settings = Settings(weights=str(weights), image_size=IMAGE_SIZE, device="cpu", runtime="openvino")
     return prepare_model(settings, [FRAME_HW])
 
 
@@ -291,7 +289,8 @@ def test_the_official_yolov5n_is_compared_without_complaint(reference_dir: Path)
 
 def test_the_reference_is_enlarged_to_the_input_of_the_network(honest: Calibration) -> None:
     frame = honest.reference.frame(FRAME_HW)
-    assert (frame.shape, frame.dtype) == ((*FRAME_HW, 3), np.uint8)
+    assert frame.shape == (*FRAME_HW, 3)
+    assert frame.dtype == np.uint8
     assert frame.std() > 10
     assert Reference.model_validate_json(honest.reference.model_dump_json()) == honest.reference
 

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 from rclpy.parameter import Parameter
+from support.calibrations import calibration_at
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import DetectorProcess
 
+from yolov5_lifecycle.quantization.calibration_file import path_beside, write_calibration
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 
 pytestmark = [
@@ -49,5 +51,21 @@ def test_int8_without_a_calibration_is_refused_and_detection_goes_on(
     done, reason = set_to(active, precision="int8")
     assert not done
     assert f"`calibrate {weights} DATA`" in reason
+    assert active.status()["precision"] == "fp32"
+    assert len(active.look(0).class_names) > 0
+
+
+def test_a_detector_with_an_absurd_calibration_beside_its_weights_goes_on_detecting_and_says_why(
+    active: DetectorProcess, tmp_path: Path
+) -> None:
+    shapes = REPOSITORY / "weights" / "shapes.safetensors"
+    weights = Path(shutil.copy(shapes, tmp_path / "best.safetensors"))
+    honest = calibration_at(path_beside(shapes))
+    absurd = dict.fromkeys(honest.ranges, (-1000000000.0, 1000000000.0))
+    write_calibration(path_beside(weights), honest.model_copy(update={"ranges": absurd}))
+    assert set_to(active, weights=str(weights))[0]
+    done, reason = set_to(active, precision="int8")
+    assert not done
+    assert "this calibration is not usable: on its reference image the range of" in reason
     assert active.status()["precision"] == "fp32"
     assert len(active.look(0).class_names) > 0
