@@ -10,7 +10,7 @@ from functools import cache, partial
 
 import numpy as np
 import torch
-from support import hostile_archives, hostile_safetensors
+from support import hostile_archives, hostile_costs, hostile_safetensors
 from support.checkpoint_builder import official_model, saved, stripped
 from support.compressed_files import KINDS, compressed
 from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
@@ -190,6 +190,17 @@ def _header() -> bytes:
     return text
 
 
+def _costly_pickles() -> Iterator[bytes]:
+    """Of networks that would take up the memory although their files are small."""
+    for architecture in hostile_costs.SMALL_FILES:
+        yield hostile_archives.pickle_of(hostile_costs.checkpoint(architecture))
+
+
+def _costly_headers() -> Iterator[bytes]:
+    for architecture in hostile_costs.SMALL_FILES:
+        yield hostile_safetensors.cut(hostile_costs.safetensors(architecture))[0]
+
+
 def _defaults() -> bytes:
     return "\n".join(f"{setting.name}={json.dumps(setting.default)}" for setting in SETTINGS).encode()
 
@@ -197,9 +208,9 @@ def _defaults() -> bytes:
 TARGETS = {
     "compressed-images": Target(check_compressed_image, _compressed_images),
     "raw-images": Target(check_raw_image, _raw_images),
-    "checkpoints": Target(check_checkpoint, lambda: [hostile_archives.valid_pickle()]),
+    "checkpoints": Target(check_checkpoint, lambda: [hostile_archives.valid_pickle(), *_costly_pickles()]),
     "families": Target(check_family, _family_pickles),
-    "safetensors": Target(check_safetensors, lambda: [_header()]),
+    "safetensors": Target(check_safetensors, lambda: [_header(), *_costly_headers()]),
     "settings": Target(check_settings, lambda: [_defaults(), _FILTERS]),
     "labels": Target(data_files.check_labels, data_files.label_seeds),
     "coco-files": Target(data_files.check_coco_file, data_files.coco_seeds),

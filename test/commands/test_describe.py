@@ -97,6 +97,7 @@ def test_layers_images_anchors_and_classes_are_told(
     assert facts["activations"] == "14 SiLU"
     assert facts["images"] == "grey, height and width multiples of 8"
     assert facts["strides"] == "4, 8"
+    assert facts["cost"] == "0.2 GFLOPs, 15 MB at 640x640"
     assert facts["anchors"] == "10x13, 16x30; 30x61, 62x45"
     assert facts["classes"] == "3: cat, dog, cow"
     assert facts["trained"] == "never: its normalisation has seen no images"

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import gc
+import os
 import re
 from pathlib import Path
 
 import pytest
 from support.random_model import random_model
+from support.runtime_names import EVERY_RUNTIME
 from support.small_families import SMALL_FAMILIES
 
+from benchmark.process_memory import forget_peak, peak_resident_mb, resident_mb
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.detection import prepared_model
 from yolov5_lifecycle.detection.prepared_model import prepare_model
+from yolov5_lifecycle.models import cost as models_cost
+from yolov5_lifecycle.models.cost import cost_of
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.settings import Settings
+
+MAX_GROWN_MB = 100
 
 
 def networks() -> int:
@@ -56,6 +64,50 @@ def test_one_camera_or_no_batches_are_not_measured(tiny: Settings) -> None:
     model = prepare_model(tiny, [(64, 64)] * 3)
     assert "batches" not in model.facts
     assert model.detector.batch_sizes == ()
+
+
+def test_the_cost_is_told(tiny: Settings) -> None:
+    model = prepare_model(tiny, [(64, 64)])
+    cost = cost_of(random_model().architecture, (64, 64))
+    assert model.facts["cost"] == str(cost)
+    assert model.facts["cost"].endswith(" MB at 64x64")
+
+
+def test_batches_that_do_not_fit_into_the_memory_are_not_tried(
+    tiny: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one_bytes = cost_of(random_model().architecture, (64, 64)).activation_bytes
+    batched = tiny.model_copy(update={"max_batch": 8})
+    monkeypatch.setattr(prepared_model, "available_bytes", lambda: 3 * one_bytes)
+    model = prepare_model(batched, [(64, 64)] * 5)
+    assert set(model.detector.batch_sizes) <= {2, 3}
+    assert "; 4 images at once do not fit into the " in model.facts["batches"]
+    monkeypatch.setattr(prepared_model, "available_bytes", lambda: one_bytes)
+    assert prepare_model(batched, [(64, 64)] * 5).facts["batches"].startswith("none: 2 images at once")
+
+
+@pytest.mark.parametrize("runtime_name", ["auto", *EVERY_RUNTIME])
+def test_a_model_that_would_take_the_memory_is_refused_without_taking_it(
+    runtime_name: str, tmp_path: Path
+) -> None:
+    """Of its file nothing is wrong: only for large images attention needs too much."""
+    path = tmp_path / "transformer.safetensors"
+    write_safetensors(random_model(0, SMALL_FAMILIES["transformer"]), path)
+    settings = Settings(weights=str(path), runtime=runtime_name, device="cpu")  # type: ignore[arg-type]
+    prepare_model(settings.model_copy(update={"image_size": 64}), [(64, 64)]).close()
+    before_mb = resident_mb(os.getpid())
+    forget_peak()
+    with pytest.raises(ValueError, match=r"^Image size 640: layer 2 \(C3TR\) would keep 21\.0 GB .* at most"):
+        prepare_model(settings, [(480, 640)])
+    assert peak_resident_mb(os.getpid()) - before_mb < MAX_GROWN_MB
+
+
+def test_a_model_for_which_the_memory_does_not_suffice_is_refused(
+    tiny: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(models_cost, "available_bytes", lambda: 1_000_000)
+    with pytest.raises(ValueError, match=r"^Image size 64: the model needs .* but only 1 MB are available"):
+        prepare_model(tiny, [(64, 64)])
 
 
 def test_only_a_model_that_segments_reports_masks(tiny: Settings, tmp_path: Path) -> None:

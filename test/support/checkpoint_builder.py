@@ -66,6 +66,8 @@ _OWN_ATTRIBUTES = {
     "steps",
     "_kernels",
     "_is_folded",
+    "_sources",
+    "_last_read",
 }
 
 

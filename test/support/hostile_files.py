@@ -11,6 +11,7 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
+from support import hostile_costs
 from support.colcon_workspace import REPOSITORY, SUPPORT
 from support.hostile_archives import ARCHIVES, FOREIGN_FILES, valid
 from support.hostile_gadgets import GADGETS, MARKER
@@ -26,11 +27,13 @@ CHECKPOINTS: Table = {
     f"{kind}: {name}": case
     for kind, table in {
         "gadget": GADGETS, "bomb": BOMBS, "tensor": TENSORS, "foreign": FOREIGN_FILES,
-        "archive": ARCHIVES, "model": MODELS,
+        "archive": ARCHIVES, "model": MODELS, "cost": hostile_costs.CHECKPOINTS,
     }.items()
     for name, case in table.items()
 }  # fmt: skip
-SAFETENSORS: Table = {f"safetensors: {name}": case for name, case in FILES.items()}
+SAFETENSORS: Table = {
+    f"safetensors: {name}": case for name, case in {**FILES, **hostile_costs.SAFETENSORS}.items()
+}
 TOLD = {name: told for name, (_, told) in chain(CHECKPOINTS.items(), SAFETENSORS.items())} | {
     f"special: {name}": told for name, (_, told) in SPECIAL.items()
 }

@@ -12,6 +12,7 @@ import torch
 from yolov5_lifecycle.checkpoints.locate import load_weights, read_once
 from yolov5_lifecycle.checkpoints.pickled_facts import PickledFacts, counted, pickled_facts
 from yolov5_lifecycle.models.architecture import SIZES, Architecture
+from yolov5_lifecycle.models.cost import usual_cost
 from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model, WeightsError
 from yolov5_lifecycle.models.network import Network
@@ -65,6 +66,7 @@ def _of_model(model: Model) -> Iterator[tuple[str, str]]:
     depth, width = architecture.depth_multiple, architecture.width_multiple
     yield "multiples", f"depth {depth:g}, width {width:g}{_size(architecture)}"
     yield "parameters", f"{parameters:,}{', fused' if architecture.is_fused else ''}"
+    yield "cost", str(usual_cost(architecture))
     channels = "grey" if architecture.image_channels == 1 else "colour"
     yield "images", f"{channels}, height and width multiples of {size_multiple(architecture)}"
     yield "strides", ", ".join(map(str, architecture.strides))

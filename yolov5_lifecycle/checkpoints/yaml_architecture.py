@@ -11,6 +11,7 @@ from yolov5_lifecycle.checkpoints.layer_rows import layer_arguments, layer_kind
 from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture, Layer
 from yolov5_lifecycle.models.blocks import LAYER_KINDS
 from yolov5_lifecycle.models.cells import Cells
+from yolov5_lifecycle.models.cost import check_architecture
 from yolov5_lifecycle.models.geometry import cells_of_layers, size_multiple
 from yolov5_lifecycle.models.head import HEADS
 from yolov5_lifecycle.models.model import WeightsError, checked_integer, shown
@@ -58,6 +59,7 @@ def architecture_of(
     )
     _check_repeats(architecture)
     _check_strides(architecture)
+    _check_cost(architecture)
     return architecture
 
 
@@ -132,3 +134,12 @@ def _check_strides(architecture: Architecture) -> None:
         )
     if multiple > MAX_STRIDE:
         raise WeightsError(f"its layers have strides up to {multiple}, at most {MAX_STRIDE} are supported")
+
+
+def _check_cost(architecture: Architecture) -> None:
+    try:
+        check_architecture(architecture)
+    except WeightsError:
+        raise
+    except ValueError as error:
+        raise WeightsError(f"{error}: no model needs that") from None

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from yolov5_lifecycle.detection.nms import Counts, Selection, select
 from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.models.architecture import image_size_problem
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
+
+if TYPE_CHECKING:  # it would import torch
+    from yolov5_lifecycle.models.cost import Cost
 
 USUAL_SOURCE_HW = (480, 640)
 
@@ -37,7 +41,8 @@ class Detector:
     `class_names` by class id. `image_size`: longer side of the network input in pixels, a multiple of
     `stride`, the largest stride of the model; else ValueError. `choice` and `precision_choice`: why this
     runtime and its precision were selected.
-    `mask_coefficients`: their number per prediction, 0 if the model does not segment.
+    `mask_coefficients`: their number per prediction, 0 if the model does not segment. `cost`: of an image of
+    `image_size` x `image_size`, None if it is unknown.
     `selection`: the thresholds and classes of a call; may be replaced. `batches`: the batch sizes
     worth using; may be replaced.
     """
@@ -52,6 +57,7 @@ class Detector:
         choice: str = "as set",
         precision_choice: str = "as set",
         mask_coefficients: int = 0,
+        cost: Cost | None = None,
     ) -> None:
         check_image_size(image_size, stride)
         self.runtime = runtime
@@ -62,6 +68,7 @@ class Detector:
         self.image_size = image_size
         self.stride = stride
         self.mask_coefficients = mask_coefficients
+        self.cost = cost
         self.selection = Selection()
 
     def __call__(self, pixels: NDArray[np.uint8], *, order: Order = "bgr") -> Detections:

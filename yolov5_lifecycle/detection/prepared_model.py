@@ -11,13 +11,14 @@ from pathlib import Path
 
 from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
 from yolov5_lifecycle.detection.batch_choice import choose_batches
-from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Batches, Detector, check_image_size
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.input_file import resolve_package
+from yolov5_lifecycle.models.cost import Cost, check_memory, checked_cost, megabytes
 from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.process.memory import release_unused_memory
+from yolov5_lifecycle.process.memory import available_bytes, release_unused_memory
 from yolov5_lifecycle.quantization.calibration_file import (
     Calibration,
     CalibrationError,
@@ -30,6 +31,7 @@ from yolov5_lifecycle.quantization.precision_choice import Used, Wish, choose
 from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
+from yolov5_lifecycle.runtimes.torch_device import resolve_device
 from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
 
@@ -60,6 +62,7 @@ class PreparedModel:
             "device": runtime.device,
             "precision": runtime.precision,
             "precision choice": self.detector.precision_choice,
+            "cost": str(self.detector.cost or ""),
             "batches": self.detector.batches.reason,
         }
         return {name: value for name, value in facts.items() if value}
@@ -76,11 +79,11 @@ class PreparedModel:
     def twin(self, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
         """The same model for another thread, warmed up as by `prepare_model`; see `Detector.twin`.
 
-        Raises InferenceError.
+        Raises InferenceError, ValueError if the memory is too small for another one.
         """
         twin = self.detector.twin()
         try:
-            twin.warm_up(sizes_hw)
+            _warm_up(twin, sizes_hw)
         except BaseException:  # its traceback keeps the detector alive
             twin.close()
             raise
@@ -129,13 +132,39 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
     except CalibrationError as error:
         raise CalibrationError(f"{path_beside(weights.path)}: {error}. {remedy(weights.path)}.") from None
     try:
-        detector.warm_up(sizes_hw)
+        _warm_up(detector, sizes_hw)
         if settings.max_batch > 1:
-            detector.batches = choose_batches(detector, sizes_hw, max_batch=settings.max_batch)
+            detector.batches = _batches(detector, sizes_hw, settings.max_batch)
     except BaseException:  # its traceback keeps the detector alive
         detector.close()
         raise
     return PreparedModel(settings, detector, weights.path, weights.sha256)
+
+
+def _warm_up(detector: Detector, sizes_hw: Sequence[tuple[int, int]]) -> None:
+    """Warm up for one size of network input after the other, each only if it still fits into the memory."""
+    for size_hw in {detector.network_hw(size_hw): size_hw for size_hw in sizes_hw}.values():
+        if (cost := _cost_in_memory(detector)) is not None:
+            check_memory(cost, cost.activation_bytes)
+        detector.warm_up([size_hw])
+
+
+def _batches(detector: Detector, sizes_hw: Sequence[tuple[int, int]], max_batch: int) -> Batches:
+    """See `choose_batches`; batches that would not fit into the memory are not tried."""
+    cost, free_bytes = _cost_in_memory(detector), available_bytes()
+    if cost is None or free_bytes is None or max_batch * cost.activation_bytes <= free_bytes:
+        return choose_batches(detector, sizes_hw, max_batch=max_batch)
+    fitting = free_bytes // cost.activation_bytes
+    problem = f"{fitting + 1} images at once do not fit into the {megabytes(free_bytes)} that are available"
+    if fitting < 2:
+        return Batches((), f"none: {problem}")
+    chosen = choose_batches(detector, sizes_hw, max_batch=fitting)
+    return replace(chosen, reason=f"{chosen.reason}; {problem}")
+
+
+def _cost_in_memory(detector: Detector) -> Cost | None:
+    """The cost of `detector` in the memory of this machine; None on a GPU, which checks its own."""
+    return detector.cost if detector.runtime.device == "cpu" else None
 
 
 def weights_path(settings: Settings) -> Path:
@@ -167,10 +196,12 @@ def load_detector(
     A network in int8 is first compared with fp32, see `deviation`: if it differs too much, `auto` uses fp32.
 
     Raises DeviceError, RuntimeAbsentError, QuantizationError and, for int8 that differs from fp32,
-    CalibrationError (all ValueErrors), ValueError for the image size, InferenceError when measuring fails.
+    CalibrationError (all ValueErrors), ValueError for the image size or if the memory is too small for it,
+    InferenceError when measuring fails.
     """
     stride = size_multiple(model.architecture)
     check_image_size(image_size, stride)
+    cost = checked_cost(model.architecture, image_size, is_in_memory=_is_on_cpu(runtime, device))
     frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
     used = choose(
         model,
@@ -192,6 +223,7 @@ def load_detector(
         choice=used.runtime.reason,
         precision_choice=used.precision.reason,
         mask_coefficients=model.architecture.mask_coefficients,
+        cost=cost,
     )
 
 
@@ -227,6 +259,11 @@ def _loaded(
     _log.warning("int8 is not used: the calibration is not usable: %s", problem)
     used = used.without_int8(f"the calibration is not usable: {problem}")
     return used, load(used.runtime.runtime, precision="fp32")
+
+
+def _is_on_cpu(runtime: str, device: str) -> bool:
+    """Whether the network will run in this machine's memory; a GPU refuses too much by itself."""
+    return runtime not in ("auto", "torch") or resolve_device(device).type == "cpu"
 
 
 def load_model(

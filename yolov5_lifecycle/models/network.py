@@ -27,6 +27,8 @@ class Network(nn.Module):
         super().__init__()
         self.architecture = architecture
         self.model = nn.ModuleList(_modules(architecture))
+        self._sources = _absolute_sources(architecture)
+        self._last_read = _last_read(self._sources)
         _set_activations(self, architecture)
         if architecture.is_fused:
             for module in self.modules():
@@ -46,12 +48,15 @@ class Network(nn.Module):
         `pixels`: (B, 3, H, W) float RGB in [0, 1], H and W multiples of the largest stride; (B, 1, H, W) for
         networks of grey images.
         """
-        outputs: list[Tensor] = []
-        *layers, head = self.architecture.layers
-        for layer, module in zip(layers, self.model[:-1], strict=True):
-            inputs = [(outputs or [pixels])[source] for source in layer.sources]
-            outputs.append(module(inputs if layer.kind == "Concat" else inputs[0]))
-        return [(outputs or [pixels])[source] for source in head.sources]
+        outputs: dict[int, Tensor] = {-1: pixels}
+        *layers, _head = self.architecture.layers
+        for index, (layer, module) in enumerate(zip(layers, self.model[:-1], strict=True)):
+            inputs = [outputs[source] for source in self._sources[index]]
+            outputs[index] = module(inputs if layer.kind == "Concat" else inputs[0])
+            del inputs
+            for source in self._last_read[index]:
+                del outputs[source]
+        return [outputs[source] for source in self._sources[len(layers)]]
 
     def heads(self, pixels: Tensor) -> list[Tensor]:
         """Logits of each level, (B, anchors, ny, nx, 5 + C + M), for training. `pixels` as for `features`."""
@@ -82,6 +87,22 @@ def fuse(network: Network) -> Network:
         if isinstance(module, Block):
             module.fold()
     return network.requires_grad_(False)
+
+
+def _absolute_sources(architecture: Architecture) -> list[list[int]]:
+    """The layers that each layer reads; -1 are the pixels."""
+    return [
+        [index - 1 if source == -1 else source for source in layer.sources]
+        for index, layer in enumerate(architecture.layers)
+    ]
+
+
+def _last_read(sources: list[list[int]]) -> list[list[int]]:
+    """For each layer those of its sources, itself included, that no later layer reads."""
+    last = {index: index for index in range(-1, len(sources))}
+    for reader, read in enumerate(sources):
+        last.update(dict.fromkeys(read, reader))
+    return [[source for source, reader in last.items() if reader == index] for index in range(len(sources))]
 
 
 def _modules(architecture: Architecture) -> list[nn.Module]:

@@ -36,7 +36,8 @@ Tell = Callable[[str], None]
 Loss = Callable[[Detector, Detector], float | None]
 """Points of mAP that the second detector, in int8, loses against the first in fp32; None if unknown."""
 _PACKAGES = ("yolov5_lifecycle", "openvino", "onnxruntime", "torch")
-_SENSITIVITY_FRAMES = 4
+SENSITIVITY_FRAMES = 4
+"""Max frames that the network runs at once."""
 _FP32_SHARE = 0.5
 """Share of the convolutions that stay in fp32 if need be: those that cost least for what they save."""
 _GOOD_AGREEMENT = 0.99
@@ -108,7 +109,7 @@ class Calibrating:
         order = most_sensitive(
             network,
             read,
-            torch.cat(frames[:: -(-len(frames) // _SENSITIVITY_FRAMES)]),
+            torch.cat(frames[:: -(-len(frames) // SENSITIVITY_FRAMES)]),
             weight_bits=self._bits,
             progress=lambda done: self._tell(f"sensitivity: {done} of {len(read)} layers"),
         )

@@ -14,8 +14,9 @@ from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.detection.detector import check_image_size
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.evaluation.ground_truth import Problems
+from yolov5_lifecycle.models.cost import checked_cost
 from yolov5_lifecycle.models.geometry import size_multiple
-from yolov5_lifecycle.offline.calibrate.calibrating import Calibrating
+from yolov5_lifecycle.offline.calibrate.calibrating import SENSITIVITY_FRAMES, Calibrating
 from yolov5_lifecycle.offline.calibrate.calibration_data import CalibrationData, read_calibration_data
 from yolov5_lifecycle.offline.calibrate.calibration_frames import fitted
 from yolov5_lifecycle.offline.calibrate.map_loss import MapLoss
@@ -125,7 +126,10 @@ def _run(arguments: argparse.Namespace, terminal: _Terminal) -> str:
         raise PermissionError(f"{path.parent}: not writable; choose another folder with -o")
     settings = _settings(arguments)
     problems = Problems(terminal.remark)
-    data = _data(arguments, size_multiple(weights.model.architecture), problems, terminal)
+    stride = size_multiple(weights.model.architecture)
+    check_image_size(arguments.image_size, stride)
+    checked_cost(weights.model.architecture, arguments.image_size, images=SENSITIVITY_FRAMES)
+    data = _data(arguments, stride, problems, terminal)
     loss = MapLoss(data.labelled, weights, settings, watch=terminal, problems=problems)
     if data.labelled is not None and loss.unknown:
         terminal.remark(f"the labels are not used: {loss.unknown}")
@@ -158,7 +162,6 @@ def _settings(arguments: argparse.Namespace) -> Settings:
 def _data(
     arguments: argparse.Namespace, stride: int, problems: Problems, terminal: _Terminal
 ) -> CalibrationData:
-    check_image_size(arguments.image_size, stride)
     return read_calibration_data(
         arguments.data,
         DataOptions(split=arguments.split, root=arguments.root, topic=arguments.topic),

@@ -1,0 +1,226 @@
+"""The cost of a network is what torch counts and allocates, and is found without building the network."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from support.families import EVERY_FAMILY, family_architecture
+from support.formula_model import EVERY_SIZE
+from support.hostile_costs import REFUSED
+from support.small_families import EVERY_SMALL, SMALL_FAMILIES
+from torch.profiler import ProfilerActivity, profile
+from torch.utils.flop_counter import FlopCounterMode
+
+from benchmark.process_memory import forget_peak, peak_resident_mb, resident_mb
+from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
+from yolov5_lifecycle.models.cost import (
+    MAX_BYTES_PER_PIXEL,
+    MAX_ELEMENTS_PER_PIXEL,
+    MAX_MULTIPLY_ADDS_PER_PIXEL,
+    check_architecture,
+    check_memory,
+    check_proportions,
+    checked_cost,
+    cost_of,
+    usual_cost,
+)
+from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.head import Segment
+from yolov5_lifecycle.models.model import blueprint
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
+
+MAX_GROWN_MB = 50
+
+
+def counted_flops(architecture: Architecture, size_hw: tuple[int, int]) -> int:
+    """What torch itself counts for one image, with prototypes of masks."""
+    network = blueprint(architecture).eval()
+    pixels = torch.zeros(1, architecture.image_channels, *size_hw, device="meta")
+    with torch.no_grad(), FlopCounterMode(display=False) as counter:
+        features = network.features(pixels)
+        network.predictions(features)
+        if isinstance(network.head, Segment):
+            network.head.proto(features[0])
+    return int(counter.get_total_flops())
+
+
+def allocated_bytes(run: Callable[[], object]) -> int:
+    """The most memory that torch has allocated at once while `run` runs."""
+    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiled:
+        run()
+    assert profiled.profiler is not None
+    events = profiled.profiler.kineto_results.events()
+    kept = most = 0
+    for event in events:
+        if event.name() == "[memory]":
+            kept += event.nbytes()
+            most = max(most, kept)
+    return most
+
+
+def check_cost(architecture: Architecture, image_size: int = 320) -> None:
+    """Compare multiply-adds and memory with torch's, for an image that is not square."""
+    multiple = size_multiple(architecture)
+    height = -(-image_size // multiple) * multiple
+    cost = cost_of(architecture, (height, height + multiple))
+    flops = counted_flops(architecture, cost.size_hw)
+    assert 2 * cost.multiply_adds == pytest.approx(flops, rel=0.1)
+    assert cost.weight_bytes == 4 * sum(weight.numel() for weight in blueprint(architecture).parameters())
+
+    runtime = TorchRuntime(Network(architecture).eval(), device=torch.device("cpu"), dtype=torch.float32)
+    frame = np.zeros((*cost.size_hw, 3), np.uint8)
+
+    def run() -> None:
+        predictions = runtime(frame, "rgb")
+        if predictions.compute_prototypes is not None:
+            predictions.compute_prototypes()
+
+    run()
+    assert cost.activation_bytes == pytest.approx(allocated_bytes(run), rel=0.1)
+
+
+@pytest.mark.parametrize("size", EVERY_SIZE)
+def test_the_cost_of_each_size_is_what_torch_counts_and_allocates(size: str) -> None:
+    check_cost(SIZES[size])
+
+
+@pytest.mark.parametrize("name", EVERY_FAMILY)
+def test_the_cost_of_each_family_is_what_torch_counts_and_allocates(name: str) -> None:
+    check_cost(family_architecture(name))
+
+
+@pytest.mark.parametrize("architecture", EVERY_SMALL.values(), ids=EVERY_SMALL)
+def test_the_arithmetic_of_every_kind_of_layer_is_what_torch_counts(architecture: Architecture) -> None:
+    cost = cost_of(architecture, (64, 96))
+    assert 2 * cost.multiply_adds == pytest.approx(counted_flops(architecture, (64, 96)), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("size", "gflops"), [("n", 4.5), ("s", 16.5), ("m", 49.0), ("l", 109.1), ("x", 205.7)], ids=str
+)
+def test_the_figures_are_those_that_yolov5_publishes(size: str, gflops: float) -> None:
+    cost = usual_cost(SIZES[size])
+    assert 2 * cost.multiply_adds / 1e9 == pytest.approx(gflops, rel=0.02)
+    assert cost.pixels == "640x640"
+
+
+def test_a_batch_computes_and_keeps_as_much_more() -> None:
+    one, four = (cost_of(SIZES["n"], (640, 640), images=images) for images in (1, 4))
+    assert four.multiply_adds == 4 * one.multiply_adds
+    assert four.activation_bytes == pytest.approx(4 * one.activation_bytes, rel=0.01)
+    assert four.weight_bytes == one.weight_bytes
+
+
+def test_a_layer_that_is_read_again_is_kept_and_no_other() -> None:
+    def most_bytes(source: int) -> int:
+        chain = tuple(Layer((-1,), 1, "Conv", (64, 3, 1)) for _ in range(20))
+        joined = (Layer((-1, source), 1, "Concat"), Layer((-1,), 1, "Conv", (64, 3, 1)))
+        layers = (Layer((-1,), 1, "Conv", (64, 3, 1)), *chain, *joined, Layer((22,), 1, "Detect"))
+        return cost_of(
+            Architecture(
+                depth_multiple=1,
+                width_multiple=1,
+                classes=1,
+                anchors_px=(((10, 10),),),
+                strides=(1,),
+                layers=layers,
+            ),
+            (128, 128),
+        ).activation_bytes
+
+    layer_bytes = 4 * 64 * 128 * 128
+    assert most_bytes(19) == most_bytes(0), "only one more layer is kept, whichever that is"
+    assert most_bytes(0) < 7 * layer_bytes
+
+
+def test_the_cost_is_one_line_for_people() -> None:
+    cost = dataclasses.replace(
+        usual_cost(SIZES["n"]),
+        multiply_adds=2_250_000_000,
+        activation_bytes=30_000_000,
+        weight_bytes=5_000_000,
+    )
+    assert str(cost) == "4.5 GFLOPs, 35 MB at 640x640"
+    assert str(dataclasses.replace(cost, activation_bytes=3_000_000_000)) == "4.5 GFLOPs, 3.0 GB at 640x640"
+
+
+@pytest.mark.parametrize(
+    "architecture",
+    [
+        *(pytest.param(SIZES[size], id=size) for size in SIZES),
+        *(pytest.param(architecture, id=name) for name, architecture in EVERY_SMALL.items()),
+        *(
+            pytest.param(dataclasses.replace(SIZES[size], classes=10_000), id=f"{size}, 10,000 classes")
+            for size in ("n", "x", "x6")
+        ),
+    ],
+)
+@pytest.mark.parametrize("image_size", [320, 4096])
+def test_no_real_model_is_out_of_proportion(architecture: Architecture, image_size: int) -> None:
+    if architecture is SMALL_FAMILIES["transformer"]:
+        image_size = 64  # attention of every fourth pixel to each other
+    check_architecture(architecture)
+    check_proportions(cost_of(architecture, (image_size, image_size)))
+
+
+def test_the_largest_size_needs_3_gb_for_the_largest_image() -> None:
+    assert cost_of(SIZES["x6"], (4096, 4096)).memory_bytes < 3e9
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_would_take_the_machines_memory_is_refused_without_taking_any(name: str) -> None:
+    architecture, told = REFUSED[name]
+    check_architecture(SIZES["n"])
+    before_mb = resident_mb(os.getpid())
+    forget_peak()
+    with pytest.raises(ValueError, match="at most") as refusal:
+        check_architecture(architecture)
+    assert told in str(refusal.value)
+    assert peak_resident_mb(os.getpid()) - before_mb < MAX_GROWN_MB
+
+
+def test_what_would_take_minutes_is_refused() -> None:
+    slow = Architecture(
+        depth_multiple=1,
+        width_multiple=1,
+        classes=1,
+        anchors_px=(((10, 10),),),
+        strides=(1,),
+        layers=(
+            Layer((-1,), 1, "Conv", (128, 15, 1)),
+            Layer((-1,), 1, "Conv", (128, 15, 1)),
+            Layer((1,), 1, "Detect"),
+        ),
+    )
+    with pytest.raises(ValueError, match=r"the network would compute 124 GFLOPs .* at most 82"):
+        check_architecture(slow)
+
+
+def test_attention_is_refused_for_images_for_which_it_needs_too_much() -> None:
+    architecture = SMALL_FAMILIES["transformer"]
+    check_architecture(architecture)
+    checked_cost(architecture, 128)
+    with pytest.raises(ValueError, match=r"^Image size 640: layer 2 \(C3TR\) would keep 21\.0 GB") as refusal:
+        checked_cost(architecture, 640)
+    assert str(refusal.value).endswith("Use a smaller image_size or model.")
+
+
+def test_what_exceeds_the_free_memory_is_refused_with_both_figures() -> None:
+    cost = cost_of(SIZES["x6"], (4096, 4096))
+    check_memory(cost, cost.memory_bytes, free_bytes=cost.memory_bytes)
+    with pytest.raises(ValueError, match=r"Image size 4096: the model needs 2\.8 GB .* 500 MB are available"):
+        check_memory(cost, cost.memory_bytes, free_bytes=500_000_000)
+
+
+def test_each_limit_is_above_what_the_largest_official_model_needs() -> None:
+    cost = usual_cost(SIZES["x6"])
+    pixels = 640 * 640
+    assert 10 * max(int(np.prod(shape)) for _, shape in cost.outputs) < MAX_ELEMENTS_PER_PIXEL * pixels
+    assert 10 * cost.activation_bytes < MAX_BYTES_PER_PIXEL * pixels
+    assert 9 * cost.multiply_adds < MAX_MULTIPLY_ADDS_PER_PIXEL * pixels

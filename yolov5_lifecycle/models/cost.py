@@ -1,0 +1,212 @@
+"""What a network computes and keeps in memory for an input of a given size, before it is built."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, cast
+
+import torch
+from torch import Tensor, nn
+
+from yolov5_lifecycle.models.architecture import Architecture
+from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.head import PARITIES, Proto, Segment
+from yolov5_lifecycle.models.model import blueprint
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.models.outline import Ledger, Outline, Shape
+from yolov5_lifecycle.process.memory import available_bytes
+
+MAX_CHANNELS = 65_536
+"""Max output channels of a layer; the largest of YOLOv5x6 has 1920."""
+MAX_ELEMENTS_PER_PIXEL = 256
+"""Max elements of a layer's output for each pixel of the network's input; the largest of YOLOv5x6 has 20."""
+MAX_BYTES_PER_PIXEL = 10 << 10
+"""Max activations kept at once; YOLOv5x6 has 155 bytes, three anchors of 10,000 classes at stride 8 7,400."""
+MAX_MULTIPLY_ADDS_PER_PIXEL = 2_500_000
+"""Ten times those of YOLOv5x6."""
+_SMALL_IMAGE_SIZE, _USUAL_IMAGE_SIZE = 128, 640
+_FLOAT_BYTES = 4
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Cost of one run of a network, in float32, for `images` of `size_hw` pixels.
+
+    `multiply_adds` are those of convolutions, linear layers and attention, as the network was trained:
+    runtimes save some by merging layers. `activation_bytes` are the features and predictions that exist at
+    the same time at most, which is while `layer` is computed; with masks and until NMS has selected.
+    """
+
+    images: int
+    size_hw: tuple[int, int]
+    multiply_adds: int
+    activation_bytes: int
+    layer: str
+    weight_bytes: int
+    outputs: tuple[tuple[str, Shape], ...]
+    """Each layer before the head, such as "layer 3 (Conv)", and its output, (images, channels, ny, nx)."""
+
+    @property
+    def memory_bytes(self) -> int:
+        """Activations and weights."""
+        return self.activation_bytes + self.weight_bytes
+
+    @property
+    def pixels(self) -> str:
+        """Width and height, such as "640x384"."""
+        height, width = self.size_hw
+        return f"{width}x{height}"
+
+    @property
+    def subject(self) -> str:
+        """Such as "an image of 640x384"."""
+        return f"{self.images} images of {self.pixels}" if self.images > 1 else f"an image of {self.pixels}"
+
+    def __str__(self) -> str:
+        """Such as "4.5 GFLOPs, 41 MB at 640x640"."""
+        return f"{2 * self.multiply_adds / 1e9:,.1f} GFLOPs, {megabytes(self.memory_bytes)} at {self.pixels}"
+
+
+def cost_of(architecture: Architecture, size_hw: tuple[int, int], *, images: int = 1) -> Cost:
+    """The cost for `images` of `size_hw`, height and width multiples of `size_multiple`.
+
+    Found by running the network on tensors without numbers, so it takes no memory, whatever the figures.
+    Raises WeightsError if no network can be built, ValueError if its layers do not fit each other.
+    """
+    network = blueprint(architecture).eval()
+    weights = sum(parameter.numel() for parameter in network.parameters())
+    ledger = Ledger()
+    outputs: list[tuple[str, Shape]] = []
+    for index, module in enumerate(network.model):
+        _watch(module, f"layer {index} ({architecture.layers[index].kind})", ledger, outputs)
+    _run(network, Outline((images, architecture.image_channels, *size_hw), ledger))
+    return Cost(
+        images=images,
+        size_hw=size_hw,
+        multiply_adds=ledger.multiply_adds,
+        activation_bytes=_FLOAT_BYTES * ledger.most_elements,
+        layer=ledger.layer_of_most,
+        weight_bytes=_FLOAT_BYTES * weights,
+        outputs=tuple(outputs),
+    )
+
+
+def usual_cost(architecture: Architecture) -> Cost:
+    """The cost for an image of 640x640, or of the next larger size that fits; raises like `cost_of`."""
+    return cost_of(architecture, _square(architecture, _USUAL_IMAGE_SIZE))
+
+
+def check_architecture(architecture: Architecture) -> None:
+    """Raise ValueError if a small image already costs more than `check_proportions` allows.
+
+    The attention of every cell to every cell grows with the square of the image: for a larger one it is
+    checked when the image size is known.
+    """
+    check_proportions(cost_of(architecture, _square(architecture, _SMALL_IMAGE_SIZE)))
+
+
+def check_proportions(cost: Cost) -> None:
+    """Raise ValueError if a layer, or all of them, cost more for each pixel than any model needs.
+
+    A small weights file can ask for any amount of memory: most layers that enlarge features have no weights.
+    """
+    pixels = cost.images * math.prod(cost.size_hw)
+    for layer, shape in cost.outputs:
+        if shape[1] > MAX_CHANNELS:
+            raise ValueError(f"{layer} would have {shape[1]:,} channels, at most {MAX_CHANNELS:,}")
+        if math.prod(shape) > MAX_ELEMENTS_PER_PIXEL * pixels:
+            raise ValueError(
+                f"{layer} would have {math.prod(shape):,} elements for {cost.subject}, at most "
+                f"{MAX_ELEMENTS_PER_PIXEL * pixels:,}"
+            )
+    max_bytes = MAX_BYTES_PER_PIXEL * pixels + cost.weight_bytes  # of which one layer's are copied
+    if cost.activation_bytes > max_bytes:
+        raise ValueError(
+            f"{cost.layer} would keep {megabytes(cost.activation_bytes)} of features and predictions for "
+            f"{cost.subject}, at most {megabytes(max_bytes)}"
+        )
+    if cost.multiply_adds > MAX_MULTIPLY_ADDS_PER_PIXEL * pixels:
+        raise ValueError(
+            f"the network would compute {2 * cost.multiply_adds / 1e9:,.0f} GFLOPs for {cost.subject}, "
+            f"at most {2 * MAX_MULTIPLY_ADDS_PER_PIXEL * pixels / 1e9:,.0f}"
+        )
+
+
+def checked_cost(
+    architecture: Architecture, image_size: int, *, images: int = 1, is_in_memory: bool = True
+) -> Cost:
+    """The cost for `images` of `image_size` x `image_size`; those of other proportions cost less.
+
+    Raises ValueError if it is out of proportion, see `check_proportions`, or, `is_in_memory`, if this machine
+    has too little memory.
+    """
+    cost = cost_of(architecture, (image_size, image_size), images=images)
+    try:
+        check_proportions(cost)
+    except ValueError as error:
+        raise ValueError(f"Image size {image_size}: {error}. Use a smaller image_size or model.") from None
+    if is_in_memory:
+        check_memory(cost, cost.memory_bytes)
+    return cost
+
+
+def check_memory(cost: Cost, needed_bytes: int, *, free_bytes: int | None = None) -> None:
+    """Raise ValueError if `needed_bytes` of `cost` exceed `free_bytes`, by default those available now."""
+    free = available_bytes() if free_bytes is None else free_bytes
+    if free is not None and needed_bytes > free:
+        raise ValueError(
+            f"Image size {max(cost.size_hw)}: the model needs {megabytes(needed_bytes)} of memory, most of "
+            f"it at {cost.layer}, but only {megabytes(free)} are available. Use a smaller image_size or "
+            "model."
+        )
+
+
+def _watch(module: nn.Module, name: str, ledger: Ledger, outputs: list[tuple[str, Shape]]) -> None:
+    """Tell `ledger` when the layer begins, and add the shape of its output to `outputs`."""
+
+    def note(_: object, __: object, output: object) -> None:
+        if isinstance(output, Outline):  # the head returns several
+            outputs.append((name, output.shape))
+
+    module.register_forward_pre_hook(lambda *_: setattr(ledger, "layer", name))
+    module.register_forward_hook(note)
+
+
+def _run(network: Network, pixels: Outline) -> None:
+    """Run `network` up to the selection by NMS, whose copies of predictions are outlines, too."""
+    features = cast(list[Any], network.features(cast(Tensor, pixels)))
+    levels = cast(list[Outline], network.head(features))
+    rows = [level.made(*level.shape) for level in levels]
+    decoded = [level.made(*level.shape) for level in levels]
+    finest = features[0]
+    del features, levels, rows, pixels
+    likely = [level.made(*level.shape) for level in decoded]
+    selected = [level.made(*level.shape) for level in likely]
+    del selected
+    if isinstance(network.head, Segment):
+        _prototypes(network.head.proto, finest)
+    del likely
+
+
+def _prototypes(proto: Proto, finest: Outline) -> None:
+    """Run `proto` for the memory that it takes when folded, but for the arithmetic of its training."""
+    trained = Ledger(finest.ledger.multiply_adds)
+    proto(Outline(finest.shape, trained))
+    hidden = proto.cv2.conv.out_channels
+    with torch.device("meta"):
+        proto.quarters = nn.ModuleList(nn.Conv2d(hidden, hidden, 2) for _ in PARITIES)
+    proto(finest)
+    finest.ledger.multiply_adds = trained.multiply_adds
+
+
+def _square(architecture: Architecture, image_size: int) -> tuple[int, int]:
+    """The smallest square input that is not smaller than `image_size`."""
+    multiple = size_multiple(architecture)
+    side = math.ceil(image_size / multiple) * multiple
+    return side, side
+
+
+def megabytes(count: int) -> str:
+    """Bytes for a reader, such as "35 MB"."""
+    return f"{count / 1e9:,.1f} GB" if count >= 1e9 else f"{count / 1e6:,.0f} MB"
