@@ -21,9 +21,9 @@ from benchmark.models import untrained_network
 from benchmark.report import Goal, goal_table, row, table, write_report
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.models.architecture import SIZES
 
 REPORT = Path(__file__).parents[1] / "build" / "bench" / "masks.json"

@@ -31,6 +31,7 @@ from soak.mixed_life import mixed_life
 from soak.publishers import counted_publishers
 from soak.service_requests import answered_requests
 from soak.several_cameras import several_cameras
+from soak.slow_steps import survived_slow_steps
 from soak.subject import Subject, subject
 from soak.transitions import answered_shutdowns, answered_transitions
 
@@ -84,6 +85,7 @@ def _trials_of_many(seed: int, scale: float) -> dict[str, Trial]:
         "leftovers": lambda: removed_leftovers([signal.SIGKILL, signal.SIGTERM] * times),
         "shutdowns": answered_shutdowns,
         "lost-devices": lambda: ended_by_lost_devices(_scaled(_FAULTS, scale)),
+        "slow-steps": survived_slow_steps,
         "abandoned-threads": lambda: ended_by_abandoned_threads(times),
         "endings": lambda: clean_endings(ENDINGS * times, seed),
         "flooded-endings": endings_beside_floods,

@@ -15,7 +15,7 @@ from yolov5_lifecycle.ros.messages import image_of_message
 _PACE_S = 0.002
 """Pause between images; one sent at once would replace the one before it unprocessed."""
 _ANSWER_S = 5.0
-_TRANSPORTS = {
+TRANSPORTS = {
     "raw": (Image, f"{NODE}/image_raw"),
     "compressed": (CompressedImage, f"{NODE}/image_raw/compressed"),
 }
@@ -27,7 +27,7 @@ class Sender:
     def __init__(self, subject: Subject, transport: str) -> None:
         self._subject = subject
         self._transport = transport
-        self._publisher = subject.observer.create_publisher(*_TRANSPORTS[transport], 1)
+        self._publisher = subject.observer.create_publisher(*TRANSPORTS[transport], 1)
         self.whole = 0
         self.wait_until_heard()
 

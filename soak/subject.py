@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,9 +29,9 @@ from yolov5_lifecycle.ros.demo.observer import Observer
 
 _UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
 _START_S = 120.0
+_NONE: Mapping[str, str] = MappingProxyType({})
 _KEPT = 1000
 """Queue length for messages to this process, which does not always spin."""
-_COMMAND = [sys.executable, faulty_detector.__file__, "--ros-args"]
 
 
 @dataclass(frozen=True)
@@ -133,8 +134,20 @@ def subject() -> Iterator[Subject]:
 @contextmanager
 def subject_in(domain: int, **variables: str) -> Iterator[Subject]:
     """A process in `domain` with `variables` added to its environment."""
-    command = [*_COMMAND, *as_arguments(PARAMETERS)]
-    with ChildProcess("detector", command, environment(domain) | variables) as process:
+    with subject_of([faulty_detector.__file__], PARAMETERS, domain, variables) as subject:
+        yield subject
+
+
+@contextmanager
+def subject_of(
+    program: Sequence[str],
+    parameters: Mapping[str, object],
+    domain: int,
+    variables: Mapping[str, str] = _NONE,
+) -> Iterator[Subject]:
+    """A process of another Python program, with its arguments, in `domain`."""
+    command = [sys.executable, *program, "--ros-args", *as_arguments(parameters)]
+    with ChildProcess("detector", command, environment(domain) | dict(variables)) as process:
         process.wait_for_output("next step: ", _START_S)
         with closing(Observer("client", domain=domain, check=process.check_running)) as observer:
             yield Subject(process, observer, domain)

@@ -29,6 +29,7 @@ from soak.mixed_life import mixed_life
 from soak.publishers import counted_publishers
 from soak.service_requests import answered_requests
 from soak.several_cameras import several_cameras
+from soak.slow_steps import survived_slow_steps
 from soak.subject import Subject, exceptions_in, subject
 from soak.track_ids import TrackIds
 from soak.transitions import answered_shutdowns, answered_transitions
@@ -91,6 +92,7 @@ def test_a_claim_holds_in_a_running_process(
             lambda: endings_beside_floods(["shortest parameters"], limit_s=END_S), id="flooded-signals"
         ),
         pytest.param(lambda: clean_restarts(["active"], SEED), id="kill"),
+        pytest.param(lambda: survived_slow_steps(["masks"], side_px=2001, is_timed=False), id="slow-steps"),
         pytest.param(lambda: survived_caches(["FIFO", "link to an endless device"]), id="hostile-cache"),
         pytest.param(lambda: removed_leftovers([signal.SIGKILL]), id="leftovers"),
     ],

@@ -14,7 +14,7 @@ from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.batch_choice import choose_batches
 from yolov5_lifecycle.detection.detector import Batches, Detector
-from yolov5_lifecycle.detection.prepared_model import load_detector
+from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.runtimes.speed import measure_batches_ms
 

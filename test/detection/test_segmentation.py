@@ -12,8 +12,8 @@ from support.random_model import CLASS_NAMES, TINY_SEGMENT, random_model
 from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 

@@ -73,7 +73,7 @@ def check_cost(architecture: Architecture, image_size: int = 320) -> None:
     assert 2 * cost.multiply_adds == pytest.approx(flops, rel=0.1)
     assert cost.weight_bytes == 4 * sum(weight.numel() for weight in blueprint(architecture).parameters())
 
-    runtime = TorchRuntime(Network(architecture).eval(), device=torch.device("cpu"), dtype=torch.float32)
+    runtime = TorchRuntime.of(Network(architecture).eval(), device=torch.device("cpu"), dtype=torch.float32)
     frame = np.zeros((*cost.size_hw, 3), np.uint8)
 
     def run() -> None:

@@ -16,7 +16,7 @@ from support.colcon_workspace import SUPPORT_PATH
 from support.random_model import TINY, random_model
 from support.special_cache_files import SPECIAL_CACHE_FILES
 
-from yolov5_lifecycle.detection.prepared_model import load_detector
+from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime, read_figures, write_figures
 from yolov5_lifecycle.runtimes.cache import cache_folder, installed_build
 from yolov5_lifecycle.runtimes.registry import (
