@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 import socket
 import stat
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
+from threading import Barrier
 
 import pytest
 
@@ -112,6 +115,22 @@ def test_a_token_is_made_once_and_kept_for_its_user_alone(tmp_path: Path) -> Non
     assert kept_token(path) == (token, False)
 
 
+def test_consoles_that_start_together_share_one_token(tmp_path: Path) -> None:
+    together = Barrier(8)
+
+    def start(path: Path) -> tuple[str, bool]:
+        together.wait()
+        return kept_token(path)
+
+    paths = [tmp_path / f"token {turn}" for turn in range(100)]
+    with ThreadPoolExecutor(8) as consoles:
+        for path in paths:
+            found = list(consoles.map(start, [path] * 8))
+            assert len({token for token, _ in found}) == 1
+            assert [is_new for _, is_new in found].count(True) == 1
+    assert sorted(tmp_path.iterdir()) == sorted(paths)
+
+
 def test_two_tokens_differ(tmp_path: Path) -> None:
     assert kept_token(tmp_path / "one") != kept_token(tmp_path / "two")
 
@@ -170,9 +189,17 @@ def test_wrong_tokens_are_throttled_for_each_address() -> None:
     sessions = Sessions(TOKEN, clock=clock)
     assert [sessions.knows_token(f"wrong {number}", "192.0.2.1") for number in range(5)] == [False] * 5
     with pytest.raises(TooManyTriesError):
-        sessions.knows_token(TOKEN, "192.0.2.1")
-    assert sessions.knows_token(TOKEN, "192.0.2.2")
+        sessions.knows_token("wrong", "192.0.2.1")
+    assert not sessions.knows_token("wrong", "192.0.2.2")
     clock.now_s = 12.0
+    assert not sessions.knows_token("wrong", "192.0.2.1")
+
+
+def test_the_right_token_counts_however_many_were_wrong() -> None:
+    sessions = Sessions(TOKEN, clock=Clock())
+    for number in range(100):
+        with suppress(TooManyTriesError):
+            sessions.knows_token(f"wrong {number}", "192.0.2.1")
     assert sessions.knows_token(TOKEN, "192.0.2.1")
 
 

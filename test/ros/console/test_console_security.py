@@ -102,7 +102,7 @@ def test_a_request_on_loopback_is_answered_with(
         pytest.param("/ws", {"Origin": ""}, 403, id="no origin"),
         pytest.param("/image?node=/yolov5", {"Origin": FOREIGN}, 403, id="image of a foreign origin"),
         pytest.param("/nowhere", {}, 403, id="unknown socket"),
-        pytest.param("/ws", {"Cookie": "console=" + "a" * 10_000}, 400, id="long header"),
+        pytest.param("/ws", {"X-Long": "a" * 10_000}, 400, id="long header"),
     ],
 )
 def test_a_socket_is_refused(
@@ -159,6 +159,41 @@ def test_the_token_begins_a_session_whose_cookie_scripts_and_other_pages_do_not_
         page.wait_for(lambda: NODE in page.nodes, "the detector")
 
 
+@pytest.mark.parametrize("odd", ['prefs={"a":1}', "k=hello world", "k=" + "a" * 10_000], ids=len)
+def test_cookies_of_other_programs_on_the_host_end_no_session(
+    guarded: ConsoleClient, token: str, odd: str
+) -> None:
+    browser = guarded.logged_in(token)
+    stale = f"{guarded.cookie_name}=stale"
+    for cookies in (
+        f"{odd}; {browser.cookie}",
+        f"{browser.cookie}; {odd}",
+        f"{stale}; {browser.cookie}; {stale}",
+    ):
+        assert browser.request("GET", "/", headers={"Cookie": cookies}).status == 200
+        with ConsoleClient(browser.url, cookies).page() as page:
+            assert page.welcome["type"] == "welcome"
+
+
+def test_a_length_that_is_told_twice_is_refused(console: ConsoleBesideNode) -> None:
+    client = console.client
+    headers = {"Origin": client.origin, "Transfer-Encoding": "chunked"}
+    reply = client.request("POST", "/login", headers=headers, body="0\r\n\r\n")
+    assert (reply.status, reply.headers.get("connection")) == (400, "close")
+
+
+def test_connections_that_never_read_are_closed(console: ConsoleBesideNode) -> None:
+    target = (urlsplit(console.client.url).hostname, urlsplit(console.client.url).port)
+    request = f"GET /page/main.js HTTP/1.1\r\nHost: {target[0]}:{target[1]}\r\n\r\n".encode()
+    with socket.socket() as deaf:
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        deaf.connect(target)
+        deaf.settimeout(60)
+        with pytest.raises(OSError, match=r"reset|[Bb]roken"):
+            while True:
+                deaf.sendall(request * 100)
+
+
 def test_a_session_of_another_console_on_this_host_ends_none(
     console: ConsoleBesideNode, guarded: ConsoleClient, token: str, token_file: Path
 ) -> None:
@@ -180,7 +215,7 @@ def test_a_wrong_token_begins_none_and_is_throttled(console: ConsoleBesideNode, 
         assert [reply.status for reply in replies] == [303] * 5 + [429]
         assert {reply.headers.get("location") for reply in replies[:5]} == {"/login?wrong"}
         assert not any("set-cookie" in reply.headers for reply in replies)
-        assert client.log_in((tmp_path / "token").read_text().strip()).status == 429
+        assert client.logged_in((tmp_path / "token").read_text().strip()).request("GET", "/").status == 200
 
 
 def test_behind_a_proxy_with_tls_the_cookie_is_for_tls_alone(
@@ -192,7 +227,14 @@ def test_behind_a_proxy_with_tls_the_cookie_is_for_tls_alone(
         token = (tmp_path / "token").read_text().strip()
         reply = client.log_in(token, Host="robot.example", Origin="https://robot.example")
         assert reply.status == 303
-        assert "Secure" in reply.headers["set-cookie"].split("; ")
+        cookie, *attributes = reply.headers["set-cookie"].split("; ")
+        assert cookie.startswith(f"__Host-{client.cookie_name}=")
+        assert {"Secure", "Path=/"} <= set(attributes)
+        assert not any(attribute.lower().startswith("domain") for attribute in attributes)
+        assert reply.headers["strict-transport-security"] == "max-age=2592000"
+        assert "strict-transport-security" not in client.request("GET", "/login").headers
+        page = {"Host": "robot.example", "Cookie": f"k=hello world; {cookie}"}
+        assert client.request("GET", "/", headers=page).status == 200
         refused = client.log_in(token, Host="robot.example", Origin="http://robot.example")
         assert refused.status == 403
 

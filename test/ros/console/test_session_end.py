@@ -61,11 +61,10 @@ def test_an_open_socket_is_closed_when_its_session_expires(path: str) -> None:
         page=pages.serve,
         image=pages.serve,
         sessions=sessions,
-        cookie=COOKIE,
         figures=None,
         logger=get_logger("console"),
     )
-    gate = Gate(application, Addresses(scheme="http", is_loopback=True), sessions, cookie=COOKIE)
+    gate = Gate(application, Addresses(scheme="http", is_loopback=True), sessions, port=8080)
     browser = Socket()
     asyncio.run(asyncio.wait_for(gate(upgrade(path, cookie), browser.receive, browser.send), PATIENCE_S))
     accepted, *_, closed = browser.sent

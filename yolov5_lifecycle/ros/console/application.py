@@ -32,8 +32,7 @@ Figures = Callable[[], bytes]
 class WebApplication:
     """Serves `files`; `page` and `image` serve the WebSockets, `figures` creates the text of the metrics.
 
-    Without `sessions` there is no login, without `figures` there are no metrics. `cookie`: name of the cookie
-    with the id of the session.
+    Without `sessions` there is no login, without `figures` there are no metrics.
     """
 
     def __init__(
@@ -43,13 +42,11 @@ class WebApplication:
         page: Serve,
         image: Serve,
         sessions: Sessions | None,
-        cookie: str,
         figures: Figures | None,
         logger: RcutilsLogger,
     ) -> None:
         self._files = files
         self._sessions = sessions
-        self._cookie = cookie
         self._figures = figures
         self._logger = logger
         routes: list[BaseRoute] = [
@@ -100,7 +97,7 @@ class WebApplication:
             return RedirectResponse("/login?wrong", status_code=303)
         response = RedirectResponse("/", status_code=303)
         response.set_cookie(
-            self._cookie,
+            request.state.cookie,
             self._sessions.begin(),
             max_age=int(SESSION_S),
             httponly=True,

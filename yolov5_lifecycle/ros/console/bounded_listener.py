@@ -9,10 +9,13 @@ from weakref import WeakKeyDictionary
 MAX_CONNECTIONS = 128
 MAX_CONNECTIONS_OF_ADDRESS = 64
 """Further ones are closed at once."""
+UNREAD_S = 5.0
+"""A connection whose client takes nothing of what it was sent for so long is ended by the kernel."""
 
 
 class BoundedListener(socket.socket):
-    """Takes over `listening`; closes excess connections when they are accepted, before any TLS handshake.
+    """Takes over `listening`; closes excess connections when they are accepted, before any TLS handshake,
+    and those whose clients read nothing.
 
     asyncio calls a protocol's `connection_made` only after the handshake, so a limit there would not apply to
     connections that never begin one.
@@ -31,5 +34,7 @@ class BoundedListener(socket.socket):
             connection.close()
             # asyncio goes on with the next one.
             raise ConnectionAbortedError(f"{address} has too many connections")
+        # Closing alone would not do: asyncio keeps a closed connection until its buffer is empty.
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(UNREAD_S * 1000))
         self._address_of[connection] = address
         return connection, place

@@ -21,18 +21,13 @@ class Budget:
 
     def spend(self) -> bool:
         """Whether it may happen now; if so, it counts."""
-        if not self.is_left:
-            return False
-        self._left -= 1
-        return True
-
-    @property
-    def is_left(self) -> bool:
-        """Whether it may happen now."""
         now_s = self._clock()
         self._left = min(self._burst, self._left + (now_s - self._since_s) * self._rate_hz)
         self._since_s = now_s
-        return self._left >= 1
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
 
 
 class BudgetPerAddress:

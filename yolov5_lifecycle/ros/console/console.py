@@ -41,14 +41,11 @@ class Console:
         feeds = ImageFeeds(self._ros)
         viewers = Viewers(feeds, self._detectors.find)
         sessions = Sessions(token) if token else None
-        # Browsers send cookies to every port of a host, so another console's must have another name.
-        cookie = f"console_{sock.getsockname()[1]}"
         application = WebApplication(
             page_files(),
             page=self._pages.serve,
             image=viewers.serve,
             sessions=sessions,
-            cookie=cookie,
             figures=figures(lambda: self._detectors.known, lambda: feeds.viewers)
             if options.has_metrics
             else None,
@@ -59,7 +56,7 @@ class Console:
             public_urls=options.public_urls,
             is_loopback=options.is_loopback,
         )
-        gate = Gate(application, addresses, sessions, cookie=cookie)
+        gate = Gate(application, addresses, sessions, port=sock.getsockname()[1])
         self._server = WebServer(gate, options, sock)
 
     async def serve(self) -> None:

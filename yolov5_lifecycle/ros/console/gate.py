@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from http.cookies import CookieError, SimpleCookie
-
-from starlette.datastructures import Headers
-from starlette.requests import HTTPConnection
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from yolov5_lifecycle.ros.console.addresses import Addresses
 from yolov5_lifecycle.ros.console.budget import Budget, BudgetPerAddress
+from yolov5_lifecycle.ros.console.cookies import cookie_name, values_of
 from yolov5_lifecycle.ros.console.sessions import Sessions, TooManyTriesError
 
 METRICS = "/metrics"
 _REQUESTS_PER_S = 100.0
 _REQUESTS = 400
 MAX_HEADER_BYTES = 16 * 1024
+_TLS_ONLY = "max-age=2592000"
+"""Of Strict-Transport-Security: 30 days. Browsers ignore it for an IP address and an untrusted certificate."""
 _OPEN_TO_ALL = ("/login", "/page/")
 """Served without a session: the login page and public files."""
 _SAFE = ("GET", "HEAD")
@@ -26,26 +26,30 @@ _SAFE = ("GET", "HEAD")
 class Gate:
     """Passes on to `application` the permitted requests from the page of this console.
 
-    Refuses: too many requests from one address; large ones; a foreign Host; a foreign Origin, or none where a
-    page would send one; with `sessions`, requests without a session, whose id is in the cookie `cookie`.
+    Refuses: too many requests from one address; large ones; a length that is told twice; a foreign Host; a
+    foreign Origin, or none where a page would send one; with `sessions`, requests without a session.
+    `port`: that of the console, part of the name of its cookie.
 
     The state of a request that is passed on has `is_secure`: whether the page's address begins with https,
-    and `session_left_s`: seconds until the session expires, None without `sessions`.
+    `cookie`: name of the cookie with the id of the session, and `session_left_s`: seconds until the session
+    expires, None without `sessions`.
     """
 
     def __init__(
-        self, application: ASGIApp, addresses: Addresses, sessions: Sessions | None, *, cookie: str
+        self, application: ASGIApp, addresses: Addresses, sessions: Sessions | None, *, port: int
     ) -> None:
         self._application = application
         self._addresses = addresses
         self._sessions = sessions
-        self._cookie = cookie
+        self._port = port
         self._requests = BudgetPerAddress(lambda: Budget(_REQUESTS_PER_S, _REQUESTS))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
             return
         refusal = self._refusal(scope)
+        if scope["type"] == "http" and scope["state"].get("is_secure"):
+            send = _over_tls_only(send)
         if refusal is None:
             await self._application(scope, receive, send)
         elif scope["type"] == "websocket":
@@ -59,6 +63,10 @@ class Gate:
             return _text(429, "too many requests: wait a second", {"Retry-After": "1"})
         if _header_bytes(scope) > MAX_HEADER_BYTES:
             return _text(431, f"address and headers of a request may have at most {MAX_HEADER_BYTES} bytes")
+        if "content-length" in headers and "transfer-encoding" in headers:
+            # A proxy and h11 may disagree where such a request ends (request smuggling, RFC 9112, 6.1).
+            text = "expected Content-Length or Transfer-Encoding, found both"
+            return _text(400, text, {"Connection": "close"})
         hosts = headers.getlist("host")
         server = scope.get("server") or ("", 0)
         scheme = self._addresses.scheme_of(hosts[0], tuple(server)) if len(hosts) == 1 else ""
@@ -69,6 +77,7 @@ class Gate:
                 "--public-url",
             )
         scope["state"]["is_secure"] = scheme == "https"
+        scope["state"]["cookie"] = cookie_name(self._port, is_secure=scheme == "https")
         if problem := self._origin_problem(scope, headers, hosts[0], scheme):
             return _text(403, problem)
         return self._session_refusal(scope, headers)
@@ -84,7 +93,11 @@ class Gate:
 
     def _session_refusal(self, scope: Scope, headers: Headers) -> Response | None:
         path = str(scope["path"])
-        left_s = self._sessions.left_s(_cookie(scope, self._cookie)) if self._sessions else None
+        left_s = None
+        if self._sessions is not None:
+            # A program on a neighbouring host name may have set a cookie of the same name.
+            ids = values_of(scope["state"]["cookie"], headers.getlist("cookie"))
+            left_s = max(map(self._sessions.left_s, ids), default=0.0)
         scope["state"]["session_left_s"] = left_s
         if self._sessions is None or path.startswith(_OPEN_TO_ALL) or left_s:
             return None
@@ -117,12 +130,15 @@ def _header_bytes(scope: Scope) -> int:
     return address + sum(len(name) + len(value) for name, value in scope["headers"])
 
 
-def _cookie(scope: Scope, name: str) -> str:
-    try:
-        cookies = SimpleCookie(HTTPConnection(scope).headers.get("cookie", ""))
-    except CookieError:
-        return ""
-    return cookies[name].value if name in cookies else ""
+def _over_tls_only(send: Send) -> Send:
+    """`send` that tells the browser to use https alone for this host from now on."""
+
+    async def send_with_header(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            MutableHeaders(scope=message)["Strict-Transport-Security"] = _TLS_ONLY
+        await send(message)
+
+    return send_with_header
 
 
 def _text(status: int, text: str, headers: dict[str, str] | None = None) -> Response:

@@ -34,14 +34,12 @@ class Sessions:
     def knows_token(self, given: str, address: str) -> bool:
         """Whether `given` is the token; raises TooManyTriesError after too many wrong ones from `address`.
 
-        Then even the right token counts as wrong, so that further guessing reveals nothing.
+        The right token counts always: behind a proxy, strangers have the same address as the owner.
         """
-        own = self._failures_of.of(address)
-        if not own.is_left:
-            raise TooManyTriesError
         if hmac.compare_digest(_hash(given), self._token_hash):
             return True
-        own.spend()
+        if not self._failures_of.of(address).spend():
+            raise TooManyTriesError
         return False
 
     def begin(self) -> str:

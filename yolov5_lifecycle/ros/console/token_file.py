@@ -6,7 +6,9 @@ import os
 import secrets
 import stat
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 
 MIN_LENGTH = 32
 _BYTES = 32
@@ -31,9 +33,11 @@ def kept_token(path: Path) -> tuple[str, bool]:
     """
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with suppress(FileNotFoundError):
+            return _read(path), False
         try:
             return _made(path), True
-        except FileExistsError:
+        except FileExistsError:  # another console has just made it
             return _read(path), False
     except OSError as error:
         raise TokenFileError(
@@ -42,11 +46,14 @@ def kept_token(path: Path) -> tuple[str, bool]:
 
 
 def _made(path: Path) -> str:
+    """A new token in a new file, which has its content from the first moment; raises FileExistsError."""
     token = secrets.token_urlsafe(_BYTES)
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-    with os.fdopen(descriptor, "w") as file:
-        os.fchmod(descriptor, 0o600)  # regardless of the umask
+    with NamedTemporaryFile("w", dir=path.parent, prefix=".", suffix=".part") as file:
+        os.fchmod(file.fileno(), 0o600)  # regardless of the umask
         file.write(token + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+        os.link(file.name, path)
     return token
 
 

@@ -18,6 +18,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from yolov5_lifecycle.ros.console.bounded_listener import BoundedListener
+from yolov5_lifecycle.ros.console.cookies import of_consoles
 from yolov5_lifecycle.ros.console.gate import MAX_HEADER_BYTES
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
 
@@ -47,6 +48,8 @@ _UNREADABLE = b"\r\n".join(
         b"\r\n",
     ]
 )
+_PING_S, _PONG_S = 5.0, 15.0
+"""A page or viewer that does not answer a ping is closed; on a slow link, the ping comes after an image."""
 _END_S = 1
 _BACKLOG = 64
 _TLS_LIMITS: dict[str, Any] = {"ssl_handshake_timeout": FIRST_REQUEST_S}
@@ -76,6 +79,8 @@ class WebServer(uvicorn.Server):
             server_header=False,
             headers=list(HEADERS.items()),
             ws_max_size=MAX_MESSAGE_BYTES,
+            ws_ping_interval=_PING_S,
+            ws_ping_timeout=_PONG_S,
             ws_per_message_deflate=False,
             limit_concurrency=MAX_BUSY_CONNECTIONS,
             h11_max_incomplete_event_size=MAX_HEADER_BYTES,
@@ -131,6 +136,14 @@ class _PromptProtocol(H11Protocol):
         if self.conn.our_state is h11.IDLE:
             self.loop.call_later(FIRST_REQUEST_S, self._close_if_idle)
 
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        # websockets refuses a header of more than 8 KiB, and the cookies of other programs may be longer.
+        self.headers = [
+            (name, of_consoles(value.decode("latin-1")).encode("latin-1") if name == b"cookie" else value)
+            for name, value in self.headers
+        ]
+        super().handle_websocket_upgrade(event)
+
     def _close_if_idle(self) -> None:
         is_idle = self.conn.our_state is h11.IDLE and self in self.connections
         if is_idle and not self.transport.is_closing():
@@ -156,7 +169,10 @@ def listening_socket(options: ConsoleOptions) -> BoundedListener:
         family, _, _, _, address = socket.getaddrinfo(
             options.host, options.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-        return BoundedListener(socket.create_server(address[:2], family=family, backlog=_BACKLOG))
+        is_dual = family == socket.AF_INET6 and address[0] == "::" and socket.has_dualstack_ipv6()
+        return BoundedListener(
+            socket.create_server(address[:2], family=family, backlog=_BACKLOG, dualstack_ipv6=is_dual)
+        )
     except socket.gaierror:
         raise ListenError(
             f"--host {options.host}: expected an address or name of this machine, such as 0.0.0.0 for all"
