@@ -16,7 +16,7 @@ def in_one_line(text: str, limit: int = MAX_LINE) -> str:
     is truncated and its length appended.
     """
     # Truncated before it is split: a string of many megabytes costs no more than its beginning.
-    line = _printable(" ".join(text[: 4 * limit].split()))
+    line = printable(" ".join(text[: 4 * limit].split()))
     return line if len(line) <= limit and len(text) <= 4 * limit else _cut(line, len(text), limit)
 
 
@@ -25,7 +25,7 @@ def in_lines(text: str, limit: int = MAX_TEXT) -> str:
 
     Handles unprintable characters and overlong text like `in_one_line`.
     """
-    first, *later = (_printable(line.replace("\t", "    ")) for line in text[: 2 * limit].split("\n"))
+    first, *later = (printable(line.replace("\t", "    ")) for line in text[: 2 * limit].split("\n"))
     if not all(line.startswith(_INDENT) for line in later):
         later = [_INDENT + line for line in later]
     lines = "\n".join([first, *later])
@@ -49,7 +49,8 @@ def is_utf8(text: str) -> bool:
     return True
 
 
-def _printable(line: str) -> str:
+def printable(line: str) -> str:
+    """`line` with `?` for everything that is not printable, line breaks included."""
     return line if line.isprintable() else "".join(c if c.isprintable() else "?" for c in line)
 
 

@@ -13,7 +13,7 @@ from threading import Barrier
 import pytest
 
 from yolov5_lifecycle.ros.console.addresses import Addresses
-from yolov5_lifecycle.ros.console.budget import Budget, BudgetPerAddress
+from yolov5_lifecycle.ros.console.budget import Budget, Budgets
 from yolov5_lifecycle.ros.console.options import is_loopback
 from yolov5_lifecycle.ros.console.sessions import SESSION_S, Sessions, TooManyTriesError
 from yolov5_lifecycle.ros.console.token_file import MIN_LENGTH, TokenFileError, kept_token, usual_path
@@ -220,7 +220,7 @@ def test_budgets_of_addresses_are_forgotten_the_oldest_first() -> None:
         made.append(Budget(1.0, 1))
         return made[-1]
 
-    budgets = BudgetPerAddress(make)
+    budgets = Budgets(make)
     first = budgets.of("first")
     assert budgets.of("first") is first
     for number in range(1000):

@@ -47,9 +47,11 @@ def clients() -> Iterator[Clients]:
 @pytest.mark.skipif(not socket.has_dualstack_ipv6(), reason="no IPv6")
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1"])
 def test_all_addresses_of_ipv6_include_those_of_ipv4(address: str) -> None:
-    with listening_socket(ConsoleOptions(host="::", port=0)) as listener:
-        with socket.create_connection((address, listener.getsockname()[1]), timeout=60):
-            listener.accept()[0].close()
+    with (
+        listening_socket(ConsoleOptions(host="::", port=0)) as listener,
+        socket.create_connection((address, listener.getsockname()[1]), timeout=60),
+    ):
+        listener.accept()[0].close()
 
 
 def test_one_address_gets_no_more_than_its_share(clients: Clients) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.serialization import serialize_message
 
-from yolov5_lifecycle.ros.console.camera_view import StatusView
+from yolov5_lifecycle.ros.console.camera_view import StatusView, read_statuses
 
 
 def status_with(key: str, value: str) -> StatusView:
-    return StatusView.of(DiagnosticStatus(name="yolov5: front", values=[KeyValue(key=key, value=value)]))
+    status = DiagnosticStatus(name="yolov5: front", values=[KeyValue(key=key, value=value)])
+    ((_, view),) = read_statuses(serialize_message(DiagnosticArray(status=[status])))
+    return view
 
 
 @pytest.mark.parametrize(

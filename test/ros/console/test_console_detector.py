@@ -7,9 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from rcl_interfaces.msg import ParameterEvent
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from support.detector_process import NODE
 from support.lone_node import lone_node
 from support.preparations import Preparations
@@ -33,8 +31,8 @@ class HeldLink(DetectorLink):
         self.gate.set()
         self.is_answered = asyncio.Event()
 
-    async def parameters(self) -> Any:
-        answer = await super().parameters()
+    async def parameters(self, known: Any) -> Any:
+        answer = await super().parameters(known)
         self.is_answered.set()
         await self.gate.wait()
         return answer
@@ -52,10 +50,9 @@ class KnownDetector:
             self.link, frozenset(), on_change=lambda _: self._changed.set(), clock=lambda: self.now_s
         )
 
-    async def set(self, name: str, value: float) -> ParameterEvent:
-        """Set the parameter in the node; the event that tells it, which has not been received yet."""
+    async def set(self, name: str, value: float) -> None:
+        """Set the parameter in the node; the event that tells it does not arrive."""
         assert await asyncio.to_thread(lambda: self.served.set(**{name: value})) == (True, "")
-        return ParameterEvent(node=NODE, changed_parameters=[Parameter(name, value=value).to_parameter_msg()])
 
     async def wait_for(self, condition: Callable[[], bool]) -> None:
         while not condition():
@@ -90,7 +87,8 @@ def test_a_value_that_changes_while_parameters_are_queried_is_shown(served: Serv
     async def act(known: KnownDetector) -> None:
         known.link.gate.clear()
         await asyncio.wait_for(known.link.is_answered.wait(), PATIENCE_S)
-        known.detector.take_parameter_event(await known.set("max_rate", 7.0))
+        await known.set("max_rate", 7.0)
+        known.detector.want_parameters()
         known.link.gate.set()
         await known.wait_for(lambda: known.value("max_rate") == 7.0)
 

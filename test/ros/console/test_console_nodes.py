@@ -47,7 +47,7 @@ def parameter_names(page: Page) -> list[str]:
 
 
 def test_a_page_is_welcomed_and_told_of_each_detector(page: Page) -> None:
-    assert page.welcome == {"type": "welcome", "view_only": False}
+    assert page.welcome == {"type": "welcome", "view_only": False, "nodes": [NODE]}
     node = page.nodes[NODE]
     assert node["transitions"] == [{"label": "configure"}, {"label": "shutdown"}]
     assert [one["name"] for one in node["parameters"]] == [setting.name for setting in SETTINGS]

@@ -190,8 +190,12 @@ def test_connections_that_never_read_are_closed(console: ConsoleBesideNode) -> N
         deaf.connect(target)
         deaf.settimeout(60)
         with pytest.raises(OSError, match=r"reset|[Bb]roken"):
-            while True:
-                deaf.sendall(request * 100)
+            send_forever(deaf, request)
+
+
+def send_forever(connection: socket.socket, request: bytes) -> None:
+    while True:
+        connection.sendall(request * 100)
 
 
 def test_a_session_of_another_console_on_this_host_ends_none(

@@ -30,16 +30,16 @@ class Budget:
         return True
 
 
-class BudgetPerAddress:
-    """A budget for each address; only a few hundred recently used ones are kept."""
+class Budgets:
+    """A budget for each address or name; only a thousand recently used ones are kept."""
 
     def __init__(self, make: Callable[[], Budget]) -> None:
         self._make = make
         self._budgets: OrderedDict[str, Budget] = OrderedDict()
 
-    def of(self, address: str) -> Budget:
-        budget = self._budgets.pop(address, None) or self._make()
-        self._budgets[address] = budget
+    def of(self, key: str) -> Budget:
+        budget = self._budgets.pop(key, None) or self._make()
+        self._budgets[key] = budget
         if len(self._budgets) > _MAX_KEYS:
             self._budgets.popitem(last=False)
         return budget

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-
-from diagnostic_msgs.msg import DiagnosticStatus
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from yolov5_lifecycle.printable import in_lines, in_one_line
-from yolov5_lifecycle.settings.camera_names import NODE_STATUS
+from yolov5_lifecycle.ros.console.serialized_message import SerializedMessage
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, NODE_STATUS
 
 _BALANCE = "frames "
 LOSSES = ("frames lost", "frames overtaken")
 """Images that were sent but not received, so not part of the balance."""
 _MAX_TEXT = 5_000
 _MAX_VALUES = 100
+_MAX_STATUSES = MAX_CAMERAS + 1
+_MAX_LENGTH = 200_000
+"""Characters of all values of a detector; with 16 cameras they have 20,000."""
+_MAX_NAME = 300
+_STALE = 3
 _MAX_DIGITS = 18
 """Of a number of frames; Python raises ValueError for thousands of them."""
 _NOTHING_TO_TELL = "detecting"
@@ -30,18 +34,10 @@ class StatusView:
     message: str
     values: Mapping[str, str]
 
-    @classmethod
-    def of(cls, status: DiagnosticStatus) -> StatusView:
-        """The view of `status`, made printable."""
-        return cls(
-            name=in_one_line(status.name.rpartition(": ")[2], 200),
-            level=min(ord(status.level), 3),
-            message=in_lines(status.message, _MAX_TEXT),
-            values={
-                in_one_line(item.key, 200): in_lines(item.value, _MAX_TEXT)
-                for item in status.values[:_MAX_VALUES]
-            },
-        )
+    @property
+    def as_lost(self) -> StatusView:
+        """The same when no more come, as the detector is lost."""
+        return replace(self, level=_STALE)
 
     def as_json(self) -> dict[str, object]:
         return {
@@ -69,6 +65,31 @@ class StatusView:
         }
 
 
+def read_statuses(content: bytes) -> Iterator[tuple[str, StatusView]]:
+    """Node and status of each status of a serialized diagnostic_msgs/DiagnosticArray, made printable.
+
+    Ends after the most statuses that a detector has, and with one that has more than 100 values or makes the
+    text longer than _MAX_LENGTH. Raises UnreadableError.
+    """
+    message = SerializedMessage(content)
+    message.time_s(), message.text(0)
+    length = 0
+    for _ in range(min(message.count(), _MAX_STATUSES)):
+        level, name = min(message.byte(), _STALE), message.text(_MAX_NAME)
+        text, node = message.text(_MAX_TEXT), message.text(_MAX_NAME)
+        count, values = message.count(), dict[str, str]()
+        for _ in range(min(count, _MAX_VALUES)):
+            key = in_one_line(message.text(200), 200)
+            values[key] = in_lines(message.text(_MAX_TEXT), _MAX_TEXT)
+            length += len(key) + len(values[key])
+            if length > _MAX_LENGTH:
+                break
+        shown = in_one_line(name.rpartition(": ")[2], 200)
+        yield node, StatusView(shown, level, in_lines(text, _MAX_TEXT), values)
+        if count > _MAX_VALUES or length > _MAX_LENGTH:
+            return
+
+
 def _is_count(text: str) -> bool:
     return text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
 
@@ -80,13 +101,14 @@ class CameraView:
     name: str
     status: StatusView | None
 
-    def as_json(self) -> dict[str, object]:
+    def as_json(self, *, is_lost: bool = False) -> dict[str, object]:
+        """What the page shows of it; of a camera of a lost detector, no figures."""
         status = self.status
-        if status is None:
+        if status is None or is_lost:
             return {"name": self.name, "rate_hz": None, "latency_ms": None, "latency_p95_ms": None} | {
-                "balance": {},
+                "balance": status.balance if status is not None else {},
                 "message": "",
-                "level": 0,
+                "level": _STALE if is_lost else 0,
             }
         return {
             "name": self.name,

@@ -36,7 +36,11 @@ class Console:
             view_only=options.view_only,
         )
         self._detectors = Detectors(
-            self._ros, options.nodes, on_change=self._pages.changed, on_gone=self._pages.gone
+            self._ros,
+            options.nodes,
+            on_change=self._pages.changed,
+            on_gone=self._pages.gone,
+            on_omitted=self._pages.omitted,
         )
         feeds = ImageFeeds(self._ros)
         viewers = Viewers(feeds, self._detectors.find)

@@ -5,36 +5,45 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
-from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.msg import ParameterDescriptor
 
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.console.camera_view import StatusView, camera_views
 from yolov5_lifecycle.ros.console.detector_link import DetectorLink
-from yolov5_lifecycle.ros.console.log_view import LogLine, LogView
+from yolov5_lifecycle.ros.console.log_view import LogView
 from yolov5_lifecycle.ros.console.parameter_view import (
     ParameterView,
     ValueRefusedError,
     parameter_message,
-    plain_value,
+    shown_values,
 )
 from yolov5_lifecycle.ros.console.ros_thread import NotReachedError
-from yolov5_lifecycle.settings.camera_names import NODE_STATUS
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, NODE_STATUS, camera_names_rule
 
 SILENCE_S = 5.0
 """A detector that sends no diagnostics (usually one per second) for longer than this is gone."""
+LOST = "lost"
+"""Shown instead of the state of a detector that is gone."""
+REFRESH_S = 5.0
+"""The node is asked again after this time, in case that a message about a change was lost or false."""
+_PACE_S = 0.1
+"""Pause between two queries, however many messages tell of changes."""
 _RETRY_S = 0.5
 _REASON_S = 1.5
 """How long to watch the log for the reason of a refusal, which is not in the response."""
-_MAX_CLASS_NAMES = 10_000
-_MAX_NAME = 200
 _SLOW_CHANGES = ("reload", "cameras")
 
 
 class Detector:
     """The detector at the end of `link`, for the event loop's thread; `on_change(self)` after each change.
 
-    `publishers`: those of its processes so far; a new one means that it was restarted.
+    Messages of topics only tell that something may have changed, as anybody can send them: what is shown of
+    state and parameters are answers of the node's services.
+
+    `publishers`: those of its processes so far; a new one means that it was restarted. `log`: its lines, also
+    those from before it was known.
     """
 
     def __init__(
@@ -43,6 +52,7 @@ class Detector:
         publishers: frozenset[bytes],
         *,
         on_change: Callable[[Detector], object],
+        log: LogView | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.name = link.name
@@ -52,14 +62,15 @@ class Detector:
         self._link = link
         self._state = ""
         self._transitions: list[str] = []
+        self._descriptors: dict[str, ParameterDescriptor] = {}
         self._views: dict[str, ParameterView] = {}
         self._values: dict[str, object] = {}
+        self._parameters: list[dict[str, object]] = []
         self._statuses: list[StatusView] = []
-        self._class_names: list[str] = []
-        self._log = LogView()
+        self._log = LogView() if log is None else log
         self._busy: list[str] = []
         self._wants_state = self._wants_parameters = True
-        self._event_count = 0
+        self._asked_s = clock()
         self._wanted = asyncio.Event()
         self._wanted.set()
         self._heard_s: float | None = None
@@ -67,7 +78,7 @@ class Detector:
 
     async def open(self) -> None:
         """Start querying the node."""
-        await self._link.open(on_transition=self._want_state, on_class_names=self._take_class_names)
+        await self._link.open(on_transition=self._want_state, on_labels=self._wanted.set)
         self._task = asyncio.create_task(self._keep_up_to_date())
 
     async def close(self) -> None:
@@ -78,7 +89,7 @@ class Detector:
 
     def invalidate(self) -> None:
         """Discard what the node has answered; its next diagnostics may come from a restarted process."""
-        self._state, self._statuses, self._views = "", [], {}
+        self._state, self._statuses, self._views, self._descriptors = "", [], {}, {}
         self._wants_state = self._wants_parameters = True
 
     @property
@@ -97,9 +108,10 @@ class Detector:
 
     @property
     def camera_names(self) -> list[str]:
-        """Names in the parameter `cameras`."""
+        """Names in the parameter `cameras`, without impossible ones."""
         names = self._values.get("cameras")
-        return [str(name) for name in names] if isinstance(names, list) else []
+        given = [str(name) for name in names[:MAX_CAMERAS]] if isinstance(names, list) else []
+        return [name for name in given if not camera_names_rule([name], ())]
 
     @property
     def statuses(self) -> list[StatusView]:
@@ -110,20 +122,21 @@ class Detector:
         """The diagnostics of a camera, or of the node with NODE_STATUS."""
         return next((status for status in self._statuses if status.name == name), None)
 
-    def as_json(self) -> dict[str, object]:
-        """Everything that the page shows of the detector."""
+    def as_json(self, *, is_lost: bool = False) -> dict[str, object]:
+        """Everything that the page shows of the detector; of a lost one, nothing old looks current."""
         cameras = camera_views(self.camera_names, self._statuses)
+        statuses = [status.as_lost if is_lost else status for status in self._statuses]
+        transitions = [] if is_lost else self._transitions
         return {
             "name": self.name,
-            "state": self._state,
-            "transitions": [{"label": label} for label in self._transitions],
-            "busy": self._busy[0] if self._busy else "",
-            "parameters": [
-                view.as_json(self._values[name]) for name, view in self._views.items() if name in self._values
-            ],
-            "cameras": [camera.as_json() for camera in cameras],
-            "diagnostics": [status.as_json() for status in self._statuses],
-            "class_names": self._class_names,
+            "state": LOST if is_lost else self._state,
+            "last_state": self._state,
+            "transitions": [{"label": label} for label in transitions],
+            "busy": self._busy[0] if self._busy and not is_lost else "",
+            "parameters": self._parameters,
+            "cameras": [camera.as_json(is_lost=is_lost) for camera in cameras],
+            "diagnostics": [status.as_json() for status in statuses],
+            "class_names": self._link.class_names(),
             "log": self._log.as_json(),
         }
 
@@ -137,10 +150,11 @@ class Detector:
         what = f"set {', '.join(in_one_line(name, 100) for name in values)} ..."
         self._begin(what if is_slow and self._state == "active" else "")
         try:
-            return in_one_line(await self._link.set_parameters(messages), 5_000)
+            return await self._link.set_parameters(messages)
         except NotReachedError as error:
             return str(error)
         finally:
+            self.want_parameters()
             self._end(what)
 
     async def change_state(self, label: str) -> str:
@@ -172,40 +186,30 @@ class Detector:
             self._want_state()
         self._on_change(self)
 
-    def take_log(self, line: LogLine) -> None:
-        self._log.add(line)
-        self._on_change(self)
-
-    def take_parameter_event(self, event: ParameterEvent) -> None:
-        self._event_count += 1
-        if event.new_parameters or event.deleted_parameters:
-            self._want_parameters()
-        for parameter in event.changed_parameters:
-            if parameter.name in self._views:
-                self._values[parameter.name] = plain_value(parameter.value)
-        self._on_change(self)
-
-    def _take_class_names(self, names: list[str]) -> None:
-        self._class_names = [in_one_line(name, _MAX_NAME) for name in names[:_MAX_CLASS_NAMES]]
-        self._on_change(self)
+    def want_parameters(self) -> None:
+        """Query the parameters soon: they may have changed."""
+        self._wants_parameters = True
+        self._wanted.set()
 
     def _want_state(self) -> None:
         self._wants_state = True
         self._wanted.set()
 
-    def _want_parameters(self) -> None:
-        self._wants_parameters = True
-        self._wanted.set()
-
     async def _keep_up_to_date(self) -> None:
         while True:
-            await self._wanted.wait()
+            with suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._wanted.wait(), REFRESH_S)
             self._wanted.clear()
+            if self._clock() - self._asked_s >= REFRESH_S:
+                self._asked_s = self._clock()
+                self._wants_state = self._wants_parameters = True
             try:
                 await self._ask()
             except NotReachedError:
                 self._wanted.set()
                 await asyncio.sleep(_RETRY_S)
+            else:
+                await asyncio.sleep(_PACE_S)
 
     async def _ask(self) -> None:
         if self._wants_state:
@@ -228,13 +232,11 @@ class Detector:
         self._state, self._transitions = await self._link.state()
 
     async def _ask_parameters(self) -> None:
-        event_count = self._event_count
-        found = await self._link.parameters()
-        views = {view.name: view for one, _ in found if (view := ParameterView.of(one)) is not None}
-        self._values = {str(one.name): plain_value(value) for one, value in found if one.name in views}
-        self._views = views
-        if self._event_count != event_count:  # these values may be older than those of the event
-            self._want_parameters()
+        found = await self._link.parameters(self._descriptors)
+        self._descriptors = {str(one.name): one for one, _ in found}
+        self._views = {view.name: view for one, _ in found if (view := ParameterView.of(one)) is not None}
+        self._values = shown_values({str(one.name): value for one, value in found if one.name in self._views})
+        self._parameters = [view.as_json(self._values[name]) for name, view in self._views.items()]
 
     async def _reason(self, count: int) -> str:
         """The problems that the node has logged since line number `count`; waits a little for them."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from lifecycle_msgs.msg import Transition, TransitionEvent
@@ -20,12 +22,17 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from vision_msgs.msg import LabelInfo
 
-from yolov5_lifecycle.ros.console.ros_thread import NotReachedError, RosThread
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros.console.class_names import read_class_names
+from yolov5_lifecycle.ros.console.ros_thread import Hint, NotReachedError, RosThread
+from yolov5_lifecycle.ros.console.serialized_message import UnreadableError
+from yolov5_lifecycle.ros.services import MAX_ITEMS
 
 ASK_S = 3.0
 """Timeout of a query, which is then repeated."""
 ACT_S = 300.0
 """Timeout of a transition or change, which may load a model on a slow machine."""
+_MAX_TRANSITIONS, _MAX_LABEL = 30, 100
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _SERVICES = {
     "get_state": GetState,
@@ -46,24 +53,23 @@ class DetectorLink:
         self._ros = ros
         self._clients: dict[str, Any] = {}
         self._subscriptions: list[Any] = []
+        self._labels: deque[bytes] = deque(maxlen=1)
+        self._class_names: list[str] = []
         self._end: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
-    async def open(
-        self, *, on_transition: Callable[[], object], on_class_names: Callable[[list[str]], object]
-    ) -> None:
+    async def open(self, *, on_transition: Callable[[], object], on_labels: Callable[[], object]) -> None:
         """Create clients and subscriptions.
 
-        `on_transition()` is called after each change of the node's state, `on_class_names(names)` with the
-        class names of its model, both in the thread of the event loop.
+        `on_transition()` is called after the node has perhaps changed its state, `on_labels()` when
+        `class_names` may differ, both in the thread of the event loop.
         """
+        hear_labels = Hint(self._ros, on_labels)
 
-        def take_event(_: TransitionEvent) -> None:
-            self._ros.post(on_transition)
+        def take_labels(content: bytes) -> None:
+            self._labels.append(content)
+            hear_labels()
 
-        def take_labels(message: LabelInfo) -> None:
-            self._ros.post(on_class_names, [str(one.class_name) for one in message.class_map])
-
-        await self._ros.run(self._create, self._ros.node, take_event, take_labels)
+        await self._ros.run(self._create, self._ros.node, Hint(self._ros, on_transition), take_labels)
 
     async def close(self) -> None:
         """End the calls that wait for an answer, then destroy clients and subscriptions."""
@@ -75,16 +81,30 @@ class DetectorLink:
         """The state, and the labels of the transitions that are possible in it."""
         state = await self._ask("get_state", GetState.Request())
         transitions = await self._ask("get_available_transitions", GetAvailableTransitions.Request())
-        labels = [str(found.transition.label) for found in transitions.available_transitions]
-        return str(state.current_state.label), labels
+        possible = list(transitions.available_transitions)[:_MAX_TRANSITIONS]
+        labels = [in_one_line(found.transition.label, _MAX_LABEL) for found in possible]
+        return in_one_line(state.current_state.label, _MAX_LABEL), labels
 
-    async def parameters(self) -> list[tuple[ParameterDescriptor, ParameterValue]]:
-        """All parameters with their values."""
+    def class_names(self) -> list[str]:
+        """The class names of the model in the newest message about them, as far as they are not too long."""
+        with suppress(IndexError, UnreadableError):
+            self._class_names = read_class_names(self._labels.pop())
+        return self._class_names
+
+    async def parameters(
+        self, known: Mapping[str, ParameterDescriptor]
+    ) -> list[tuple[ParameterDescriptor, ParameterValue]]:
+        """All parameters with their values; those whose descriptors are `known` are not described anew."""
         listed = await self._ask("list_parameters", ListParameters.Request())
-        names = list(listed.result.names)
-        described = await self._ask("describe_parameters", DescribeParameters.Request(names=names))
-        values = await self._ask("get_parameters", GetParameters.Request(names=names))
-        return list(zip(described.descriptors, values.values, strict=False))
+        names = list(listed.result.names)[:MAX_ITEMS]
+        descriptors = dict(known)
+        if new := [name for name in names if name not in known]:
+            answer = await self._ask("describe_parameters", DescribeParameters.Request(names=new))
+            descriptors |= {str(one.name): one for one in answer.descriptors}
+        values = (await self._ask("get_parameters", GetParameters.Request(names=names))).values
+        if len(values) != len(names) or not descriptors.keys() >= set(names):
+            raise NotReachedError(f"{self.name} has changed its parameters meanwhile")
+        return [(descriptors[name], value) for name, value in zip(names, values, strict=True)]
 
     async def change_state(self, label: str) -> bool:
         """Whether the transition succeeded."""
@@ -95,7 +115,7 @@ class DetectorLink:
         """Set all parameters or none; return the reason for a refusal, "" on success."""
         request = SetParametersAtomically.Request(parameters=messages)
         result = (await self._call("set_parameters_atomically", request, ACT_S)).result
-        return "" if result.successful else str(result.reason) or "the node gave no reason"
+        return "" if result.successful else in_one_line(result.reason, 5_000) or "the node gave no reason"
 
     async def _ask(self, service: str, request: Any) -> Any:
         return await self._call(service, request, ASK_S)
@@ -109,14 +129,16 @@ class DetectorLink:
     def _create(
         self,
         node: Node,
-        take_event: Callable[[TransitionEvent], None],
-        take_labels: Callable[[LabelInfo], None],
+        hear_transition: Callable[[bytes], None],
+        take_labels: Callable[[bytes], None],
     ) -> None:
         for service, service_type in _SERVICES.items():
             self._clients[service] = node.create_client(service_type, f"{self.name}/{service}")
         self._subscriptions = [
-            node.create_subscription(TransitionEvent, f"{self.name}/transition_event", take_event, 10),
-            node.create_subscription(LabelInfo, f"{self.name}/label_info", take_labels, _LATCHED),
+            node.create_subscription(
+                TransitionEvent, f"{self.name}/transition_event", hear_transition, 10, raw=True
+            ),
+            node.create_subscription(LabelInfo, f"{self.name}/label_info", take_labels, _LATCHED, raw=True),
         ]
 
     def _destroy(self, node: Node) -> None:

@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import Log, ParameterEvent
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.exceptions import NameValidationException
 
+from yolov5_lifecycle.ros.console.broadcasts import Broadcasts
 from yolov5_lifecycle.ros.console.camera_view import StatusView
 from yolov5_lifecycle.ros.console.detector import Detector
 from yolov5_lifecycle.ros.console.detector_link import DetectorLink
 from yolov5_lifecycle.ros.console.graph import Candidate, candidates
-from yolov5_lifecycle.ros.console.log_view import LogLine, logger_name
+from yolov5_lifecycle.ros.console.log_view import LogLine, Logs, logger_name
 from yolov5_lifecycle.ros.console.ros_thread import RosThread
 
 SCAN_S = 1.0
-_MAX_DETECTORS = 32
-_LOG_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""The QoS of nodes' log publishers: late subscribers get the messages of the last seconds."""
+MAX_DETECTORS = 32
+TRIAL_S = 10.0
+"""A node that does not answer as a detector for so long makes room for others that may be detectors."""
 
 
 class Detectors:
     """Finds detectors and keeps them up to date; `names`: full names of the wanted ones, empty: all.
 
-    `on_change(detector)` is called after each change of a known one, `on_gone(name)` when one has left the
-    graph or is silent.
+    `on_change(detector)` is called after each change of a known one, `on_gone(detector)` when one has left
+    the graph or is silent, `on_omitted(names)` when others are left out because there are too many.
     """
 
     def __init__(
@@ -38,20 +36,36 @@ class Detectors:
         names: tuple[str, ...],
         *,
         on_change: Callable[[Detector], object],
-        on_gone: Callable[[str], object],
+        on_gone: Callable[[Detector], object],
+        on_omitted: Callable[[list[str]], object],
     ) -> None:
         self._ros = ros
         self._names = names
         self._on_change = on_change
         self._on_gone = on_gone
+        self._on_omitted = on_omitted
+        self._candidates: dict[str, Candidate] = {}
+        self._sent_diagnostics: set[str] = set()
+        self._is_new = asyncio.Event()
         self._followed: dict[str, Detector] = {}
+        self._followed_s: dict[str, float] = {}
+        """When a candidate was followed last."""
         self._shown: set[str] = set()
+        self._omitted: list[str] = []
         self._unconfirmed: set[str] = set()  # hidden until a scan tells whether they were restarted
         self._by_logger: dict[str, str] = {}
+        self._logs = Logs(self._by_logger.__contains__)
+        self._broadcasts = Broadcasts(
+            ros,
+            lambda name: name in self._candidates,
+            on_parameters=self._take_hint,
+            on_diagnostics=self._take_diagnostics,
+            on_log=self._take_log,
+        )
         self._task: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        await self._ros.run(self._subscribe, self._ros.node)
+        await self._broadcasts.open()
         self._task = asyncio.create_task(self._follow())
 
     async def close(self) -> None:
@@ -74,26 +88,67 @@ class Detectors:
             were_silent = (self._followed[name] for name in self._unconfirmed)
             returned = [detector for detector in were_silent if not detector.is_silent]
             found = await self._ros.run(candidates, self._ros.node, self._names)
-            await self._update(found[:_MAX_DETECTORS])
+            self._candidates = {candidate.name: candidate for candidate in found}
+            await self._update()
             self._show_again(returned)
-            await asyncio.sleep(SCAN_S)
+            with suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._is_new.wait(), SCAN_S)
+            self._is_new.clear()
 
-    async def _update(self, found: Iterable[Candidate]) -> None:
-        present = {candidate.name: candidate for candidate in found}
+    async def _update(self) -> None:
+        """Adapt those that are followed to the candidates."""
+        present = self._candidates
+        self._sent_diagnostics &= present.keys()
+        for name in self._followed_s.keys() - present.keys():
+            del self._followed_s[name]
         for name, detector in list(self._followed.items()):
             if name not in present or present[name].publishers - detector.publishers:
+                self._followed_s.pop(name, None)  # restarted, it comes before others
                 await self._forget(detector)
             elif detector.is_silent and name in self._shown:
+                self._hide(detector)
                 detector.invalidate()
-                self._hide(name)
                 self._unconfirmed.add(name)
-        for name, candidate in present.items():
-            if name not in self._followed:
-                link = DetectorLink(self._ros, name)
-                detector = Detector(link, candidate.publishers, on_change=self._changed)
-                self._followed[name] = detector
-                self._by_logger[logger_name(name)] = name
-                await detector.open()
+        waiting = self._waiting
+        await self._make_room(len(waiting))
+        room = MAX_DETECTORS - len(self._followed)
+        for name in waiting[:room]:
+            await self._begin(present[name])
+        self._omit(waiting[room:])
+
+    @property
+    def _waiting(self) -> list[str]:
+        """Candidates that send diagnostics as a detector does and are not followed, the next one first."""
+        names = self._sent_diagnostics - self._followed.keys()
+        return sorted(names, key=lambda name: (self._followed_s.get(name, 0.0), name))
+
+    async def _make_room(self, wanted: int) -> None:
+        """Give up at most `wanted` nodes that have not answered as a detector in their time."""
+        now_s = time.monotonic()
+        for name, detector in list(self._followed.items()):
+            is_over = now_s - self._followed_s[name] > TRIAL_S
+            is_useless = is_over and name not in self._shown | self._unconfirmed
+            if is_useless and len(self._followed) + wanted > MAX_DETECTORS:
+                await self._forget(detector)
+
+    async def _begin(self, candidate: Candidate) -> None:
+        name = candidate.name
+        self._by_logger[logger_name(name)] = name
+        self._followed_s[name] = time.monotonic()
+        log = self._logs.of(logger_name(name))
+        link = DetectorLink(self._ros, name)
+        detector = Detector(link, candidate.publishers, on_change=self._changed, log=log)
+        self._followed[name] = detector
+        try:
+            await detector.open()
+        except NameValidationException as error:
+            self._ros.node.get_logger().warning(f"{name} cannot be shown: {error}")
+            await self._forget(detector)
+
+    def _omit(self, names: list[str]) -> None:
+        if names != self._omitted:
+            self._omitted = names
+            self._on_omitted(names)
 
     def _show_again(self, returned: Iterable[Detector]) -> None:
         """Show those whose process is still the one that was silent; the others have been forgotten."""
@@ -103,16 +158,16 @@ class Detectors:
                 self._changed(detector)
 
     async def _forget(self, detector: Detector) -> None:
-        self._hide(detector.name)
+        self._hide(detector)
         self._unconfirmed.discard(detector.name)
         del self._followed[detector.name]
         del self._by_logger[logger_name(detector.name)]
         await detector.close()
 
-    def _hide(self, name: str) -> None:
-        if name in self._shown:
-            self._shown.remove(name)
-            self._on_gone(name)
+    def _hide(self, detector: Detector) -> None:
+        if detector.name in self._shown:
+            self._shown.remove(detector.name)
+            self._on_gone(detector)
 
     def _changed(self, detector: Detector) -> None:
         is_current = self._followed.get(detector.name) is detector and detector.name not in self._unconfirmed
@@ -121,27 +176,18 @@ class Detectors:
         self._shown.add(detector.name)
         self._on_change(detector)
 
-    def _subscribe(self, node: Node) -> None:
-        def post(take: Callable[[Any], object]) -> Callable[[Any], None]:
-            return lambda message: self._ros.post(take, message)
+    def _take_hint(self, name: str) -> None:
+        if name in self._followed:
+            self._followed[name].want_parameters()
 
-        events = QoSProfile(depth=1000)
-        node.create_subscription(DiagnosticArray, "/diagnostics", post(self._take_diagnostics), 10)
-        node.create_subscription(Log, "/rosout", post(self._take_log), _LOG_QOS)
-        node.create_subscription(ParameterEvent, "/parameter_events", post(self._take_event), events)
-
-    def _take_diagnostics(self, message: DiagnosticArray) -> None:
-        by_node: dict[str, list[StatusView]] = {}
-        for status in message.status:
-            if status.hardware_id in self._followed:
-                by_node.setdefault(status.hardware_id, []).append(StatusView.of(status))
-        for name, statuses in by_node.items():
+    def _take_diagnostics(self, name: str, statuses: list[StatusView]) -> None:
+        if name not in self._sent_diagnostics:
+            self._sent_diagnostics.add(name)
+            self._is_new.set()
+        if name in self._followed:
             self._followed[name].take_diagnostics(statuses)
 
-    def _take_log(self, message: Log) -> None:
-        if name := self._by_logger.get(message.name):
-            self._followed[name].take_log(LogLine.of(message))
-
-    def _take_event(self, message: ParameterEvent) -> None:
-        if message.node in self._followed:
-            self._followed[message.node].take_parameter_event(message)
+    def _take_log(self, logger: str, line: LogLine) -> None:
+        self._logs.of(logger).add(line)
+        if name := self._by_logger.get(logger):
+            self._changed(self._followed[name])

@@ -8,7 +8,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from yolov5_lifecycle.ros.console.addresses import Addresses
-from yolov5_lifecycle.ros.console.budget import Budget, BudgetPerAddress
+from yolov5_lifecycle.ros.console.budget import Budget, Budgets
 from yolov5_lifecycle.ros.console.cookies import cookie_name, values_of
 from yolov5_lifecycle.ros.console.sessions import Sessions, TooManyTriesError
 
@@ -17,7 +17,7 @@ _REQUESTS_PER_S = 100.0
 _REQUESTS = 400
 MAX_HEADER_BYTES = 16 * 1024
 _TLS_ONLY = "max-age=2592000"
-"""Of Strict-Transport-Security: 30 days. Browsers ignore it for an IP address and an untrusted certificate."""
+"""Of Strict-Transport-Security: 30 days. Browsers ignore it for an address or an untrusted certificate."""
 _OPEN_TO_ALL = ("/login", "/page/")
 """Served without a session: the login page and public files."""
 _SAFE = ("GET", "HEAD")
@@ -42,7 +42,7 @@ class Gate:
         self._addresses = addresses
         self._sessions = sessions
         self._port = port
-        self._requests = BudgetPerAddress(lambda: Budget(_REQUESTS_PER_S, _REQUESTS))
+        self._requests = Budgets(lambda: Budget(_REQUESTS_PER_S, _REQUESTS))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):

@@ -16,6 +16,10 @@ from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE, of_camera
 
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _STAMP = struct.Struct("<d")
+_MAX_IMAGE_BYTES = 64 * 1024 * 1024
+"""Larger ones are not shown; the largest image that a detector accepts has 67 million pixels."""
+_MAX_IDLE = 100
+"""Feeds without viewers."""
 
 Wake = Callable[[], object]
 
@@ -66,6 +70,8 @@ class ImageFeed:
 
     def _receive(self, message: CompressedImage) -> None:
         """In the ROS thread: announce the image, unless the previous one has not been fetched yet."""
+        if len(message.data) > _MAX_IMAGE_BYTES:
+            return
         stamp = message.header.stamp
         self._received = b"".join((_STAMP.pack(stamp.sec + stamp.nanosec * 1e-9), message.data))
         if not self._is_announced:
@@ -91,6 +97,8 @@ class ImageFeeds:
     def of(self, node: str, camera: str) -> ImageFeed:
         """The feed of a camera; `node` is a full name."""
         if (node, camera) not in self._feeds:
+            if len(self._feeds) > _MAX_IDLE:
+                self._feeds = {place: feed for place, feed in self._feeds.items() if feed.viewers}
             topic = node + of_camera(COMPRESSED_IMAGE, camera).removeprefix("~")
             self._feeds[node, camera] = ImageFeed(self._ros, topic)
         return self._feeds[node, camera]

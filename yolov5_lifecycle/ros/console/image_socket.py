@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 
+from rclpy.exceptions import NameValidationException
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from websockets.frames import CloseCode
 
@@ -40,7 +41,10 @@ class Viewers:
                 CloseCode.TRY_AGAIN_LATER, f"{MAX_VIEWERS} images are being shown: close a page"
             )
         else:
-            await _Viewer(websocket, self._feeds.of(node, camera)).serve()
+            try:
+                await _Viewer(websocket, self._feeds.of(node, camera)).serve()
+            except NameValidationException:  # no topic can have this name, so no detector has this camera
+                await websocket.close(_UNKNOWN, "camera not found")
 
 
 class _Viewer:

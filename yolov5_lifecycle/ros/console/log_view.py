@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 
-from rcl_interfaces.msg import Log
-
 from yolov5_lifecycle.printable import in_lines
+from yolov5_lifecycle.ros.console.serialized_message import SerializedMessage
 
 KEPT = 100
 _MAX_TEXT = 2_000
+_MAX_NAME = 300
+_MAX_OTHERS = 64
+"""Loggers of which no detector is known yet."""
 _LEVELS = ((50, "fatal"), (40, "error"), (30, "warn"), (20, "info"))
 _PROBLEMS = ("warn", "error", "fatal")
 
@@ -24,16 +26,18 @@ class LogLine:
     level: str
     text: str
 
-    @classmethod
-    def of(cls, message: Log) -> LogLine:
-        number = ord(message.level) if isinstance(message.level, bytes) else int(message.level)
-        level = next((name for least, name in _LEVELS if number >= least), "debug")
-        stamp_s = message.stamp.sec + message.stamp.nanosec * 1e-9
-        return cls(stamp_s, level, in_lines(message.msg, _MAX_TEXT))
-
     @property
     def is_problem(self) -> bool:
         return self.level in _PROBLEMS
+
+
+def read_log(content: bytes) -> tuple[str, LogLine]:
+    """Logger and line of a serialized rcl_interfaces/Log, with its line breaks; raises UnreadableError."""
+    message = SerializedMessage(content)
+    stamp_s, number = message.time_s(), message.byte()
+    logger, text = message.text(_MAX_NAME), message.text(_MAX_TEXT)
+    level = next((name for least, name in _LEVELS if number >= least), "debug")
+    return logger, LogLine(stamp_s, level, in_lines(text, _MAX_TEXT))
 
 
 class LogView:
@@ -56,6 +60,26 @@ class LogView:
 
     def as_json(self) -> list[dict[str, object]]:
         return [asdict(line) for line in self._lines]
+
+
+class Logs:
+    """The recent lines of each logger, also of those whose node is not known yet: a node logs as it starts.
+
+    `is_kept(name)`: whether a logger is that of a known detector; of the others, only the last few are kept.
+    """
+
+    def __init__(self, is_kept: Callable[[str], bool]) -> None:
+        self._is_kept = is_kept
+        self._views: OrderedDict[str, LogView] = OrderedDict()
+
+    def of(self, logger: str) -> LogView:
+        """The lines of a logger, the same object as long as it is kept."""
+        view = self._views.setdefault(logger, LogView())
+        self._views.move_to_end(logger)
+        others = [name for name in self._views if not self._is_kept(name)]
+        if len(others) > _MAX_OTHERS:
+            del self._views[others[0]]
+        return view
 
 
 def logger_name(node_name: str) -> str:

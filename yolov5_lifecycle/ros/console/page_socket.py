@@ -22,7 +22,12 @@ _MESSAGES = 60
 _MAX_PENDING = 8
 _MAX_UNREAD = 100
 _MAX_VALUES = 400
+_MAX_NAMES = 8
 _UPDATE_S = 0.25
+_REST = 4.0
+"""Times as long as the last text took to make, no other is made: a fifth of the event loop's time at most."""
+_OMITTED = ""
+"""Key of the message about detectors that are left out; no detector has this name."""
 
 Find = Callable[[object], Detector | None]
 
@@ -40,6 +45,8 @@ class Pages:
         self._open: set[_Page] = set()
         self._due: dict[str, asyncio.TimerHandle] = {}
         self._sent_s: dict[str, float] = {}
+        self._rest_until_s = 0.0
+        self._omitted: list[str] = []
 
     @property
     def count(self) -> int:
@@ -54,13 +61,20 @@ class Pages:
         loop = asyncio.get_running_loop()
         self._due[name] = loop.call_later(max(wait_s, 0.0), self._send, name)
 
-    def gone(self, name: str) -> None:
-        """Notify all pages that the detector is gone."""
+    def gone(self, detector: Detector) -> None:
+        """Notify all pages that the detector is gone, with what was last known of it."""
+        name = detector.name
+        self._sent_s.pop(name, None)
         if timer := self._due.pop(name, None):
             timer.cancel()
-        text = json.dumps({"type": "gone", "name": name})
-        for page in self._open:
-            page.show(name, text)
+        if self._open:
+            last = detector.as_json(is_lost=True)
+            self._show(name, {"type": "gone", "name": name, "node": last})
+
+    def omitted(self, names: list[str]) -> None:
+        """Notify all pages of the detectors that are not shown because there are too many."""
+        self._omitted = names
+        self._show(_OMITTED, _omission(names))
 
     async def serve(self, websocket: WebSocket) -> None:
         """Serve one page until it is closed."""
@@ -71,18 +85,31 @@ class Pages:
         page = _Page(websocket, self._find, view_only=self._view_only)
         self._open.add(page)
         try:
-            await page.serve({detector.name: _node_text(detector) for detector in self._known()})
+            texts = {detector.name: _node_text(detector) for detector in self._known()}
+            if self._omitted:
+                texts[_OMITTED] = json.dumps(_omission(self._omitted))
+            await page.serve(texts)
         finally:
             self._open.discard(page)
 
     def _send(self, name: str) -> None:
+        begun_s = time.monotonic()
+        if begun_s < self._rest_until_s:
+            loop = asyncio.get_running_loop()
+            self._due[name] = loop.call_later(self._rest_until_s - begun_s, self._send, name)
+            return
         self._due.pop(name, None)
-        self._sent_s[name] = time.monotonic()
         detector = self._find(name)
         if detector is not None:
-            text = _node_text(detector)
-            for page in self._open:
-                page.show(name, text)
+            self._sent_s[name] = begun_s
+            self._show(name, _node_message(detector))
+            now_s = time.monotonic()
+            self._rest_until_s = now_s + _REST * (now_s - begun_s)
+
+    def _show(self, name: str, message: dict[str, object]) -> None:
+        text = json.dumps(message)
+        for page in self._open:
+            page.show(name, text)
 
 
 class _Page:
@@ -103,7 +130,8 @@ class _Page:
         self._news.set()
 
     async def serve(self, nodes: dict[str, str]) -> None:
-        welcome = {"type": "welcome", "view_only": self._view_only}
+        names = [name for name in nodes if name != _OMITTED]
+        welcome = {"type": "welcome", "view_only": self._view_only, "nodes": names}
         self._answers.append(json.dumps(welcome))
         self._nodes.update(nodes)
         self._news.set()
@@ -171,7 +199,16 @@ class _Page:
 
 
 def _node_text(detector: Detector) -> str:
-    return json.dumps({"type": "node", "node": detector.as_json()})
+    return json.dumps(_node_message(detector))
+
+
+def _node_message(detector: Detector) -> dict[str, object]:
+    return {"type": "node", "node": detector.as_json()}
+
+
+def _omission(names: list[str]) -> dict[str, object]:
+    """The number of `names`, and the first of them."""
+    return {"type": "omitted", "count": len(names), "names": names[:_MAX_NAMES]}
 
 
 def _request(text: str | None) -> tuple[dict[str, Any], str]:

@@ -12,7 +12,7 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType, ParameterValue
 from rclpy.parameter import parameter_value_to_python
 
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.printable import in_one_line, printable
 
 _TYPES = {
     ParameterType.PARAMETER_BOOL: "bool",
@@ -36,6 +36,12 @@ _CONSTRAINTS = re.compile(
 )
 """The additional constraints of a descriptor, as `ros/parameters/declaration.py` writes them."""
 _CHOICES = "one of "
+_MAX_CONSTRAINTS = 5_000
+_MAX_NAME = 200
+_MAX_TEXT = 5_000
+_MAX_ENTRIES = 10_000
+_MAX_LENGTH = 1 << 20
+"""Characters of all values of a detector that are shown."""
 
 
 class ValueRefusedError(ValueError):
@@ -59,7 +65,10 @@ class ParameterView:
     @classmethod
     def of(cls, descriptor: ParameterDescriptor) -> ParameterView | None:
         """The view of `descriptor`; None for a parameter that is not a setting, such as use_sim_time."""
-        found = _CONSTRAINTS.fullmatch(descriptor.additional_constraints)
+        name, constraints = descriptor.name, descriptor.additional_constraints
+        if len(constraints) > _MAX_CONSTRAINTS or len(name) > _MAX_NAME or not name.isprintable():
+            return None
+        found = _CONSTRAINTS.fullmatch(constraints)
         if found is None:
             return None
         change = found["change"].replace("-", " ")
@@ -98,15 +107,37 @@ class ParameterView:
     def _choices(self) -> list[str] | None:
         if self.type != "string" or not self._allowed.startswith(_CHOICES):
             return None
-        return self._allowed.removeprefix(_CHOICES).split(", ")
+        return printable(self._allowed).removeprefix(_CHOICES).split(", ")
+
+
+def shown_values(values: Mapping[str, ParameterValue]) -> dict[str, object]:
+    """`plain_value` of each of `values`, None for those after _MAX_LENGTH characters of others."""
+    shown, length = dict[str, object](), 0
+    for name, value in values.items():
+        plain = plain_value(value)
+        length += _length(plain)
+        shown[name] = plain if length <= _MAX_LENGTH else None
+    return shown
 
 
 def plain_value(value: ParameterValue) -> object:
-    """`value` for JSON; None if it is not set, of a type that no setting has, or not a finite number."""
-    if value.type not in _TYPES:
+    """`value` for JSON, printable.
+
+    None if it is not set, of a type that no setting has, not a finite number, or longer than any setting.
+    """
+    if value.type not in _TYPES or len(value.string_array_value) > _MAX_ENTRIES:
         return None
     plain: object = parameter_value_to_python(value)
-    return None if isinstance(plain, float) and not math.isfinite(plain) else plain
+    if isinstance(plain, float) and not math.isfinite(plain):
+        return None
+    texts = [plain] if isinstance(plain, str) else list(plain) if isinstance(plain, (list, tuple)) else []
+    if any(len(text) > _MAX_TEXT for text in texts):
+        return None
+    return printable(plain) if isinstance(plain, str) else list(map(printable, texts)) if texts else plain
+
+
+def _length(plain: object) -> int:
+    return len(plain) if isinstance(plain, str) else sum(map(len, plain)) if isinstance(plain, list) else 0
 
 
 def parameter_message(name: str, value: object, views: Mapping[str, ParameterView]) -> ParameterMessage:

@@ -100,6 +100,25 @@ class RosThread:
         spin(self._executor, self.node, until=self._is_stopping.is_set)
 
 
+class Hint:
+    """Calls `take()` soon in the thread of the event loop; once, however often it is called until then."""
+
+    def __init__(self, ros: RosThread, take: Callable[[], object]) -> None:
+        self._ros = ros
+        self._take = take
+        self._is_given = False
+
+    def __call__(self, *_: object) -> None:
+        """May be called in any thread, such as by a subscription with its message."""
+        if not self._is_given:
+            self._is_given = True
+            self._ros.post(self._answer)
+
+    def _answer(self) -> None:
+        self._is_given = False
+        self._take()
+
+
 def _resolve(future: asyncio.Future[Any], result: object) -> None:
     if not future.done():
         future.set_result(result)

@@ -9,7 +9,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 
-from yolov5_lifecycle.ros.console.budget import Budget, BudgetPerAddress
+from yolov5_lifecycle.ros.console.budget import Budget, Budgets
 
 SESSION_S = 12 * 3600.0
 _MAX_SESSIONS = 200
@@ -29,7 +29,7 @@ class Sessions:
         self._token_hash = _hash(token)
         self._clock = clock
         self._ends_s: OrderedDict[bytes, float] = OrderedDict()
-        self._failures_of = BudgetPerAddress(lambda: Budget(_TRIES_PER_S, _TRIES, clock=clock))
+        self._failures_of = Budgets(lambda: Budget(_TRIES_PER_S, _TRIES, clock=clock))
 
     def knows_token(self, given: str, address: str) -> bool:
         """Whether `given` is the token; raises TooManyTriesError after too many wrong ones from `address`.
