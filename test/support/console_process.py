@@ -123,12 +123,15 @@ class ConsoleClient:
 
 
 class Page:
-    """What a page has received: `nodes` and those `gone` by name, `answers` by the id of the request."""
+    """What a page has received: `nodes` by name, those `gone` and what was told of them last as `lost`, the
+    detectors that are `omitted`, and `answers` by the id of the request."""
 
     def __init__(self, connection: ClientConnection) -> None:
         self.connection = connection
         self.nodes: dict[str, dict[str, Any]] = {}
         self.gone: list[str] = []
+        self.lost: dict[str, dict[str, Any]] = {}
+        self.omitted: dict[str, Any] = {}
         self.answers: dict[object, dict[str, Any]] = {}
         self.updates = 0
         self._ids = itertools.count(1)
@@ -180,6 +183,9 @@ class Page:
         elif message["type"] == "gone":
             self.nodes.pop(message["name"], None)
             self.gone.append(message["name"])
+            self.lost[message["name"]] = message["node"]
+        elif message["type"] == "omitted":
+            self.omitted = message
         elif message["type"] == "answer":
             self.answers[message["id"]] = message
         return message

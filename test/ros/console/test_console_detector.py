@@ -14,7 +14,7 @@ from support.preparations import Preparations
 from support.served_node import PATIENCE_S, ServedNode
 
 from yolov5_lifecycle.ros.console.camera_view import StatusView
-from yolov5_lifecycle.ros.console.detector import SILENCE_S, Detector
+from yolov5_lifecycle.ros.console.detector import REFRESH_S, SILENCE_S, Detector
 from yolov5_lifecycle.ros.console.detector_link import DetectorLink
 from yolov5_lifecycle.ros.console.ros_thread import NotReachedError, RosThread
 from yolov5_lifecycle.settings.camera_names import NODE_STATUS
@@ -90,6 +90,16 @@ def test_a_value_that_changes_while_parameters_are_queried_is_shown(served: Serv
         await known.set("max_rate", 7.0)
         known.detector.want_parameters()
         known.link.gate.set()
+        await known.wait_for(lambda: known.value("max_rate") == 7.0)
+
+    play(served, act)
+
+
+def test_a_change_whose_event_was_lost_is_shown_after_a_while(served: ServedNode) -> None:
+    async def act(known: KnownDetector) -> None:
+        await known.wait_for(lambda: known.value("max_rate") == 0.0)
+        await known.set("max_rate", 7.0)
+        known.now_s += REFRESH_S
         await known.wait_for(lambda: known.value("max_rate") == 7.0)
 
     play(served, act)

@@ -46,8 +46,10 @@ def parameter_names(page: Page) -> list[str]:
     return [one["name"] for one in page.nodes[NODE]["parameters"]]
 
 
-def test_a_page_is_welcomed_and_told_of_each_detector(page: Page) -> None:
-    assert page.welcome == {"type": "welcome", "view_only": False, "nodes": [NODE]}
+def test_a_page_is_welcomed_and_told_of_each_detector(console: ConsoleBesideNode, page: Page) -> None:
+    with console.client.page() as late:
+        assert NODE in late.welcome.pop("nodes")
+        assert late.welcome == {"type": "welcome", "view_only": False}
     node = page.nodes[NODE]
     assert node["transitions"] == [{"label": "configure"}, {"label": "shutdown"}]
     assert [one["name"] for one in node["parameters"]] == [setting.name for setting in SETTINGS]
@@ -220,6 +222,10 @@ def test_the_id_of_a_request_comes_back(page: Page) -> None:
     page.wait_for(lambda: "a" * 50 in page.answers, "an answer")
 
 
+def test_the_lines_that_a_detector_logs_before_it_is_known_are_shown(page: Page) -> None:
+    page.wait_for(lambda: "next step" in page.nodes[NODE]["log"][0]["text"], "the first line")
+
+
 @pytest.mark.long
 def test_a_detector_that_ends_is_gone_and_comes_back(console: ConsoleBesideNode, page: Page) -> None:
     name = "/second"
@@ -227,9 +233,13 @@ def test_a_detector_that_ends_is_gone_and_comes_back(console: ConsoleBesideNode,
     with ServedNode(Preparations(), arguments=words):
         page.wait_for(lambda: name in page.nodes, "the second detector")
     page.wait_for(lambda: page.gone == [name], "the end of the second detector")
+    assert page.lost[name]["state"] == "lost"
+    assert page.lost[name]["last_state"] == "unconfigured"
+    assert page.lost[name]["transitions"] == []
     assert page.ask(type="transition", node=name, label="configure") == f"there is no detector {name}"
     with ServedNode(Preparations(), arguments=[*words, "-p", "max_rate:=3.0"]) as again:
         page.wait_for(lambda: name in page.nodes, "the new detector")
+        assert sum("next step" in line["text"] for line in page.nodes[name]["log"]) == 2  # of both processes
         assert page.parameter("max_rate", name)["value"] == 3.0
         assert page.ask(type="transition", node=name, label="configure") == ""
         assert again.node.state_label == "inactive"

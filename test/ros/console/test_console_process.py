@@ -161,6 +161,10 @@ def test_a_detector_that_is_killed_is_gone_until_it_is_started_again() -> None:
     with shown_detector() as (killed, page):
         killed.process.stop(signal.SIGKILL)
         page.wait_for(lambda: page.gone == [NODE], "its end")
+        lost = page.lost[NODE]
+        assert (lost["state"], lost["transitions"], lost["busy"]) == ("lost", [], "")
+        assert {status["level"] for status in lost["diagnostics"]} == {3}
+        assert [(camera["rate_hz"], camera["level"]) for camera in lost["cameras"]] == [(None, 3)]
         words = [entry_point("detector"), "--ros-args", "-p", "max_rate:=3.0"]
         with ChildProcess("detector", words, environment(killed.domain)):
             page.wait_for(lambda: NODE in page.nodes, "the new one")
