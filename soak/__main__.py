@@ -32,6 +32,7 @@ from soak.publishers import counted_publishers
 from soak.service_requests import answered_requests
 from soak.several_cameras import several_cameras
 from soak.slow_steps import survived_slow_steps
+from soak.spoofed_console import spoofed_console
 from soak.subject import Subject, subject
 from soak.transitions import answered_shutdowns, answered_transitions
 
@@ -42,6 +43,7 @@ _IMAGES = 10_000
 _CYCLES, _WARM_UP = 2000, 50
 _QUESTIONS = 5000
 _STRANGERS = 10_000
+_SPOOFED = 1_000
 _BURSTS = 20
 _QUESTIONS_BESIDE_FLOOD = 500
 _TIMES = 20
@@ -72,6 +74,7 @@ def _watched_trials(seed: int, minutes: float, scale: float) -> dict[str, Watche
         "faults": lambda process: survived_faults(process, _scaled(_FAULTS, scale)),
         "mixed": lambda process: mixed_life(process, seed, minutes),
         "console": lambda process: refused_strangers(process, _scaled(_STRANGERS, scale), seed),
+        "spoofed-console": lambda process: spoofed_console(process, _scaled(_SPOOFED, scale), seed),
         "cameras": lambda process: several_cameras(process, seed, _CAMERA_MINUTES * scale),
     }
 

@@ -30,6 +30,7 @@ from soak.publishers import counted_publishers
 from soak.service_requests import answered_requests
 from soak.several_cameras import several_cameras
 from soak.slow_steps import survived_slow_steps
+from soak.spoofed_console import spoofed_console
 from soak.subject import Subject, exceptions_in, subject
 from soak.track_ids import TrackIds
 from soak.transitions import answered_shutdowns, answered_transitions
@@ -68,6 +69,7 @@ def shared_subject() -> Iterator[Subject]:
         ),
         pytest.param(lambda process: answered_bursts(process, 1), id="bursts"),
         pytest.param(lambda process: refused_strangers(process, 300, SEED), id="console"),
+        pytest.param(lambda process: spoofed_console(process, 60, SEED), id="spoofed-console"),
         pytest.param(lambda process: counted_publishers(process, 1, burst=30), id="publishers"),
         pytest.param(lambda process: complete_cycles(process, 4, 4, weigh=False), id="cycles"),
         pytest.param(lambda process: survived_faults(process, 1, is_timed=False), id="faults"),

@@ -60,9 +60,14 @@ class ChildProcess:
     def process_id(self) -> int:
         return self._process.pid
 
+    @property
+    def exit_code(self) -> int | None:
+        """None while the process runs."""
+        return self._process.poll()
+
     def check_running(self) -> None:
         """Raise ProcessError if the process has ended."""
-        code = self._process.poll()
+        code = self.exit_code
         if code is not None:
             self._reader.join(_KILL_S)
             raise ProcessError(
