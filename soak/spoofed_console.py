@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import State, TransitionEvent
 from rcl_interfaces.msg import Log
 from support.console_process import ConsoleClient, Page, address, console_process
@@ -24,7 +23,10 @@ _SENT_TOGETHER = 20
 
 
 class Spoofer:
-    """Sends messages at random to the topics that the console subscribes to."""
+    """Sends messages at random to topics that the console subscribes to.
+
+    Not to /diagnostics: what is there under a name is shown, true or not, and the subject is judged by it.
+    """
 
     def __init__(self, subject: Subject, seed: int) -> None:
         self._random = random.Random(seed)
@@ -33,7 +35,7 @@ class Spoofer:
 
     def send(self) -> None:
         topic, message = self._random.choice(
-            [self._event, self._event, self._log, self._diagnostics, self._labels, self._transition]
+            [self._event, self._event, self._log, self._labels, self._transition]
         )()
         if topic not in self._publishers:
             self._publishers[topic] = self._node.create_publisher(type(message), topic, LATCHED)
@@ -65,13 +67,6 @@ class Spoofer:
         name = self._name.removeprefix("/")
         return "/rosout", Log(name=name, msg=self._text, level=self._random.choice([0, 20, 40, 255]))
 
-    def _diagnostics(self) -> tuple[str, Any]:
-        # Not under the name of the detector: those are shown, true or not, and the subject is judged by them.
-        name = self._random.choice(_NAMES[1:])
-        values = [KeyValue(key="a", value=self._text[:1000])] * self._count
-        statuses = [DiagnosticStatus(name=f"{name}: front", hardware_id=name, values=values, level=b"\x02")]
-        return "/diagnostics", DiagnosticArray(status=statuses)
-
     def _labels(self) -> tuple[str, Any]:
         names = [VisionClass(class_name=self._text[:1000])] * self._count
         return f"{NODE}/label_info", LabelInfo(class_map=names)
@@ -81,7 +76,7 @@ class Spoofer:
 
 
 def spoofed_console(subject: Subject, count: int, seed: int) -> Finding:
-    """Send `count` messages; after every few, a page must be served and be shown what the detector answers."""
+    """Send `count` messages; after every few, a page is served and is shown what the detector answers."""
     subject.reset()
     chooser, wrong = random.Random(seed), list[str]()
     with console_process(subject.domain) as console, ConsoleClient(address(console)).page() as page:
