@@ -16,7 +16,7 @@ from soak.finding import Finding, number_of
 from soak.subject import Subject, exceptions_in
 
 _LENGTHS = (0, 100, 10_000, 20_000_000)
-_COUNTS = (1, 100, 100_000)
+_COUNTS = (1, 100, 20_000)
 _NAMES = (NODE, "/nobody", "", "/\u202e", "x" * 100_000)
 _PARAMETERS = ("confidence_threshold", "cameras", "weights", "no such", "")
 _SENT_TOGETHER = 20
@@ -60,7 +60,8 @@ class Spoofer:
     def _event(self) -> tuple[str, Any]:
         value = self._random.choice([0.99, True, 7, self._text, [self._text, "../x"], ["a"] * self._count])
         message = parameter_event(self._name, self._random.choice(_PARAMETERS), value)
-        message.changed_parameters *= self._random.choice([1, 1, 1, 1000])
+        if not isinstance(value, (str, list)):
+            message.changed_parameters *= self._count
         return "/parameter_events", message
 
     def _log(self) -> tuple[str, Any]:
