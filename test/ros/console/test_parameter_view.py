@@ -12,12 +12,14 @@ from rcl_interfaces.msg import (
     ParameterType,
     ParameterValue,
 )
+from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.ros.console.parameter_view import (
     ParameterView,
     ValueRefusedError,
     parameter_message,
     plain_value,
+    shown_values,
 )
 from yolov5_lifecycle.ros.parameters.declaration import unset_descriptor
 from yolov5_lifecycle.settings.schema import Setting
@@ -162,7 +164,7 @@ def test_a_value_of_another_type_is_shown_as_unknown(name: str, value: object) -
 
 
 @pytest.mark.parametrize(
-    "default", ["{", "NaN", "1e999", "[" * 100_000, '"fast"'], ids=["syntax", "NaN", "large", "deep", "type"]
+    "default", ["{", "NaN", "1e999", "[" * 4_000, '"fast"'], ids=["syntax", "NaN", "large", "deep", "type"]
 )
 def test_a_default_that_is_no_value_of_its_type_is_left_out(default: str) -> None:
     descriptor = ParameterDescriptor(
@@ -173,3 +175,21 @@ def test_a_default_that_is_no_value_of_its_type_is_left_out(default: str) -> Non
     view = ParameterView.of(descriptor)
     assert view is not None
     assert view.as_json(0.5)["default"] is None
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        pytest.param(Parameter("a", value="\u202eexe.tp\n"), "?exe.tp?", id="direction of text"),
+        pytest.param(Parameter("a", value=["fr\u200font", "a  b"]), ["fr?ont", "a  b"], id="list"),
+        pytest.param(Parameter("a", value="x" * 5_001), None, id="long"),
+        pytest.param(Parameter("a", value=["x"] * 10_001), None, id="long list"),
+    ],
+)
+def test_a_value_is_shown_printable_and_within_bounds(value: Parameter, shown: object) -> None:
+    assert plain_value(value.to_parameter_msg().value) == shown
+
+
+def test_values_beyond_what_all_may_have_are_shown_as_unknown() -> None:
+    large = Parameter("a", value=["x" * 4_000] * 200).to_parameter_msg().value
+    assert shown_values({"first": large, "second": large})["second"] is None
