@@ -24,6 +24,9 @@ NO_COST = {
     "evaluation.curves.MAX_NAMED",
     "evaluation.curves.MAX_NUMBERED",
     "evaluation.matching.MAX_DETECTIONS",  # that of COCO
+    "quantization.comparison.MAX_CARD_NOISE",  # how much int8 may differ, like the next two
+    "quantization.comparison.MAX_INPUT_NOISE",
+    "quantization.comparison.MAX_NOISE",
     "quantization.precision_choice.MAX_MAP_LOSS",
     "ros.demo.camera_figures.MAX_MEDIAN_ERROR_PERCENT",
     "ros.demo.camera_figures.MAX_SWITCHES",

@@ -37,7 +37,7 @@ def in_report(text: str) -> str:
 
     The names in them must already be one line each: see `in_one_line`.
     """
-    return "\n".join(map(_printable, text.split("\n")))
+    return "\n".join(map(printable, text.split("\n")))
 
 
 def is_utf8(text: str) -> bool:
