@@ -50,7 +50,7 @@ def test_a_detector_that_is_killed_and_restarted_is_lost_and_found(browser: Chro
         page.wait_for_image()
         detector.stop(signal.SIGKILL)
         page.wait_for_text(".notice.error", "/yolov5 is lost")
-        assert page.state == "active"  # the last that is known of it
+        page.wait_for_state("lost")
         with autostarted(domain):
             page.wait_for(lambda: not page.find(".notice.error").is_displayed(), "the detector")
             page.wait_for_state("active")

@@ -11,7 +11,7 @@ export class CameraOverride {
   #name = element("select", { "aria-label": "Parameter", "data-choice": "parameter" });
   #refusal = element("p", { class: "refusal", role: "alert" });
 
-  /** `set(name, value)` returns a promise of `{ ok, reason }`. */
+  /** `set({name, before, after})` returns a promise of `{ok, reason}`. */
   constructor(set, isViewOnly) {
     this.#set = set;
     this.#isViewOnly = isViewOnly;
@@ -51,7 +51,8 @@ export class CameraOverride {
   /** Start with the value of the node; the new parameter can then be changed like any other. */
   async #add() {
     const name = this.#name.value;
-    const { ok, reason } = await this.#set(`${this.#camera.value}.${name}`, this.#valueOf(name));
+    const change = { name: `${this.#camera.value}.${name}`, before: null, after: this.#valueOf(name) };
+    const { ok, reason } = await this.#set(change);
     setText(this.#refusal, ok ? "" : reason || "refused without a reason");
   }
 

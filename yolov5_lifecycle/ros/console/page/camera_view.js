@@ -1,9 +1,9 @@
 /** The cameras of a detector: live annotated image, rate, latency, and why there is no output. */
 
+import { conditionOf } from "./condition.js";
 import { element, KeyedViews, setText } from "./element.js";
 import { tenth } from "./figures.js";
 import { ImageView } from "./image_view.js";
-import { LEVELS } from "./reason_view.js";
 
 const SILENT_AFTER_S = 3;
 
@@ -18,8 +18,13 @@ export class CameraViews {
   }
 
   update(node) {
-    this.#cameras.update(node.cameras, (camera) => camera.name);
+    const cameras = node.cameras.map((camera) => ({ ...camera, state: node.state }));
+    this.#cameras.update(cameras, (camera) => camera.name);
     this.receive(this.#mayReceive);
+  }
+
+  lose() {
+    this.#cameras.views.forEach((camera) => camera.lose());
   }
 
   /** Images are subscribed to only while they can be seen. */
@@ -44,6 +49,7 @@ class CameraView {
   #isPaused = false;
   #mayReceive = false;
   #silentS = 0;
+  #isLost = false;
 
   constructor(node, camera) {
     const title = camera || "camera";
@@ -67,10 +73,24 @@ class CameraView {
   update(camera) {
     const rate = `${tenth(camera.rate_hz)} Hz`;
     const latency = `${tenth(camera.latency_ms)} ms, p95 ${tenth(camera.latency_p95_ms)} ms`;
-    setText(this.#figures, Number.isFinite(camera.rate_hz) ? `${rate} · ${latency}` : "not detecting");
+    const isDetecting = camera.state === "active" && Number.isFinite(camera.rate_hz);
+    if (this.#isLost) {
+      this.#isLost = false;
+      setText(this.#overlay, "waiting for an image");
+    }
+    setText(this.#figures, isDetecting ? `${rate} · ${latency}` : "not detecting");
     setText(this.#message, camera.message);
-    this.#message.dataset.level = LEVELS[camera.level];
+    this.#message.dataset.condition = conditionOf(camera, camera.state).name;
     this.#message.hidden = camera.message === "" || camera.message === "detecting";
+  }
+
+  /** The last image stays, but as an old one. */
+  lose() {
+    this.#isLost = true;
+    setText(this.#figures, "lost");
+    setText(this.#shownRate, "");
+    this.#message.hidden = true;
+    this.#showSilence("lost");
   }
 
   receive(mayReceive) {
@@ -90,12 +110,16 @@ class CameraView {
   sample() {
     const count = this.#image.takeCount();
     this.#silentS = count > 0 ? 0 : this.#silentS + 1;
-    setText(this.#shownRate, count > 0 ? `${count} shown per second` : "");
-    if (this.#silentS >= SILENT_AFTER_S) {
-      this.element.classList.add("silent");
+    setText(this.#shownRate, count > 0 && !this.#isLost ? `${count} shown per second` : "");
+    if (this.#silentS >= SILENT_AFTER_S && !this.#isLost) {
       const ever = this.#canvas.dataset.stampS !== undefined;
-      setText(this.#overlay, this.#isPaused ? "paused" : ever ? `no image for ${this.#silentS} s` : "no image yet");
+      this.#showSilence(this.#isPaused ? "paused" : ever ? `no image for ${this.#silentS} s` : "no image yet");
     }
+  }
+
+  #showSilence(text) {
+    this.element.classList.add("silent");
+    setText(this.#overlay, text);
   }
 
   #heard() {

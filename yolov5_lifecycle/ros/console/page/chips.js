@@ -2,18 +2,37 @@
 
 import { element, KeyedViews, setText } from "./element.js";
 
+/** With more names, there is a field that finds them. */
+const FEW = 12;
+/** More unselected chips than this are shown only when they are looked for. */
+const MAX_SHOWN = 200;
+
 export class Chips {
   #options;
   #chips;
   #value = [];
+  #known = [];
+  #isUnset = false;
+  #first = [];
   #shown = "";
   #field;
-  #note = element("span", { class: "hint" });
+  #filter;
+  #note = element("p", { class: "hint", role: "status" });
 
   constructor(options) {
     this.#options = options;
     const list = element("div", { class: "chips" });
     this.#chips = new KeyedViews(list, (chip) => this.#chip(chip.name));
+    this.#filter = element("input", {
+      type: "search",
+      class: "find",
+      "aria-label": "Find a class",
+      placeholder: "find a class",
+      autocomplete: "off",
+      spellcheck: "false",
+      hidden: true,
+      oninput: () => this.#draw(),
+    });
     this.#field = element("input", {
       type: "text",
       autocomplete: "off",
@@ -24,26 +43,53 @@ export class Chips {
       onkeydown: (event) => event.key === "Enter" && this.#add(),
     });
     const add = element("button", { type: "button", class: "small", onclick: () => this.#add() }, "Add");
-    this.element = element("div", {}, list, this.#note, element("div", { class: "addition" }, this.#field, add));
+    const addition = element("div", { class: "addition" }, this.#field, add);
+    this.element = element("div", {}, this.#filter, this.#note, list, addition);
   }
 
   show(value) {
     const known = this.#options.hasClassNames ? this.#options.classNames() : [];
-    const shown = JSON.stringify([value, known]);
+    const isInUse = this.element.contains(document.activeElement);
+    const shown = JSON.stringify([value, known, isInUse]);
     if (shown === this.#shown) {
       return; // there may be thousands
     }
     this.#shown = shown;
     this.#value = value ?? [];
-    const names = [...new Set([...known, ...this.#value])];
-    const chips = names.map((name) => ({ name, isOn: this.#value.includes(name) }));
-    this.#chips.update(chips, (chip) => chip.name);
-    const whenEmpty = this.#options.hasClassNames ? "none selected: all classes" : "empty";
-    setText(this.#note, value === null ? "not set" : this.#value.length === 0 ? whenEmpty : "");
+    this.#isUnset = value === null;
+    this.#known = known;
+    if (!isInUse) {
+      this.#first = this.#value; // a chip stays in its place while it has the keyboard
+    }
+    this.#draw();
   }
 
   forget() {
     this.#field.value = "";
+  }
+
+  #draw() {
+    const words = this.#filter.value.trim().toLowerCase();
+    const names = [...new Set([...this.#first, ...this.#known, ...this.#value])];
+    const selected = new Set(this.#value);
+    const found = names.filter((name) => name.toLowerCase().includes(words));
+    const shown = found.filter((name, index) => index < MAX_SHOWN || selected.has(name));
+    this.#filter.hidden = names.length <= FEW && words === "";
+    const chips = shown.map((name) => ({ name, isOn: selected.has(name) }));
+    this.#chips.update(chips, (chip) => chip.name);
+    setText(this.#note, this.#summary(names.length, found.length, shown.length));
+  }
+
+  #summary(count, foundCount, shownCount) {
+    const { length } = this.#value;
+    const whenEmpty = this.#options.hasClassNames ? "none selected: all classes" : "empty";
+    const selection = this.#isUnset ? "not set" : length === 0 ? whenEmpty : "";
+    if (count <= FEW) {
+      return selection;
+    }
+    const found = foundCount < count ? `${foundCount} of ${count} found` : "";
+    const hidden = shownCount < foundCount ? `${foundCount - shownCount} more: find them by name` : "";
+    return [selection || `${length} of ${count} selected`, found, hidden].filter(Boolean).join("; ");
   }
 
   #chip(name) {

@@ -1,7 +1,7 @@
 /** Every value of the diagnostics, for whoever needs more than the summary. */
 
+import { conditionCalled, conditionOf } from "./condition.js";
 import { element, KeyedViews, setText } from "./element.js";
-import { LEVELS } from "./reason_view.js";
 
 export class DiagnosticsView {
   #statuses;
@@ -18,7 +18,12 @@ export class DiagnosticsView {
   }
 
   update(node) {
-    this.#statuses.update(node.diagnostics, (status) => status.name);
+    const statuses = node.diagnostics.map((status) => ({ ...status, state: node.state }));
+    this.#statuses.update(statuses, (status) => status.name);
+  }
+
+  lose() {
+    this.#statuses.views.forEach((status) => status.showCondition(conditionCalled("lost")));
   }
 }
 
@@ -42,10 +47,14 @@ class StatusView {
 
   update(status) {
     setText(this.#title, status.name);
-    setText(this.#level, LEVELS[status.level] ?? "stale");
-    this.#level.dataset.level = LEVELS[status.level] ?? "stale";
+    this.showCondition(conditionOf(status, status.state));
     setText(this.#message, status.message);
     this.#values.update(Object.entries(status.values), ([key]) => key);
+  }
+
+  showCondition({ name, symbol, word }) {
+    setText(this.#level, `${symbol} ${word}`);
+    this.#level.dataset.condition = name;
   }
 }
 

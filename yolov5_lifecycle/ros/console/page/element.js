@@ -55,6 +55,11 @@ export class KeyedViews {
     return [...this.#views.values()];
   }
 
+  /** The view of the item with `key`; undefined without one. */
+  viewOf(key) {
+    return this.#views.get(key);
+  }
+
   update(items, keyOf) {
     const keys = new Set(items.map(keyOf));
     for (const [key, view] of this.#views) {
@@ -66,7 +71,7 @@ export class KeyedViews {
     }
     let next = this.#parent.firstChild;
     for (const item of items) {
-      const view = this.#viewOf(item, keyOf(item));
+      const view = this.#madeFor(item, keyOf(item));
       view.update(item);
       if (view.element === next) {
         next = next.nextSibling;
@@ -76,7 +81,7 @@ export class KeyedViews {
     }
   }
 
-  #viewOf(item, key) {
+  #madeFor(item, key) {
     if (!this.#views.has(key)) {
       this.#views.set(key, this.#make(item));
     }

@@ -22,6 +22,11 @@ export class HistoryView {
     this.#cameras.update(node.cameras, (camera) => camera.name);
   }
 
+  /** The plots show no figure as that of now. */
+  lose() {
+    this.#cameras.views.forEach((camera) => camera.sample(true));
+  }
+
   /** Called once a second; `isLost`: the known values are old. */
   sample(isLost) {
     this.#cameras.views.forEach((camera) => camera.sample(isLost));

@@ -5,12 +5,14 @@ import { element, KeyedViews, setText } from "./element.js";
 import { NodeView } from "./node_view.js";
 
 const SAMPLE_MS = 1000;
+const FIELDS = 'input[type="text"], input[type="search"], textarea';
 
 class Page {
   #connection = new Connection();
   #views = new Map();
   #isViewOnly = false;
   #shown;
+  #revealed;
   #tabs = new KeyedViews(byId("nodes"), (view) => new Tab(view));
 
   start() {
@@ -19,6 +21,7 @@ class Page {
     this.#connection.addEventListener("message", (event) => this.#take(event.detail));
     window.addEventListener("hashchange", () => this.#show());
     document.addEventListener("visibilitychange", () => this.#show());
+    document.addEventListener("keydown", (event) => this.#press(event));
     setInterval(() => this.#views.forEach((view) => view.sample()), SAMPLE_MS);
     this.#connection.start();
   }
@@ -52,21 +55,48 @@ class Page {
     return view;
   }
 
+  /** Ctrl-Z takes the last change back, except in a field, where it takes typing back. */
+  #press(event) {
+    const isUndo = (event.ctrlKey || event.metaKey) && !event.shiftKey && !event.altKey && event.key === "z";
+    if (isUndo && !event.target.closest(FIELDS)) {
+      event.preventDefault();
+      this.#views.get(this.#shown)?.undo();
+    }
+  }
+
+  /** The address decides which detector is shown: the images of another one could wake it. */
   #show() {
     const names = [...this.#views.keys()].sort();
-    const shown = [wantedName(), this.#shown].find((name) => names.includes(name)) ?? names[0];
-    this.#shown = shown;
+    const wanted = wantedName();
+    const shown = wanted === "" ? (this.#shown ?? names[0]) : wanted;
+    const isMissing = shown !== undefined && !names.includes(shown);
+    this.#shown = isMissing ? undefined : shown;
     for (const [name, view] of this.#views) {
       view.isCurrent = name === shown;
       view.show(view.isCurrent, view.isCurrent && !document.hidden);
     }
     byId("empty").hidden = names.length > 0;
+    byId("missing").hidden = !isMissing || names.length === 0;
+    setText(byId("missing"), isMissing ? `No detector ${shown} yet, which this address names. Choose another above.` : "");
     this.#tabs.update(names.map((name) => this.#views.get(name)), (view) => view.name);
     document.title = shown === undefined ? "Detector console" : `${shown} - Detector console`;
+    this.#revealTab();
+  }
+
+  /** Scroll the tab of the shown detector into the bar, once it has changed. */
+  #revealTab() {
+    if (this.#revealed !== this.#shown) {
+      this.#revealed = this.#shown;
+      byId("nodes").querySelector("[aria-current]")?.scrollIntoView({ block: "nearest", inline: "center" });
+    }
   }
 
   #showConnection(isOpen) {
     document.body.classList.toggle("lost", !isOpen);
+    if (!isOpen) {
+      this.#views.forEach((view) => view.lose());
+      this.#show();
+    }
     byId("connection").dataset.state = isOpen ? "open" : "lost";
     setText(byId("connection"), isOpen ? "connected" : "connection lost");
     byId("lost").hidden = isOpen;
@@ -76,8 +106,12 @@ class Page {
 }
 
 class Tab {
+  #symbol = element("span", { class: "symbol", "aria-hidden": "true" });
+  #word = element("span", { class: "word" });
+
   constructor(view) {
-    this.element = element("a", { href: `#${encodeURIComponent(view.name)}` }, view.name);
+    const name = element("span", {}, view.name);
+    this.element = element("a", { href: `#${encodeURIComponent(view.name)}` }, this.#symbol, name, " ", this.#word);
   }
 
   update(view) {
@@ -85,7 +119,10 @@ class Tab {
     if (view.isCurrent) {
       this.element.setAttribute("aria-current", "page");
     }
-    this.element.dataset.state = view.isGone ? "gone" : view.state;
+    const { name, symbol, word } = view.condition;
+    this.element.dataset.condition = name;
+    setText(this.#symbol, symbol);
+    setText(this.#word, word);
   }
 }
 

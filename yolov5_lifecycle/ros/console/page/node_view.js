@@ -2,6 +2,7 @@
 
 import { CameraViews } from "./camera_view.js";
 import { DiagnosticsView } from "./diagnostics_view.js";
+import { conditionCalled, summaryOf } from "./condition.js";
 import { element, setText } from "./element.js";
 import { FrameBalance } from "./frame_balance.js";
 import { HistoryView } from "./history_view.js";
@@ -9,26 +10,32 @@ import { LogView } from "./log_view.js";
 import { ParameterList } from "./parameter_list.js";
 import { ReasonView } from "./reason_view.js";
 import { StateView } from "./state_view.js";
+import { UndoBar } from "./undo_bar.js";
 
 export class NodeView {
   isGone = false;
   isCurrent = false;
-  state = "";
+  #state = "";
+  #condition = conditionCalled("stale");
   #gone = element("p", { class: "notice error", role: "alert", hidden: true });
   #parts;
   #cameras;
+  #parameters;
   #history = new HistoryView();
+  #undo;
 
   constructor(name, connection, isViewOnly) {
     this.name = name;
     this.isViewOnly = isViewOnly;
     const request = (message) => connection.request({ node: name, ...message });
     this.#cameras = new CameraViews(name);
+    this.#undo = new UndoBar(request, (changed, value) => this.#parameters.restore(changed, value));
+    this.#parameters = new ParameterList(request, this.#undo, isViewOnly);
     this.#parts = [
       new StateView(name, request, isViewOnly),
       new ReasonView(),
       this.#cameras,
-      new ParameterList(request, isViewOnly),
+      this.#parameters,
       this.#history,
       new FrameBalance(),
       new DiagnosticsView(),
@@ -39,18 +46,39 @@ export class NodeView {
       { class: "node", "data-node": name, "aria-label": name },
       this.#gone,
       element("div", { class: "parts" }, ...this.#parts.map((part) => part.element)),
+      this.#undo.element,
     );
   }
 
   update(node) {
-    this.state = node.state;
+    this.#state = node.state;
+    this.#condition = summaryOf(node);
     this.#setGone(false);
+    this.element.classList.remove("old");
     this.#parts.forEach((part) => part.update(node));
+  }
+
+  /** `{name, symbol, word}` for the tab; the word is that of the state if it alone explains the condition. */
+  get condition() {
+    return this.#condition.name === "idle" ? { ...this.#condition, word: this.#state } : this.#condition;
   }
 
   /** The detector has left: its last values stay, as they may show why. */
   setGone() {
     this.#setGone(true);
+    this.lose();
+  }
+
+  /** Nothing is heard of the detector until `update`: what is shown is not current. */
+  lose() {
+    this.#condition = conditionCalled("lost");
+    this.element.classList.add("old");
+    this.#parts.forEach((part) => part.lose?.());
+  }
+
+  /** Take the last change of this page back. */
+  undo() {
+    this.#undo.undo();
   }
 
   show(isShown, mayReceive) {
@@ -60,7 +88,7 @@ export class NodeView {
 
   /** Called once a second. */
   sample() {
-    this.#history.sample(this.isGone || document.body.classList.contains("lost"));
+    this.#history.sample(this.#condition.name === "lost");
     this.#cameras.sample();
   }
 
@@ -71,7 +99,6 @@ export class NodeView {
 
   #setGone(isGone) {
     this.isGone = isGone;
-    this.element.classList.toggle("gone", isGone);
     this.#gone.hidden = !isGone;
     const gone =
       `${this.name} is lost: its process has ended, or cannot be reached. The values shown are old; ` +

@@ -4,6 +4,7 @@ import { CameraOverride } from "./camera_override.js";
 import { element, KeyedViews, setText } from "./element.js";
 import { ParameterRow } from "./parameter_row.js";
 import { YamlCopy } from "./yaml_copy.js";
+import { cameraOf } from "./yaml_text.js";
 
 const GROUPS = [
   ["live", "Live", "takes effect with the next frame"],
@@ -21,8 +22,13 @@ export class ParameterList {
   #filter = element("input", { type: "search", placeholder: "Find a parameter", "aria-label": "Find a parameter" });
   #none = element("p", { class: "hint", role: "status" });
 
-  constructor(request, isViewOnly) {
-    const set = (name, value) => request({ type: "set", values: { [name]: value } });
+  #node = null;
+  #undo;
+
+  /** `undo`: the UndoBar of the detector. */
+  constructor(request, undo, isViewOnly) {
+    this.#undo = undo;
+    const set = (change) => this.#set(request, change);
     this.#groups = GROUPS.map(
       ([change, title, meaning]) => new ParameterGroup({ change, title, meaning, set, isViewOnly }),
     );
@@ -41,10 +47,26 @@ export class ParameterList {
   }
 
   update(node) {
+    this.#node = node;
     this.#groups.forEach((group) => group.update(node));
     this.#override.update(node.parameters);
     this.#yaml.update(node.parameters);
     this.#applyFilter();
+  }
+
+  /** Show `value` of the parameter `name`, which was set by other means, before the node reports it. */
+  restore(name, value) {
+    this.#groups.forEach((group) => group.restore(name, value));
+  }
+
+  /** Request a change, see UndoStack.record, and keep it to be undone. */
+  async #set(request, change) {
+    const { parameters } = this.#node;
+    const answer = await request({ type: "set", values: { [change.name]: change.after } });
+    if (answer.ok || answer.isUnknown) {
+      this.#undo.record({ ...change, others: lostWith(change, parameters) });
+    }
+    return answer;
   }
 
   #applyFilter() {
@@ -87,6 +109,10 @@ class ParameterGroup {
     setText(this.#count, `${own.length}${changed ? `, ${changed} changed` : ""}`);
   }
 
+  restore(name, value) {
+    this.#rows.viewOf(name)?.restore(value);
+  }
+
   /** Show the rows with these words, all without any; returns how many are shown. */
   applyFilter(words) {
     const shown = this.#rows.views.filter((row) => row.applyFilter(words)).length;
@@ -100,6 +126,13 @@ class ParameterGroup {
     }
     return shown;
   }
+}
+
+/** Values by name of the overrides that the node deletes with their cameras. */
+function lostWith({ name, before, after }, parameters) {
+  const removed = name === "cameras" ? (before ?? []).filter((camera) => !(after ?? []).includes(camera)) : [];
+  const isLost = (parameter) => parameter.value !== null && removed.includes(cameraOf(parameter.name));
+  return Object.fromEntries(parameters.filter(isLost).map((parameter) => [parameter.name, parameter.value]));
 }
 
 function groupOf(parameter) {

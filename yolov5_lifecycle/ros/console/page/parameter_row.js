@@ -68,7 +68,7 @@ export class ParameterRow {
         classNames: this.#context.classNames,
         labelId: this.#label.id,
         meaningId: this.#meaning.id,
-        changed: (value) => this.#send(value),
+        changed: (value, gesture) => this.#send(value, gesture),
         refused: (reason) => setText(this.#refusal, reason),
       });
       this.#place.replaceChildren(this.#widget.element);
@@ -88,8 +88,8 @@ export class ParameterRow {
   }
 
   /** One request at a time; of values set meanwhile, only the last is sent. */
-  async #send(value) {
-    this.#next = { value };
+  async #send(value, gesture) {
+    this.#next = { value, gesture };
     if (this.#isSending) {
       this.#show(); // the next change builds on it
       return;
@@ -97,27 +97,44 @@ export class ParameterRow {
     this.#isSending = true;
     setText(this.#refusal, "");
     while (this.#next !== null) {
-      const { value: wanted } = this.#next;
+      const wanted = this.#next;
       this.#next = null;
       await this.#request(wanted);
     }
     this.#isSending = false;
     this.#setWaiting(false);
+    this.#showSoon();
+  }
+
+  #showSoon() {
     this.#show();
     // The node may have converted it and already reported the result.
     setTimeout(() => this.#show(), SETTLED_MS + 1);
   }
 
-  async #request(value) {
+  async #request({ value, gesture }) {
+    const change = { name: this.#parameter.name, before: this.#known, after: value, gesture };
     this.#setWaiting(true);
     this.#accepted = { value, untilMs: Infinity };
     this.#show();
-    const [{ ok, reason }] = await Promise.all([this.#context.set(this.#parameter.name, value), pause(BETWEEN_MS)]);
+    const [{ ok, reason }] = await Promise.all([this.#context.set(change), pause(BETWEEN_MS)]);
     setText(this.#refusal, ok ? "" : reason || "refused without a reason");
     this.#accepted = ok ? { value, untilMs: performance.now() + SETTLED_MS } : null;
     if (!ok) {
       this.#widget.forget();
     }
+  }
+
+  /** The last value that the node has reported or accepted. */
+  get #known() {
+    return (this.#accepted ?? this.#parameter).value;
+  }
+
+  /** Show `value`, which was set by other means, before the node reports it. */
+  restore(value) {
+    this.#accepted = { value, untilMs: performance.now() + SETTLED_MS };
+    setText(this.#refusal, "");
+    this.#showSoon();
   }
 
   #setWaiting(isWaiting) {

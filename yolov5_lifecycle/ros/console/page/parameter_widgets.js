@@ -2,6 +2,9 @@
 
 import { Chips } from "./chips.js";
 import { element, setText } from "./element.js";
+import { TouchDrag } from "./touch_drag.js";
+
+let lastGesture = 0;
 
 /** Changes when a parameter needs another widget. */
 export function widgetKind({ type, range, choices }, isFixed) {
@@ -11,7 +14,8 @@ export function widgetKind({ type, range, choices }, isFixed) {
 /**
  * `{element, show(value), forget()}` for a parameter; `forget` drops what was typed.
  *
- * `options`: `changed(value)` is called with each value to set, `refused(reason)` for invalid input.
+ * `options`: `changed(value, gesture)` is called with each value to set; changes of one gesture have the same
+ * number. `refused(reason)` is called for invalid input.
  */
 export function widgetFor(parameter, options) {
   if (options.isFixed) {
@@ -146,12 +150,19 @@ class TextField {
 class Slider {
   #field;
   #slider;
+  #from;
+  #isLive;
+  #changed;
+  #value = null;
   #isDragged = false;
+  #gesture = 0;
+  #touch;
 
   constructor({ type, range, change }, options) {
     const step = stepOf(type, range);
-    const isLive = change === "live";
-    const valueNow = () => Math.max(range.from, Number(this.#slider.value));
+    this.#from = range.from;
+    this.#isLive = change === "live";
+    this.#changed = options.changed;
     this.#field = new TextField(type, options, { class: "number" });
     this.#slider = element("input", {
       type: "range",
@@ -159,25 +170,22 @@ class Slider {
       max: range.to,
       step,
       ...labelled(options),
-      oninput: () => {
-        this.#isDragged = true;
-        this.#field.show(valueNow());
-        if (isLive) {
-          options.changed(valueNow());
-        }
-      },
-      onchange: () => {
-        this.#isDragged = false;
-        if (!isLive) {
-          options.changed(valueNow());
-        }
-      },
+      onpointerdown: () => this.#begin(),
+      onkeydown: (event) => event.repeat || this.#begin(),
+      oninput: () => this.#move(),
+      onchange: () => this.#commit(),
+    });
+    this.#touch = new TouchDrag(this.#slider, {
+      begin: () => this.#begin(),
+      commit: () => this.#commit(),
+      cancel: () => this.#cancel(),
     });
     this.element = element("div", { class: "slider" }, this.#slider, this.#field.element);
   }
 
   show(value) {
     if (!this.#isDragged) {
+      this.#value = value;
       this.#slider.value = value ?? this.#slider.min;
       this.#field.show(value);
     }
@@ -186,6 +194,45 @@ class Slider {
   forget() {
     this.#isDragged = false;
     this.#field.forget();
+  }
+
+  get #valueNow() {
+    return Math.max(this.#from, Number(this.#slider.value));
+  }
+
+  #begin() {
+    lastGesture += 1;
+    this.#gesture = lastGesture;
+  }
+
+  #move() {
+    if (this.#touch.isIgnored) {
+      this.show(this.#value);
+      return;
+    }
+    this.#isDragged = true;
+    this.#field.show(this.#valueNow);
+    if (this.#isLive) {
+      this.#changed(this.#valueNow, this.#gesture);
+    }
+  }
+
+  #commit() {
+    const wasDragged = this.#isDragged;
+    this.#isDragged = false;
+    if (wasDragged && !this.#isLive) {
+      this.#changed(this.#valueNow, this.#gesture);
+    }
+  }
+
+  /** Back to the value before the drag. */
+  #cancel() {
+    const wasDragged = this.#isDragged;
+    this.#isDragged = false;
+    this.show(this.#value);
+    if (wasDragged && this.#isLive) {
+      this.#changed(this.#value, this.#gesture);
+    }
   }
 }
 

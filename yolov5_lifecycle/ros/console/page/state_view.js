@@ -2,6 +2,7 @@
 
 import { element, KeyedViews, setText } from "./element.js";
 
+const SYMBOLS = { unconfigured: "○", inactive: "◐", active: "●", finalized: "■", lost: "✕" };
 const CONFIRMED = { shutdown: "Ends the process of the detector. Only its supervisor or a person can start it again." };
 
 export class StateView {
@@ -30,13 +31,25 @@ export class StateView {
   }
 
   update(node) {
-    if (this.#state.dataset.state !== node.state) {
-      this.#confirmation.replaceChildren(); // it was about another state
-    }
-    this.#state.dataset.state = node.state;
-    setText(this.#state, node.state);
+    this.#showState(node.state);
     this.#show(node.busy);
     this.#buttons.update(node.transitions, (transition) => transition.label);
+  }
+
+  /** No transition is possible, and no state is known. */
+  lose() {
+    this.#showState("lost");
+    this.#show("");
+    this.#buttons.update([], () => "");
+  }
+
+  #showState(state) {
+    if (this.#state.dataset.state !== state) {
+      this.#confirmation.replaceChildren(); // it was about another state
+    }
+    this.#state.dataset.state = state;
+    this.#state.dataset.symbol = SYMBOLS[state] ?? "◌";
+    setText(this.#state, state);
   }
 
   #show(busy) {

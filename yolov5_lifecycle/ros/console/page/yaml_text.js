@@ -12,6 +12,11 @@ export function isOverride(name) {
   return name.includes(".");
 }
 
+/** The camera of an override; "" of a parameter of the node. */
+export function cameraOf(name) {
+  return name.slice(0, Math.max(name.indexOf("."), 0));
+}
+
 /** Whether two values of parameters are equal. */
 export function isSame(a, b) {
   return JSON.stringify(a) === JSON.stringify(b);

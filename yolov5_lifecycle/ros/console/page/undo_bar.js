@@ -1,0 +1,80 @@
+/** The last change of this page, and a button that takes it back. */
+
+import { element, setText } from "./element.js";
+import { shownValue } from "./parameter_widgets.js";
+import { UndoStack } from "./undo_stack.js";
+
+const MAX_SHOWN = 60;
+
+export class UndoBar {
+  #changes = new UndoStack();
+  #request;
+  #restored;
+  #isPending = false;
+  #text = element("p", { class: "change", role: "status" });
+  #refusal = element("p", { class: "refusal", role: "alert" });
+  #button = element("button", { type: "button", class: "primary", "aria-keyshortcuts": "Control+Z" }, "Undo");
+
+  /** `request(message)` returns a promise of `{ok, reason}`; `restored(name, value)` is called afterwards. */
+  constructor(request, restored) {
+    this.#request = request;
+    this.#restored = restored;
+    this.#button.addEventListener("click", () => this.undo());
+    this.element = element(
+      "section",
+      { class: "undo", "aria-label": "Last change", hidden: true },
+      this.#text,
+      this.#button,
+      this.#refusal,
+    );
+  }
+
+  /** See UndoStack.record. */
+  record(change) {
+    this.#changes.record(change);
+    setText(this.#refusal, "");
+    this.#show();
+  }
+
+  /** Send the value before the last change; the change is kept if the node refuses it. */
+  async undo() {
+    const change = this.#changes.last;
+    if (change === undefined || this.#isPending) {
+      return;
+    }
+    const { name, before, others } = change;
+    this.#setPending(true);
+    const { ok, reason } = await this.#request({ type: "set", values: { [name]: before, ...others } });
+    this.#setPending(false);
+    if (ok) {
+      this.#changes.remove(change);
+      this.#restored(name, before);
+    }
+    setText(this.#refusal, ok ? "" : reason || "refused without a reason");
+    this.#show(ok ? `${name} is ${inShort(before)} again.` : "");
+  }
+
+  #setPending(isPending) {
+    this.#isPending = isPending;
+    this.element.setAttribute("aria-busy", String(isPending));
+    this.#button.setAttribute("aria-disabled", String(isPending));
+  }
+
+  #show(outcome = "") {
+    const { last, count } = this.#changes;
+    const hasFocus = document.activeElement === this.#button;
+    this.element.hidden = last === undefined && !hasFocus && outcome === "";
+    // A button that has the keyboard stays: focus would be lost.
+    this.#button.hidden = last === undefined && !hasFocus;
+    setText(this.#button, count > 1 ? `Undo (${count})` : "Undo");
+    const change = last && `${last.name} changed from ${inShort(last.before)} to ${inShort(last.after)}.`;
+    setText(this.#text, [outcome, change].filter(Boolean).join(" "));
+    const label = last ? `: set ${last.name} to ${inShort(last.before)}` : ": nothing to undo";
+    this.#button.setAttribute("aria-label", `${this.#button.textContent}${label}`);
+  }
+}
+
+function inShort(value) {
+  const text = shownValue(value);
+  return text.length > MAX_SHOWN ? `${text.slice(0, MAX_SHOWN)} ...` : text;
+}
