@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import pytest
+from rcl_interfaces.srv import ListParameters
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
@@ -12,7 +13,7 @@ from selenium.webdriver.support.ui import Select
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.console_robot import ConsoleRobot
-from support.detector_process import DetectorProcess, detector_process
+from support.detector_process import NODE, DetectorProcess, detector_process
 
 pytestmark = pytest.mark.long
 
@@ -189,7 +190,10 @@ def test_an_override_that_was_not_there_is_removed_again(
     page.wait_for_text(".undo .change", "rear.confidence_threshold changed from not set to 0.25")
     press_undo(page)
     page.wait_for_text(".undo .change", "rear.confidence_threshold is not set again.")
-    assert detector.node.parameter("rear.confidence_threshold") is None
+    client = detector.observer.create_client(ListParameters, f"{NODE}/list_parameters")
+    listed = detector.observer.call(client, ListParameters.Request()).result.names
+    assert "rear.max_rate" in listed
+    assert "rear.confidence_threshold" not in listed
 
 
 def test_a_removed_camera_comes_back_with_its_overrides(

@@ -1,0 +1,62 @@
+"""Twelve detectors in one process, with models of the test's that have 80 classes.
+
+The first is active, the second has refused to be activated, the others are unconfigured.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+
+from support.detector_process import environment
+from support.preparations import Preparations
+from support.worker import worker_domain
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess
+from yolov5_lifecycle.ros.detector.node import DetectorNode
+from yolov5_lifecycle.ros.process import stop_event
+
+NAMES = tuple(f"/detector_{number:02}" for number in range(12))
+ACTIVE, REFUSED, UNCONFIGURED = NAMES[:3]
+CLASS_NAMES = tuple(f"class {number}" for number in range(80))
+_SPIN_S = 0.05
+
+
+@contextmanager
+def many_detectors() -> Iterator[tuple[ChildProcess, int]]:
+    """The process, and the domain of its own that it is in."""
+    with worker_domain() as domain:
+        command = [sys.executable, __file__]
+        path = {"PYTHONPATH": str(Path(__file__).parents[1])}
+        with ChildProcess("many detectors", command, environment(domain) | path) as process:
+            yield process, domain
+
+
+def main() -> None:
+    """Serve all until a signal."""
+    stop = stop_event()
+    rclpy.init(args=[])
+    executor = SingleThreadedExecutor()
+    for name in NAMES:
+        node = _detector(name)
+        executor.add_node(node)
+        executor.create_task(node.autostart)
+    while not stop.is_set():
+        executor.spin_once(timeout_sec=_SPIN_S)
+
+
+def _detector(name: str) -> DetectorNode:
+    prepare = Preparations()
+    prepare.class_names = CLASS_NAMES  # type: ignore[assignment]
+    prepare.refusal = "the model is of another planet" if name == REFUSED else ""
+    is_started = str(name in (ACTIVE, REFUSED)).lower()
+    words = ["--ros-args", "-r", f"__node:={name[1:]}", "-p", f"autostart:={is_started}"]
+    return DetectorNode(prepare=prepare, cli_args=words, arguments=words)
+
+
+if __name__ == "__main__":
+    main()
