@@ -22,10 +22,11 @@ RATE = re.compile(r"\d Hz")
 
 
 def condition(page: ConsolePage) -> tuple[str, str, str]:
-    """Condition and word of the summary, and the condition in the detector's tab, which are shown together."""
+    """Condition and word of the summary, and the condition in the detector's tab."""
     script = """
         const [summary, tab] = [arguments[0], document.querySelector("nav a")];
-        return [summary.dataset.condition, summary.querySelector(".level").textContent, tab.dataset.condition];
+        const word = summary.querySelector(".level").textContent;
+        return [summary.dataset.condition, word, tab.dataset.condition];
         """
     name, word, of_tab = page.driver.execute_script(script, page.find(".reason"))
     return name, word, of_tab

@@ -90,6 +90,7 @@ class CameraView {
     setText(this.#figures, "lost");
     setText(this.#shownRate, "");
     this.#message.hidden = true;
+    this.#message.dataset.condition = "lost";
     this.#showSilence("lost");
   }
 
