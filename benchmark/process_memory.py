@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import resource
 from pathlib import Path
 
 
@@ -28,6 +30,16 @@ def proportional_mb(process_id: int) -> float:
 def forget_peak() -> None:
     """Reset the peak of this process to its current resident memory."""
     Path("/proc/self/clear_refs").write_text("5")
+
+
+def limit_growth(growth_mb: float) -> None:
+    """Let this process map at most `growth_mb` besides what it has mapped by now.
+
+    What the imports map is not counted because it depends on the build: torch for CUDA alone maps 3.2 GB.
+    Beyond the limit an allocation fails, in Python with MemoryError.
+    """
+    limit_bytes = int((_status_mb(os.getpid(), "VmSize") + growth_mb) * 1024**2)
+    resource.setrlimit(resource.RLIMIT_AS, (limit_bytes, limit_bytes))
 
 
 def _status_mb(process_id: int, entry: str) -> float:

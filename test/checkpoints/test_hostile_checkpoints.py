@@ -78,6 +78,38 @@ print(events)
     assert "os.system" in seen.stdout
 
 
+AFTER_MAPPING_MUCH = """
+import mmap, sys
+mapped = mmap.mmap(-1, 4 << 30, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, prot=0)
+"""
+READ_THEN_FILL = """
+from pathlib import Path
+import hostile_reader
+hostile_reader.main(*map(Path, sys.argv[1:]))
+try:
+    bytes((hostile_reader.MEMORY_MB + 1) << 20)
+except MemoryError:
+    print("limited")
+"""
+
+
+def test_only_memory_mapped_after_the_imports_is_limited(tmp_path: Path) -> None:
+    """torch for CUDA maps 3.2 GB when it is imported; the limit holds nevertheless."""
+    weights, files = tmp_path / "valid.pt", tmp_path / "files"
+    weights.write_bytes(valid())
+    files.mkdir()
+    (files / "same.pt").write_bytes(valid())
+    run = subprocess.run(
+        [sys.executable, "-c", AFTER_MAPPING_MUCH + READ_THEN_FILL, weights, files],
+        env=os.environ | {"PYTHONPATH": f"{SUPPORT}:{REPOSITORY}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    answer, told = run.stdout.splitlines() or ("", run.stderr)
+    assert ('"outcome": "accepted"' in answer, told) == (True, "limited"), run.stderr
+
+
 def test_no_file_takes_up_the_memory_or_the_time(answers: dict[str, Answer]) -> None:
     assert answers.keys() == TOLD.keys()
     slowest = max(answers.values(), key=lambda answer: answer.cpu_s)

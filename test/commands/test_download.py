@@ -11,6 +11,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from support.colcon_workspace import REPOSITORY
 from support.fetched_weights import PATTERN, fetch_from, unfinished
 from support.file_server import (
     Behaviour,
@@ -156,15 +157,14 @@ def test_a_file_with_another_digest_is_refused_and_not_kept(
 
 
 FETCHED_WITH_LITTLE_MEMORY = """
-import resource
 import sys
 from pathlib import Path
+from benchmark.process_memory import limit_growth
 from yolov5_lifecycle.commands.fetch_weights import fetch
 
 def leave_little(done_bytes, total_bytes):
     if done_bytes == total_bytes:
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + total_bytes // 4,) * 2)
+        limit_growth(total_bytes / 4 / 1024**2)
 
 fetch("n", Path(sys.argv[1]), url=sys.argv[2], progress=leave_little)
 """
@@ -186,7 +186,7 @@ def test_a_download_that_could_not_be_checked_for_lack_of_memory_is_kept_and_use
     large = enlarged(checkpoint)
     with FileServer(sending(large)) as server:
         command = [sys.executable, "-c", FETCHED_WITH_LITTLE_MEMORY, str(folder), server.address + PATTERN]
-        run = subprocess.run(command, capture_output=True, text=True, check=False)
+        run = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
         assert "not enough memory to read it; free some. The download is kept" in run.stderr
         assert fetch_from(server, folder).path.stat().st_size == len(large)
     assert len(server.requests) == 1
