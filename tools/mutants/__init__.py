@@ -1,0 +1,1 @@
+"""Mutation testing: does any test fail when a small part of the code is changed?"""
