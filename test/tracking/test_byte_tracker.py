@@ -250,15 +250,35 @@ def random_crowd(rng: np.random.Generator, count: int) -> Detections:
     return found(*zip(x, y, scores, np.zeros(count, int), strict=True))
 
 
-def test_tracks_stay_bounded_however_much_is_found(camera: Camera) -> None:
+def test_detections_beyond_the_highest_scores_have_no_tracks(camera: Camera) -> None:
     rng = np.random.default_rng(0)
-    camera.settings = replace(SETTINGS, track_timeout=60.0)
     for _ in range(4):
         ids = camera.sees(random_crowd(rng, MAX_DETECTIONS + 50))
         given = [name for name in ids if name]
         assert len(set(given)) == len(given)
         assert ids[MAX_DETECTIONS:] == ("",) * 50
-        assert len(camera.tracker) <= MAX_TRACKS
+
+
+def test_of_too_many_tracks_those_seen_last_are_kept(camera: Camera) -> None:
+    """Three crowds one after the other, each as large as an image may have, none where another was."""
+    camera.settings = replace(SETTINGS, track_timeout=60.0)
+    crowds = [
+        found(
+            *(
+                (200 * column, 4000 * crowd + 200 * row, HIGH, CLASS)
+                for row in range(20)
+                for column in range(50)
+            )
+        )
+        for crowd in range(3)
+    ]
+    given = []
+    for crowd in crowds:
+        camera.sees(crowd)
+        given.append(camera.sees(crowd))
+    assert len(camera.tracker) == MAX_TRACKS == 2 * len(crowds[0])
+    assert camera.sees(crowds[1]) == given[1]
+    assert camera.sees(crowds[0]) == ("",) * len(crowds[0])
 
 
 stamps = st.sampled_from((0.0, 0.02, 0.1, 0.3, 0.9, 1.6, -0.5))

@@ -85,6 +85,12 @@ def test_a_change_that_is_live_keeps_the_tracks(tracking: ServedNode, change: di
     assert ids_at(tracking, 3) == ["1"]
 
 
+def test_a_setting_of_the_tracker_counts_from_the_next_image_on(tracking: ServedNode) -> None:
+    assert ids_at(tracking, 1, 2) == ["", "1"]
+    assert tracking.set(track_timeout=0.5) == (True, "")
+    assert ids_at(tracking, 3, 4) == ["", ""]
+
+
 def test_tracking_begins_and_ends_with_the_next_image(served: ServedNode) -> None:
     served.bring_to("active")
     assert ids_at(served, 1) == [""]
@@ -97,8 +103,11 @@ def test_tracking_begins_and_ends_with_the_next_image(served: ServedNode) -> Non
 
 def test_a_reload_starts_afresh_and_reuses_no_id(tracking: ServedNode) -> None:
     ids_at(tracking, 1, 2)
-    assert tracking.set(image_size=320) == (True, "")
-    assert ids_at(tracking, 3, 4) == ["", "2"]
+    before = see(tracking, 3).detections[0].bbox
+    assert tracking.set(precision="bf16") == (True, "")
+    after = see(tracking, 4).detections[0]
+    assert (after.id, after.bbox) == ("", before)  # a tracker that was kept would give it the id 1
+    assert ids_at(tracking, 5) == ["2"]
 
 
 def test_activating_again_starts_afresh_and_reuses_no_id(tracking: ServedNode) -> None:
