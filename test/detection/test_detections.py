@@ -17,10 +17,6 @@ GOOD: dict[str, Any] = {
 }
 
 
-def test_columns_of_one_length_make_detections() -> None:
-    assert len(Detections(**GOOD)) == 2
-
-
 @pytest.mark.parametrize(
     ("track_ids", "told"),
     [pytest.param((), ("", ""), id="no tracker"), pytest.param(("", "7"), ("", "7"), id="tracker")],

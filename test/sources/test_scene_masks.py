@@ -73,10 +73,6 @@ def test_of_overlapping_shapes_the_later_one_is_visible() -> None:
     np.testing.assert_array_equal(labels == 1, alone & ~covering)
 
 
-def test_without_shapes_everything_is_background() -> None:
-    assert not _labels().any()
-
-
 def test_a_shape_smaller_than_a_pixel_may_have_none() -> None:
     assert not _labels(_shape("circle", (20.0, 20.0), 0.2)).any()
 
