@@ -20,6 +20,7 @@ CONSOLE_BENCH_FLAGS ?=
 RECORDINGS_FLAGS ?=
 SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
+MUTANTS_FLAGS ?=
 
 ifeq ($(SET),tested)
 VENV := .venv
@@ -57,6 +58,7 @@ DEPENDENCIES := $(VENV)/.dependencies-$(PYTHON_VERSION)
 INTERFACES := $(VENV)/.interfaces
 PACKAGE := $(VENV)/.package
 FUZZER := $(VENV)/.fuzzer
+MUTATOR := $(VENV)/.mutator
 INTERFACES_BUILD := build/interfaces-$(SET)
 INTERFACE_PACKAGES := vision_msgs bond
 ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
@@ -64,7 +66,7 @@ ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
-.PHONY: help install demo demo-cameras console test test-all coverage soak fuzz bench bench-families lint docs clean
+.PHONY: help install demo demo-cameras console test test-all coverage soak fuzz mutants bench bench-families lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make demo-cameras  two cameras on one detector, with tracks and places in space; result in build/demo'
@@ -79,6 +81,7 @@ help:
 	@echo 'make bench-families  the forward pass of every family of models beside eager torch (FAMILIES_FLAGS="--quick")'
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
 	@echo 'make fuzz     coverage-guided fuzzing of what reads images, weights, settings, labels and calibrations, of depth and tracks'
+	@echo 'make mutants  changes the code in small ways, which a test must notice; 20 minutes  (MUTANTS_FLAGS="--only tracking")'
 	@echo 'make lint     ruff and mypy --strict'
 	@echo 'make install  the first step of the others: .venv with the pinned packages, messages and this package'
 	@echo 'make docs     regenerates what is derived from the settings: YAML file, schema, reference page'
@@ -131,6 +134,10 @@ soak: $(PACKAGE)
 fuzz: $(PACKAGE) $(FUZZER)
 	PYTHONPATH=test $(VENV)/bin/python -m fuzz $(FUZZ_FLAGS)
 
+# Python 3.11 or newer.
+mutants: $(PACKAGE) $(MUTATOR)
+	$(VENV)/bin/python -m tools.mutants $(MUTANTS_FLAGS)
+
 lint: $(PACKAGE)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
@@ -167,6 +174,10 @@ $(INTERFACES): $(DEPENDENCIES) $(shell find interfaces -type f)
 
 $(FUZZER): $(DEPENDENCIES) requirements/fuzz.txt
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/fuzz.txt -c $(CONSTRAINTS)
+	touch $@
+
+$(MUTATOR): $(DEPENDENCIES) requirements/mutants.txt
+	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/mutants.txt -c $(CONSTRAINTS)
 	touch $@
 
 # Modules and data are used in place, so the package's share/ is this folder; colcon copies what setup.py names.

@@ -39,6 +39,7 @@ from support.small_families import segmentation_checkpoint
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
 from benchmark import bench, cameras, depth, tracking
+from tools.mutants import options as mutants
 from tools.shapes import dataset
 from yolov5_lifecycle.commands import convert
 from yolov5_lifecycle.commands.entry_points import MODULES
@@ -77,6 +78,7 @@ PARSERS = {
     "BENCH_FLAGS": bench.parser,
     "CAMERAS_FLAGS": cameras.parser,
     "FUZZ_FLAGS": fuzz.parser,
+    "MUTANTS_FLAGS": mutants.parser,
     "SOAK_FLAGS": soak.parser,
     "TRACKING_FLAGS": tracking.parser,
 }

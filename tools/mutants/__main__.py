@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 import time
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import closing
-from hashlib import sha256
-from itertools import islice
 
-from tools.mutants.folders import TESTS, mutants_of
+from tools.mutants.folders import TESTS
 from tools.mutants.known_survivors import LIST, differences, known_survivors
-from tools.mutants.mutant import Mutant
+from tools.mutants.mutant import Mutant, mutants_of, sampled
+from tools.mutants.options import parser
 from tools.mutants.trials import BrokenTestsError, Workers
 
 MIN_SCORE = 0.9
@@ -44,36 +41,6 @@ def main() -> int:
     print(f"score {score:.1%} of {len(tried)} mutants, at least {MIN_SCORE:.0%} are needed")
     wrong = differences(known, existing=_names(existing), tried=_named(tried), survived=_named(survived))
     return 1 if wrong or score < MIN_SCORE else 0
-
-
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = argparse.ArgumentParser(
-        prog="make mutants", description="Change the code in small ways; a test must notice each."
-    )
-    parser.add_argument(
-        "--only",
-        nargs="+",
-        choices=TESTS,
-        default=[*TESTS],
-        metavar="FOLDER",
-        help=f"some of: {', '.join(TESTS)}",
-    )
-    parser.add_argument("--count", type=int, default=30, help="mutants per folder; default: %(default)s")
-    parser.add_argument(
-        "--all", dest="count", action="store_const", const=sys.maxsize, help="every mutant: many hours"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="another seed takes another sample")
-    parser.add_argument(
-        "--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes; default: one per core"
-    )
-    return parser
-
-
-def sampled(mutants: Sequence[Mutant], count: int, seed: int) -> list[Mutant]:
-    """`count` of `mutants`, the same ones while their names stay: other code of a folder may change."""
-    ordered = sorted(mutants, key=lambda mutant: sha256(f"{seed} {mutant.name}".encode()).digest())
-    return list(islice((mutant for mutant in ordered if mutant.is_python()), count))
 
 
 def _survivors(workers: Workers, folder: str, sample: Sequence[Mutant], existing: int) -> list[Mutant]:

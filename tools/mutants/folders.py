@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from tools.mutants.mutant import Mutant, mutants_in
-
 REPOSITORY = Path(__file__).parents[2]
 PACKAGE = "yolov5_lifecycle"
 
@@ -31,11 +29,3 @@ def test_files(folder: str) -> list[str]:
     paths = (REPOSITORY / path for path in TESTS[folder])
     files = (sorted(path.rglob("test_*.py")) if path.is_dir() else [path] for path in paths)
     return [str(file.relative_to(REPOSITORY)) for listed in files for file in listed]
-
-
-def mutants_of(folder: str) -> list[Mutant]:
-    """Every mutant of the modules in `folder`, in the order of the code."""
-    modules = sorted((REPOSITORY / PACKAGE / folder).glob("*.py"))
-    return [
-        mutant for module in modules for mutant in mutants_in(f"{folder}/{module.name}", module.read_text())
-    ]

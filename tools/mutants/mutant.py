@@ -7,12 +7,17 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from hashlib import sha256
+from itertools import islice
+from typing import TypeAlias
 
 import libcst as cst
 from libcst.metadata import MetadataWrapper, PositionProvider
 from mutmut.mutation.mutators import mutation_operators, operator_string
+
+from tools.mutants.folders import PACKAGE, REPOSITORY
 
 TOLD_TO_PEOPLE = frozenset({"debug", "info", "warning", "warn", "error", "exception"})
 """Functions and methods that write a log entry or a warning."""
@@ -49,9 +54,7 @@ class Mutant:
 
     def code(self) -> str:
         """The changed module."""
-        changed = self.tree.deep_replace(self.node, self.changed)
-        assert isinstance(changed, cst.Module)
-        return changed.code
+        return str(self.tree.deep_replace(self.node, self.changed).code)
 
     def is_python(self) -> bool:
         """Whether the changed module can be compiled."""
@@ -60,6 +63,20 @@ class Mutant:
         except SyntaxError:
             return False
         return True
+
+
+def mutants_of(folder: str) -> list[Mutant]:
+    """Every mutant of the modules in `folder` of the package, in the order of the code."""
+    modules = sorted((REPOSITORY / PACKAGE / folder).glob("*.py"))
+    return [
+        mutant for module in modules for mutant in mutants_in(f"{folder}/{module.name}", module.read_text())
+    ]
+
+
+def sampled(mutants: Iterable[Mutant], count: int, seed: int) -> list[Mutant]:
+    """`count` of `mutants`, the same ones while their names stay: other code of a folder may change."""
+    ordered = sorted(mutants, key=lambda mutant: sha256(f"{seed} {mutant.name}".encode()).digest())
+    return list(islice((mutant for mutant in ordered if mutant.is_python()), count))
 
 
 def mutants_in(module: str, code: str) -> Iterator[Mutant]:
@@ -78,22 +95,26 @@ def _in_one_line(node: cst.CSTNode) -> str:
     return " ".join(cst.Module([]).code_for_node(node).split())
 
 
+_Change: TypeAlias = tuple[cst.CSTNode, cst.CSTNode, str, tuple[int, int]]
+"""Node, changed node, scope, and the first and last line of the outermost function, or 0."""
+
+
 class _Changes(cst.CSTVisitor):
-    """Collects node, changed node, scope, and the first and last line of the outermost function."""
+    """Collects the changes of a module."""
 
     METADATA_DEPENDENCIES = (PositionProvider,)
 
     def __init__(self) -> None:
         super().__init__()
-        self.found: list[tuple[cst.CSTNode, cst.CSTNode, str, tuple[int, int]]] = []
+        self.found: list[_Change] = []
         self._scope: list[str] = []
         self._functions: list[tuple[int, int]] = []
 
     def on_visit(self, node: cst.CSTNode) -> bool:
         if is_exempt(node) or (not self._functions and is_alias(node)):
             return False
-        if isinstance(node, cst.FunctionDef | cst.ClassDef):
-            self._scope.append(node.name.value)
+        if name := self._named(node):
+            self._scope.append(name)
         if isinstance(node, cst.FunctionDef):
             position = self.get_metadata(PositionProvider, node.body)
             self._functions.append((position.start.line, position.end.line))
@@ -102,10 +123,21 @@ class _Changes(cst.CSTVisitor):
         return True
 
     def on_leave(self, original_node: cst.CSTNode) -> None:
-        if isinstance(original_node, cst.FunctionDef | cst.ClassDef) and not is_exempt(original_node):
-            self._scope.pop()
-        if isinstance(original_node, cst.FunctionDef) and not is_exempt(original_node):
+        if is_exempt(original_node) or (not self._functions and is_alias(original_node)):
+            return
+        if isinstance(original_node, cst.FunctionDef):
             self._functions.pop()
+        if self._named(original_node):
+            self._scope.pop()
+
+    def _named(self, node: cst.CSTNode) -> str:
+        """The name of a class or function, or of what is assigned outside of functions."""
+        if isinstance(node, cst.FunctionDef | cst.ClassDef):
+            return str(node.name.value)
+        if self._functions or not isinstance(node, cst.Assign | cst.AnnAssign):
+            return ""
+        target = node.targets[0].target if isinstance(node, cst.Assign) else node.target
+        return str(target.value) if isinstance(target, cst.Name) else ""
 
 
 def changes(node: cst.CSTNode) -> Iterator[cst.CSTNode]:
