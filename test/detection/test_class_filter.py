@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from yolov5_lifecycle.detection.selection import ClassFilterError, class_ids, class_thresholds
+from yolov5_lifecycle.detection.selection import MAX_EXPLAINED, ClassFilterError, class_ids, class_thresholds
 
 NAMES = ("person", "bicycle", "traffic light", "3", "person")
 
@@ -49,6 +49,22 @@ def test_of_many_unknown_entries_the_first_are_explained() -> None:
     with pytest.raises(ClassFilterError, match=r"'x+.*9997 more entries are not classes") as refusal:
         class_ids(entries, ["x" * 195] * 9999)
     assert len(str(refusal.value)) < 2500
+
+
+@pytest.mark.parametrize(
+    ("count", "rest"),
+    [
+        pytest.param(MAX_EXPLAINED, "", id="as many as are explained"),
+        pytest.param(
+            MAX_EXPLAINED + 1, " 1 more entries are not classes of the model either.", id="one more"
+        ),
+    ],
+)
+def test_unknown_entries_that_are_not_explained_are_counted(count: int, rest: str) -> None:
+    with pytest.raises(ClassFilterError) as refusal:
+        class_ids([f"xyz{number}" for number in range(count)], ["person"])
+    explained = [f"'xyz{number}' is not a class of the model (person)." for number in range(MAX_EXPLAINED)]
+    assert str(refusal.value) == " ".join(explained) + rest
 
 
 def test_a_filter_with_every_class_of_a_large_model_selects_all() -> None:

@@ -77,6 +77,17 @@ def test_the_box_is_drawn_where_it_is() -> None:
     assert not drawn[190:].any()
 
 
+def line_width(side: int) -> int:
+    """Of both sides of a box in an image whose shorter side is `side`."""
+    box = one(side * 0.3, side * 0.3, side * 0.8, side * 0.8, class_id=2)
+    row = annotate(black(side, 2 * side), box, NAMES)[side // 2]
+    return int((row == class_colour(2, "rgb")).all(axis=1).sum())
+
+
+def test_lines_are_wider_in_an_image_whose_shorter_side_is_a_half_more_than_a_multiple_of_240() -> None:
+    assert line_width(359) < line_width(361) == line_width(599) < line_width(601)
+
+
 def test_a_box_that_ends_at_the_edge_is_closed() -> None:
     drawn = annotate(black(100, 100), one(0, 0, 100, 100, class_id=2), NAMES)
     for x, y in [(99, 50), (50, 99), (0, 50)]:
@@ -255,6 +266,8 @@ def test_pixels_of_no_object_stay_as_they_are_whatever_the_masks(height: int, wi
     ("name", "expected"),
     [
         ("traffic light", "traffic light"),
+        ("a~ b", "a~ b"),
+        ("a\x7fb", "a?b"),
         ("", ""),
         ("café crème", "cafe creme"),
         ("Fußgänger", "Fu?ganger"),
@@ -298,6 +311,19 @@ def luminance(colour: tuple[int, int, int]) -> float:
     scaled = [channel / 255 for channel in colour]
     red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in scaled)
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+@pytest.mark.parametrize(
+    ("background", "ink"),
+    [
+        pytest.param((0, 0, 0), (255, 255, 255), id="black"),
+        pytest.param((255, 255, 255), (0, 0, 0), id="white"),
+        pytest.param((0, 0, 255), (255, 255, 255), id="blue"),
+        pytest.param((255, 0, 0), (0, 0, 0), id="red"),
+    ],
+)
+def test_the_ink_is_black_or_white(background: tuple[int, int, int], ink: tuple[int, int, int]) -> None:
+    assert text_colour(background, "rgb") == text_colour(background[::-1], "bgr") == ink
 
 
 @pytest.mark.parametrize("order", ["rgb", "bgr"])

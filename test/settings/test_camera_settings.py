@@ -47,7 +47,13 @@ def test_cameras_have_names(names: tuple[str, ...]) -> None:
         pytest.param(("front/left",), "rename 'front/left'", id="slash"),
         pytest.param(("vorn\u00e9",), "rename 'vorn\u00e9'", id="accent"),
         pytest.param(("front\n",), r"rename 'front\n'", id="line-end"),
-        pytest.param(("a" * 65,), "at most 64 letters", id="long"),
+        pytest.param(
+            ("a" * 65,),
+            "at most 64 letters, digits and single underscores that begin with a letter: "
+            f"rename '{'a' * 64}'...",
+            id="long",
+        ),
+        pytest.param(("1" * 64,), f"rename '{'1' * 64}'.", id="digits"),
         pytest.param(("a" * 1_000_000,), "at most 64 letters", id="endless"),
         pytest.param(("front", "rear", "front"), "each camera once: leave out one 'front'", id="repeated"),
         pytest.param(("lazy",), "must not hold 'lazy', the name of a setting", id="setting"),

@@ -124,12 +124,13 @@ def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
     ("name", "meant"),
     [
         ("half", "precision"),
-        ("conf_thres", "confidence_threshold"),
-        ("imgsz", "image_size"),
-        ("model", "weights"),
-        ("model_file", "weights"),
-        ("weights_url", "weights"),
-        ("roi", "regions"),
+        *((name, "confidence_threshold") for name in ("conf", "conf_thres", "threshold")),
+        *((name, "iou_threshold") for name in ("iou", "iou_thres", "nms_threshold")),
+        *((name, "image_size") for name in ("imgsz", "imgsz_height", "imgsz_width")),
+        ("max_det", "max_detections"),
+        *((name, "weights") for name in ("model", "model_file", "model_path", "weights_url")),
+        ("use_3d", "depth"),
+        *((name, "regions") for name in ("roi", "rois", "zones")),
     ],
 )
 def test_a_parameter_name_of_another_node_is_answered_with_ours(name: str, meant: str) -> None:
@@ -214,6 +215,10 @@ def test_the_stride_of_a_named_weights_file_is_left_to_the_file() -> None:
             {"confidence_threshold": 1}, {"confidence_threshold": 1.0}, id="whole-number-for-number"
         ),
         pytest.param({"classes": ["a"]}, {"classes": ("a",)}, id="list"),
+        *(
+            pytest.param({"weights_dirs": [folder]}, {"weights_dirs": (folder,)}, id=folder)
+            for folder in ("/models", "~/models", "package://robot/models")
+        ),
         pytest.param(
             {"min_box_size": 9, "max_box_size": 0.5}, {"min_box_size": 9.0, "max_box_size": 0.5}, id="units"
         ),

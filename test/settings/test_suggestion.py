@@ -8,7 +8,13 @@ from difflib import SequenceMatcher
 import pytest
 
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
-from yolov5_lifecycle.settings.suggestion import MAX_CHARACTER_PAIRS, MAX_CHARACTERS, MAX_WORD_LENGTH, nearest
+from yolov5_lifecycle.settings.suggestion import (
+    MAX_CHARACTER_PAIRS,
+    MAX_CHARACTERS,
+    MAX_WORD_LENGTH,
+    most_similar,
+    nearest,
+)
 
 
 class CountingMatcher(SequenceMatcher[str]):
@@ -58,6 +64,12 @@ def test_the_nearest_word_is_found(word: str, known: Sequence[str], meant: str |
 def test_every_setting_is_found_by_a_name_without_one_letter(name: str) -> None:
     middle = len(name) // 2
     assert nearest(name[:middle] + name[middle + 1 :], SETTINGS_BY_NAME) == name
+
+
+def test_names_are_sorted_by_their_similarity() -> None:
+    names = ["/joint_states", "/camera/image", "/camera/image_raw", ""]
+    assert most_similar("/image_raw", names) == ["/camera/image_raw", "/camera/image", "/joint_states", ""]
+    assert most_similar("/image_raw", []) == []
 
 
 @pytest.mark.parametrize("length", [5, 50, MAX_WORD_LENGTH, 195, 5000])

@@ -14,7 +14,7 @@ TESTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "settings": ("test/settings", "test/test_config.py", "test/test_settings_documents.py"),
         "streaming": ("test/streaming",),
         "tracking": ("test/tracking",),
-        "detection": ("test/detection",),
+        "detection": ("test/detection", "test/test_public_api.py"),
         "checkpoints": ("test/checkpoints",),
         "models": ("test/models",),
         "spatial": ("test/spatial",),

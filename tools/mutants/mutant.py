@@ -108,11 +108,14 @@ class _Changes(cst.CSTVisitor):
         super().__init__()
         self.found: list[_Change] = []
         self._scope: list[str] = []
+        self._exempt = set[cst.CSTNode]()
         self._functions: list[tuple[int, int]] = []
 
     def on_visit(self, node: cst.CSTNode) -> bool:
-        if is_exempt(node) or (not self._functions and is_alias(node)):
+        if self._is_left_alone(node):
             return False
+        if is_reshape(node):
+            self._exempt.update(node.args)
         if name := self._named(node):
             self._scope.append(name)
         if isinstance(node, cst.FunctionDef):
@@ -123,12 +126,15 @@ class _Changes(cst.CSTVisitor):
         return True
 
     def on_leave(self, original_node: cst.CSTNode) -> None:
-        if is_exempt(original_node) or (not self._functions and is_alias(original_node)):
+        if self._is_left_alone(original_node):
             return
         if isinstance(original_node, cst.FunctionDef):
             self._functions.pop()
         if self._named(original_node):
             self._scope.pop()
+
+    def _is_left_alone(self, node: cst.CSTNode) -> bool:
+        return node in self._exempt or is_exempt(node) or (not self._functions and is_alias(node))
 
     def _named(self, node: cst.CSTNode) -> str:
         """The name of a class or function, or of what is assigned outside of functions."""
@@ -142,6 +148,8 @@ class _Changes(cst.CSTVisitor):
 
 def changes(node: cst.CSTNode) -> Iterator[cst.CSTNode]:
     """What the operators make of `node`, without what has no effect."""
+    if isinstance(node, cst.Assign | cst.AnnAssign) and node.value is not None and is_exempt(node.value):
+        return
     for kind, operator in mutation_operators:
         if not isinstance(node, kind):
             continue
@@ -165,6 +173,15 @@ def is_exempt(node: cst.CSTNode) -> bool:
     if isinstance(node, cst.Arg):
         return node.keyword is not None and node.keyword.value in WITHOUT_EFFECT
     return False
+
+
+def is_reshape(node: cst.CSTNode) -> bool:
+    """Whether `node` is a call such as `rows.reshape(-1, 3)`: numpy takes every negative number for -1."""
+    return (
+        isinstance(node, cst.Call)
+        and isinstance(node.func, cst.Attribute)
+        and node.func.attr.value == "reshape"
+    )
 
 
 def is_alias(node: cst.CSTNode) -> bool:

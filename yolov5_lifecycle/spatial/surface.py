@@ -84,7 +84,7 @@ def surface_extents_m(samples: BoxSamples) -> NDArray[np.float64]:
     is_alone = excess.max(axis=1) < _MIN_EXCESS
     excess[is_alone] = share[is_alone]
     start, end = _surface_bins(excess)
-    is_surface = (inside >= first + start[:, None]) & (inside < first + end[:, None])
+    is_surface = (inside >= 0) & (inside >= first + start[:, None]) & (inside < first + end[:, None])
     is_found = valid >= np.where(is_alone, _MIN_VALID_ALONE, _MIN_VALID)
     return _extents_m(samples.inside, is_surface & is_found[:, None])
 
