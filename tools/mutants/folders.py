@@ -24,7 +24,7 @@ TESTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Folder of the package -> folders and files of tests."""
 
 
-def test_files(folder: str) -> list[str]:
+def files_of_tests(folder: str) -> list[str]:
     """The files of tests for `folder`, relative to the repository."""
     paths = (REPOSITORY / path for path in TESTS[folder])
     files = (sorted(path.rglob("test_*.py")) if path.is_dir() else [path] for path in paths)

@@ -22,7 +22,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help=f"some of: {', '.join(TESTS)}",
     )
-    parser.add_argument("--count", type=int, default=30, help="mutants per folder; default: %(default)s")
+    parser.add_argument("--count", type=int, default=40, help="mutants per folder; default: %(default)s")
     parser.add_argument(
         "--all", dest="count", action="store_const", const=sys.maxsize, help="every mutant: many hours"
     )

@@ -16,7 +16,7 @@ from importlib.util import cache_from_source
 from pathlib import Path
 from typing import Any, TypeVar
 
-from tools.mutants.folders import PACKAGE, REPOSITORY, test_files
+from tools.mutants.folders import PACKAGE, REPOSITORY, files_of_tests
 from tools.mutants.mutant import Mutant
 from tools.mutants.worker import LOG
 from yolov5_lifecycle.process.environment import prepare_environment
@@ -129,7 +129,7 @@ class Workers:
 
     def baselines(self, folder: str) -> list[Baseline]:
         """Of each file of tests for `folder`. Raises BrokenTestsError when one fails."""
-        return list(self._each(lambda worker, tests: worker.baseline(folder, tests), test_files(folder)))
+        return list(self._each(lambda worker, tests: worker.baseline(folder, tests), files_of_tests(folder)))
 
     def survivors(self, mutants: Sequence[Mutant], baselines: Sequence[Baseline]) -> list[Mutant]:
         """Those of `mutants` that no test notices."""

@@ -68,6 +68,16 @@ def described(served: ServedNode, *names: str) -> list[ParameterDescriptor]:
 # At run time
 
 
+def test_configure_lists_every_parameter_with_the_source_of_its_value(served: ServedNode) -> None:
+    assert change(served, {"front.max_rate": 5, "max_rate": 9}) == (True, "")
+    assert change(served, {"front.max_rate": None, "rear.max_rate": 3}) == (True, "")
+    served.bring_to("inactive")
+    (told,) = (said for said in served.log if said.startswith("configured with"))
+    listed = {line.split()[0]: line.rpartition("  ")[2] for line in told.splitlines()[1:]}
+    changed = {"max_rate": "set at run time", "rear.max_rate": "set at run time", "cameras": "command line"}
+    assert listed == dict.fromkeys(SETTINGS_BY_NAME, "default") | changed
+
+
 @pytest.mark.parametrize("state", ["unconfigured", "inactive", "active"])
 def test_an_override_is_set_changed_and_deleted(served: ServedNode, state: str) -> None:
     served.bring_to(state)

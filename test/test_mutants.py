@@ -1,0 +1,118 @@
+"""The mutation tester: which changes it makes, and when it is content with the survivors."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import pytest
+from support.colcon_workspace import REPOSITORY
+
+from tools.mutants.folders import PACKAGE, TESTS, files_of_tests
+from tools.mutants.known_survivors import LIST, differences, known_survivors
+
+
+@pytest.mark.parametrize("folder", TESTS)
+def test_every_folder_has_modules_and_tests(folder: str) -> None:
+    assert list((REPOSITORY / PACKAGE / folder).glob("*.py"))
+    files = files_of_tests(folder)
+    assert files
+    assert all((REPOSITORY / file).is_file() for file in files)
+
+
+def test_every_listed_survivor_has_a_reason_and_stands_there_once() -> None:
+    known = known_survivors(LIST.read_text())
+    assert all(name.partition(" ")[0].startswith(tuple(TESTS)) for name in known)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param("a.py f: 1 => 2\n", id="no reason"),
+        pytest.param("a.py f: 1 => 2 -- \n", id="an empty reason"),
+        pytest.param(" -- because\n", id="no mutant"),
+        pytest.param("a.py f: 1 => 2 -- because\na.py f: 1 => 2 -- so\n", id="twice"),
+    ],
+)
+def test_a_list_with_a_bad_line_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="must be a mutant once"):
+        known_survivors(text)
+
+
+def test_a_mutant_may_hold_what_separates_its_reason() -> None:
+    assert known_survivors("# comment\n\na.py f: -- 1 => 2 -- because\n") == {"a.py f: -- 1 => 2": "because"}
+
+
+@pytest.mark.parametrize(
+    ("known", "tried", "survived", "wrong"),
+    [
+        pytest.param("", "", "", {}, id="nothing"),
+        pytest.param("", "ab", "", {}, id="all are killed"),
+        pytest.param("a", "ab", "a", {}, id="the survivor is listed"),
+        pytest.param("a", "b", "", {}, id="the listed one was not tried"),
+        pytest.param("", "ab", "a", {"a": "survives"}, id="the survivor is not listed"),
+        pytest.param("a", "ab", "", {"a": "killed"}, id="the listed one is killed"),
+        pytest.param("z", "ab", "", {"z": "no such mutant"}, id="the listed one is gone"),
+    ],
+)
+def test_the_list_must_name_the_survivors(
+    known: Collection[str], tried: Collection[str], survived: Collection[str], wrong: dict[str, str]
+) -> None:
+    found = differences(known, existing="abc", tried=tried, survived=survived)
+    assert found.keys() == wrong.keys()
+    assert all(wrong[name] in told for name, told in found.items())
+
+
+@pytest.mark.parametrize(
+    ("code", "expected"),
+    [
+        pytest.param("", [], id="nothing"),
+        pytest.param("LIMIT = 3", ["LIMIT: LIMIT = 3 => LIMIT = None", "LIMIT: 3 => 4"], id="a constant"),
+        pytest.param('def f():\n    """Text of a function."""', [], id="a docstring"),
+        pytest.param("def f(x: int | None) -> int: ...", [], id="annotations"),
+        pytest.param('def f():\n    raise ValueError(f"{1 + 1} is wrong")', [], id="an error"),
+        pytest.param('def f(log):\n    log.warning("beware", 1)', [], id="a log entry"),
+        pytest.param('def f():\n    return "told to people"', [], id="a text"),
+        pytest.param('def f():\n    return "key"', ['f: "key" => "XXkeyXX"'], id="a key"),
+        pytest.param("Alias = list[int]", [], id="the name of a type"),
+        pytest.param(
+            "def f(rows):\n    return rows.reshape(-1)",
+            ["f: rows.reshape(-1) => rows.reshape(None)"],
+            id="reshape",
+        ),
+        pytest.param(
+            "class A:\n    @property\n    def b(self):\n        return self.c < 1",
+            ["A.b: < 1 => <= 1", "A.b: 1 => 2"],
+            id="a property",
+        ),
+        pytest.param(
+            "def f(a):\n    return a + a + 1\n\n\ndef g(a):\n    return a",
+            ["f: a + a + 1 => a + a - 1", "f: a + a => a - a", "f: 1 => 2"],
+            id="a sum",
+        ),
+        pytest.param(
+            "def f(a):\n    a(1)\n    a(1)",
+            ["f: a(1) => a(None)", "f: 1 => 2", "f: a(1) => a(None) (2)", "f: 1 => 2 (2)"],
+            id="twice the same",
+        ),
+    ],
+)
+def test_only_what_a_test_could_notice_is_changed(code: str, expected: list[str]) -> None:
+    pytest.importorskip("mutmut", reason="`make mutants` installs it")
+    from tools.mutants.mutant import mutants_in
+
+    found = list(mutants_in("a.py", code))
+    assert [mutant.name.removeprefix("a.py ") for mutant in found] == expected
+    assert all(mutant.code() != code and mutant.is_python() for mutant in found)
+
+
+def test_a_sample_stays_the_same_when_other_code_is_added() -> None:
+    pytest.importorskip("mutmut", reason="`make mutants` installs it")
+    from tools.mutants.mutant import mutants_in, sampled
+
+    lines = [f"LIMIT_{number} = {number}\n" for number in range(100)]
+    before = {mutant.name for mutant in sampled(mutants_in("a.py", "".join(lines)), 20, 0)}
+    after = {mutant.name for mutant in sampled(mutants_in("a.py", "OTHER = 1\n" + "".join(lines)), 20, 0)}
+    another = {mutant.name for mutant in sampled(mutants_in("a.py", "".join(lines)), 20, 1)}
+    assert len(before) == 20
+    assert len(before & after) >= 18
+    assert len(before & another) < 18
