@@ -134,7 +134,6 @@ soak: $(PACKAGE)
 fuzz: $(PACKAGE) $(FUZZER)
 	PYTHONPATH=test $(VENV)/bin/python -m fuzz $(FUZZ_FLAGS)
 
-# Python 3.11 or newer.
 mutants: $(PACKAGE) $(MUTATOR)
 	$(VENV)/bin/python -m tools.mutants $(MUTANTS_FLAGS)
 
@@ -177,6 +176,7 @@ $(FUZZER): $(DEPENDENCIES) requirements/fuzz.txt
 	touch $@
 
 $(MUTATOR): $(DEPENDENCIES) requirements/mutants.txt
+	@$(VENV)/bin/python -c 'import sys; sys.exit(sys.version_info < (3, 11) and "PYTHON=$(PYTHON): make mutants needs Python 3.11 or newer")'
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/mutants.txt -c $(CONSTRAINTS)
 	touch $@
 
