@@ -126,9 +126,8 @@ def _surface_bins(excess: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArra
     """First bin (n,) of the nearest peak of each box's excess (n, bins), and the one after its last."""
     boxes, count = np.arange(len(excess)), excess.shape[1]
     is_peak = excess >= _MIN_OF_PEAK * excess.max(axis=1, keepdims=True)
-    is_peak[:, 1:] &= excess[:, 1:] >= excess[:, :-1]
     is_peak[:, :-1] &= excess[:, :-1] >= excess[:, 1:]
-    peak = is_peak.argmax(axis=1)
+    peak = is_peak.argmax(axis=1)  # the one before the first such bin is lower, or it would be the first
     is_beyond = excess <= _SURFACE_END * excess[boxes, peak][:, None]
     bins = np.arange(count)
     start = np.where(is_beyond & (bins <= peak[:, None]), bins + 1, 0).max(axis=1)

@@ -72,6 +72,7 @@ def test_configure_lists_every_parameter_with_the_source_of_its_value(served: Se
     assert change(served, {"front.max_rate": 5, "max_rate": 9}) == (True, "")
     assert change(served, {"front.max_rate": None, "rear.max_rate": 3}) == (True, "")
     served.bring_to("inactive")
+    served.wait_for_log("configured with")
     (told,) = (said for said in served.log if said.startswith("configured with"))
     listed = {line.split()[0]: line.rpartition("  ")[2] for line in told.splitlines()[1:]}
     changed = {"max_rate": "set at run time", "rear.max_rate": "set at run time", "cameras": "command line"}
