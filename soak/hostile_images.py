@@ -16,8 +16,7 @@ from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 
 from soak.service_requests import Fuzz
 from yolov5_lifecycle.images.encodings import ENCODINGS
-from yolov5_lifecycle.images.frame_id import MAX_FRAME_ID
-from yolov5_lifecycle.images.image import MAX_SIDE_PX
+from yolov5_lifecycle.images.image import MAX_FRAME_ID, MAX_SIDE_PX
 
 _COSTLY = [*HOSTILE_JPEGS.values(), *HOSTILE_PNGS.values()]
 _UNKNOWN = ("", "RGB8", "rgb8 ", "bayer_rggb16", "yuv444", "32FC1", "32FC3", "x" * 100_000)

@@ -11,8 +11,7 @@ import pytest
 
 from yolov5_lifecycle.images.compressed import compressed_image, encode_jpeg
 from yolov5_lifecycle.images.encodings import raw_image
-from yolov5_lifecycle.images.frame_id import MAX_FRAME_ID
-from yolov5_lifecycle.images.image import ColourImage, ImageError
+from yolov5_lifecycle.images.image import MAX_FRAME_ID, ColourImage, ImageError
 from yolov5_lifecycle.spatial.depth_image import depth_image_of_message
 from yolov5_lifecycle.spatial.intrinsics import IntrinsicsError, intrinsics_of_message
 

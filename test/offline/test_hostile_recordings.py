@@ -17,8 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 from support.recorded_scene import COMPRESSED, IMAGE, TOPIC, jpeg, raw, record, video
 
-from yolov5_lifecycle.images.frame_id import MAX_FRAME_ID
-from yolov5_lifecycle.images.image import ColourImage, ImageError
+from yolov5_lifecycle.images.image import MAX_FRAME_ID, ColourImage, ImageError
 from yolov5_lifecycle.offline import recording_limits
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detect_files import VideoOutput

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from yolov5_lifecycle.streaming.feed import Schedule, Slot
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 from yolov5_lifecycle.streaming.pipeline import Batch, Pipeline, Send
-from yolov5_lifecycle.streaming.schedule import Schedule, Slot
 
 
 class Unused:

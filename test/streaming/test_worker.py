@@ -9,9 +9,9 @@ from functools import partial
 import pytest
 from support.scripted_camera import PATIENCE_S, ScriptedCamera, when_awaited
 
+from yolov5_lifecycle.streaming.feed import RateLimit
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 from yolov5_lifecycle.streaming.pipeline import Send
-from yolov5_lifecycle.streaming.schedule import RateLimit
 from yolov5_lifecycle.streaming.worker import Worker
 
 

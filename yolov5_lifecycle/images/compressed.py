@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded
-from yolov5_lifecycle.images.frame_id import check_frame_id
-from yolov5_lifecycle.images.image import ColourImage, ImageError, bytes_of, check_size
+from yolov5_lifecycle.images.image import ColourImage, ImageError, bytes_of, check_frame_id, check_size
 from yolov5_lifecycle.images.jpeg_structure import is_jpeg, jpeg_size_hw
 from yolov5_lifecycle.images.png_structure import is_png, png_structure
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX

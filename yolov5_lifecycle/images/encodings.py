@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.frame_id import check_frame_id
-from yolov5_lifecycle.images.image import ColourImage, ImageError, Order, bytes_of, check_size
+from yolov5_lifecycle.images.image import ColourImage, ImageError, Order, bytes_of, check_frame_id, check_size
 
 _CONVERSIONS: dict[tuple[Order, str], int | None] = {
     ("rgb", "rgb8"): None,

@@ -14,6 +14,10 @@ MAX_SIDE_PX = 16384
 """Maximum width and height: no camera exceeds it, but a corrupt message may."""
 
 
+MAX_FRAME_ID = 256
+"""Characters. Each detection repeats the name, so a long one would multiply."""
+
+
 class ImageError(ValueError):
     """A buffer without a usable image; the message states what was expected and found."""
 
@@ -66,3 +70,13 @@ def bytes_of(data: Any) -> NDArray[np.uint8]:
         return np.frombuffer(data, np.uint8)
     except (TypeError, ValueError, BufferError):
         raise ImageError(f"Expected a contiguous buffer of bytes, found {type(data).__name__}.") from None
+
+
+def check_frame_id(message: Any) -> None:
+    """Raise ImageError if the frame_id in the header of `message` has more than MAX_FRAME_ID characters."""
+    length = len(message.header.frame_id)
+    if length > MAX_FRAME_ID:
+        raise ImageError(
+            f"Expected a frame_id of at most {MAX_FRAME_ID} characters, found {length}. Correct it in the "
+            "driver of the camera."
+        )

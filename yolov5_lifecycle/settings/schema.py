@@ -175,7 +175,8 @@ class Schema(Generic[Model]):
         prepared = {
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
-        return self._with_overrides(prepared)
+        has_overrides = any(SEPARATOR in name for name in prepared)
+        return self._with_overrides(prepared) if has_overrides else self._validated(prepared)
 
     def problem(self, name: str, value: object) -> Problem | None:
         """Why `value` of the setting `name` is invalid whatever the other values are, or None."""

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.frame_id import check_frame_id
-from yolov5_lifecycle.images.image import ImageError, bytes_of, check_size
+from yolov5_lifecycle.images.image import ImageError, bytes_of, check_frame_id, check_size
 
 MIN_DEPTH_M = 0.01
 MAX_DEPTH_M = 1000.0

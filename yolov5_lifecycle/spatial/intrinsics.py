@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from yolov5_lifecycle.images.frame_id import check_frame_id
-from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError
+from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, check_frame_id
 
 MIN_FOCAL_PX = 0.1
 MAX_PX = 1e7

@@ -1,12 +1,264 @@
-"""The frames of one camera, as seen by who offers them."""
+"""The newest frame of each camera, its rate limit and counts, and the order in which cameras are served."""
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 from typing import Generic
 
-from yolov5_lifecycle.streaming.frame_statistics import FrameBalance
-from yolov5_lifecycle.streaming.pipeline import Frame, Pipeline, Result
-from yolov5_lifecycle.streaming.schedule import Schedule, Slot
+from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
+from yolov5_lifecycle.streaming.pipeline import Batch, Frame, Pipeline, Result
+
+
+class RateLimit:
+    """Admits at most `max_rate_hz` events per second on average; 0 admits all."""
+
+    def __init__(self, max_rate_hz: float) -> None:
+        self.max_rate_hz = max_rate_hz
+        self._due_s = 0.0
+
+    def admits(self, now_s: float) -> bool:
+        """Whether the event at `now_s` (monotonic seconds) is within the limit.
+
+        It keeps a schedule, not a minimum gap: 20 Hz out of a 30 Hz stream gives 20, not 15.
+        """
+        if self.max_rate_hz <= 0:
+            return True
+        if now_s < self._due_s:
+            return False
+        self._due_s = max(self._due_s + 1 / self.max_rate_hz, now_s)
+        return True
+
+
+class Slot(Generic[Frame, Result]):
+    """The newest frame of one camera with its rate limit and counts; not thread-safe, see `Schedule`."""
+
+    def __init__(
+        self, *, on_failure: Callable[[Outcome, Exception], None], on_success: Callable[[], None]
+    ) -> None:
+        self.on_failure = on_failure
+        self.on_success = on_success
+        self.counter = FrameCounter()
+        self.pipeline: Pipeline[Frame, Result] | None = None
+        """None: stopped."""
+        self.frame: Frame | None = None
+        """The frame that waits."""
+        self.job: Job[Frame, Result] | None = None
+        """The job in progress, if it has a frame of this camera."""
+        self.last_turn = 0
+        """Number of its latest turn; the turns of all slots are numbered together."""
+        self._rate_limit = RateLimit(0.0)
+
+    def start(self, pipeline: Pipeline[Frame, Result], max_rate_hz: float) -> None:
+        """Accept frames, for `pipeline`, from now on; an unchanged rate limit keeps its schedule."""
+        self.pipeline = pipeline
+        if max_rate_hz != self._rate_limit.max_rate_hz:
+            self._rate_limit = RateLimit(max_rate_hz)
+
+    def stop(self) -> None:
+        """Flush the waiting frame and accept no more."""
+        self.pipeline = None
+        self._rate_limit = RateLimit(0.0)
+        if self.frame is not None:
+            self.frame = None
+            self.counter.finish(Outcome.FLUSHED)
+
+    def receive(self, frame: Frame, now_s: float) -> bool:
+        """Count `frame`, received at `now_s`; return whether it waits now."""
+        self.counter.receive()
+        if self.pipeline is None:
+            self.counter.finish(Outcome.INACTIVE)
+            return False
+        if not self._rate_limit.admits(now_s):
+            self.counter.finish(Outcome.SKIPPED)
+            return False
+        if self.frame is not None:
+            self.counter.finish(Outcome.STALE)
+        self.frame = frame
+        return True
+
+    def turn(self) -> Turn[Frame, Result]:
+        """The waiting frame with the current pipeline; for a slot that has a frame and is not stopped."""
+        assert self.pipeline is not None, "a stopped slot has no turn"
+        assert self.frame is not None, "a slot without a frame has no turn"
+        return Turn(self, self.pipeline, self.frame)
+
+    def begin(self, job: Job[Frame, Result], number: int) -> None:
+        """Hand the waiting frame over to `job`, as turn `number`; see `last_turn`."""
+        self.frame = None
+        self.job = job
+        self.last_turn = number
+
+
+@dataclass(eq=False, slots=True)
+class Turn(Generic[Frame, Result]):
+    """Processing of one frame of `slot`: its pipeline and its outcome."""
+
+    slot: Slot[Frame, Result]
+    pipeline: Pipeline[Frame, Result]
+    frame: Frame
+    outcome: Outcome = Outcome.DETECTED
+    error: Exception | None = None
+    has_sent: bool = False
+    """Whether its first message, the detections, was sent or is being sent."""
+
+    @property
+    def network(self) -> object:
+        return self.pipeline.network
+
+    def fail(self, outcome: Outcome, error: Exception) -> None:
+        self.outcome = outcome
+        self.error = error
+
+    def report(self) -> None:
+        """Call `on_success` or `on_failure`; without the lock, after the frame was counted."""
+        if self.error is None:
+            self.slot.on_success()
+        else:
+            self.slot.on_failure(self.outcome, self.error)
+
+
+@dataclass(eq=False, slots=True)
+class Job(Generic[Frame, Result]):
+    """One frame or batch that the thread has processed since `begun_s` (monotonic seconds)."""
+
+    turns: Sequence[Turn[Frame, Result]]
+    begun_s: float
+    awaited_s: float | None = None
+    """When somebody first waited for its end, None: nobody has."""
+    is_abandoned: bool = False
+
+    def uses(self, network: object) -> bool:
+        return any(turn.network is network for turn in self.turns)
+
+    def abandon(self) -> None:
+        """Fail the frames whose detections were not sent; the others count as detected."""
+        self.is_abandoned = True
+        for turn in self.turns:
+            if turn.error is None and not turn.has_sent:
+                turn.outcome = Outcome.FAILED
+
+
+class Schedule(Generic[Frame, Result]):
+    """The slots of one worker, the job in progress, and abandoned ones.
+
+    Of the slots with a waiting frame, the one served longest ago is next. Whoever calls a method or uses a
+    slot holds `changed`. `replace_thread()` is called with it when a job hangs.
+    """
+
+    def __init__(self, *, clock: Callable[[], float], replace_thread: Callable[[], None]) -> None:
+        self.changed = threading.Condition()
+        self.clock = clock
+        self.job: Job[Frame, Result] | None = None
+        self.slots: set[Slot[Frame, Result]] = set()
+        self.waiting: dict[Slot[Frame, Result], None] = {}
+        self.pauses = 0
+        """While above 0, no job begins."""
+        self._abandoned: list[Job[Frame, Result]] = []
+        """Abandoned jobs whose threads have not ended: their networks belong to them."""
+        self._replace_thread = replace_thread
+        self._turns = 0
+
+    def offer(self, slot: Slot[Frame, Result], frame: Frame) -> None:
+        """Let `frame` wait in `slot`, unless it is stopped or its rate limit drops the frame."""
+        if slot.receive(frame, self.clock()):
+            self.waiting[slot] = None
+            self.changed.notify_all()
+
+    def stop(self, slots: Sequence[Slot[Frame, Result]]) -> None:
+        """Stop `slots` and flush their waiting frames."""
+        for slot in slots:
+            slot.stop()
+            self.waiting.pop(slot, None)
+
+    def ready(self) -> Sequence[Slot[Frame, Result]]:
+        """The slots whose waiting frame may begin: those whose network no abandoned job keeps."""
+        return [] if self.pauses else [slot for slot in self.waiting if not self.keeps(slot.turn().network)]
+
+    def begin(self, batch: Batch[Frame, Result] | None = None) -> Job[Frame, Result]:
+        """Start the next job; a slot must be `ready`.
+
+        With `batch`, waiting frames with the same key join the next one, those served longest ago first.
+        """
+        slots = self._next_slots(self.ready(), batch)
+        job = self.job = Job([slot.turn() for slot in slots], self.clock())
+        for turn in job.turns:
+            self._turns += 1
+            turn.slot.begin(job, self._turns)
+            del self.waiting[turn.slot]
+        return job
+
+    def end(self, job: Job[Frame, Result]) -> None:
+        """Finish `job` at the end of its thread's work; of an abandoned one, only its network is free now."""
+        if not job.is_abandoned:
+            self._finish(job)
+            return
+        self._abandoned.remove(job)
+        self.changed.notify_all()
+
+    def _finish(self, job: Job[Frame, Result]) -> None:
+        """Count the frames of `job` with their outcomes."""
+        for turn in job.turns:
+            turn.slot.counter.finish(turn.outcome)
+            turn.slot.job = None
+        self.job = None
+        self.changed.notify_all()
+
+    def wait(self, job: Job[Frame, Result] | None, timeout_s: float) -> bool:
+        """Wait for the end of `job`, if any; False if it was abandoned or has not ended in time.
+
+        The time begins when somebody first waits for this job: a second wait continues the first one.
+        """
+        if job is None:
+            return True
+        now_s = self.clock()
+        if job.awaited_s is None:
+            job.awaited_s = now_s
+        rest_s = max(0.0, timeout_s - (now_s - job.awaited_s))
+        return self.changed.wait_for(lambda: self.job is not job, rest_s) and not job.is_abandoned
+
+    def wait_or_abandon(self, job: Job[Frame, Result] | None, timeout_s: float) -> bool:
+        """Wait for the end of `job`, if any; False if it hung and was abandoned."""
+        if self.wait(job, timeout_s):
+            return True
+        if job is not None and job is self.job:
+            job.abandon()
+            self._abandoned.append(job)
+            self._finish(job)
+            self._replace_thread()
+        return False
+
+    def keeps(self, network: object) -> bool:
+        """Whether an abandoned job keeps `network`."""
+        return any(job.uses(network) for job in self._abandoned)
+
+    def _next_slots(
+        self, ready: Sequence[Slot[Frame, Result]], batch: Batch[Frame, Result] | None
+    ) -> Sequence[Slot[Frame, Result]]:
+        if batch is None or len(ready) == 1:
+            return [min(ready, key=_last_turn)]
+        first, *others = sorted(ready, key=_last_turn)
+        slots = [first]
+        if (key := _key(batch, first)) is not None:
+            for slot in others:
+                if len(slots) >= batch.max_size:
+                    break
+                if _key(batch, slot) == key:
+                    slots.append(slot)
+        return slots
+
+
+def _last_turn(slot: Slot[Frame, Result]) -> int:
+    return slot.last_turn
+
+
+def _key(batch: Batch[Frame, Result], slot: Slot[Frame, Result]) -> Hashable | None:
+    turn = slot.turn()
+    try:
+        return batch.key(turn.pipeline, turn.frame)
+    except Exception:  # noqa: BLE001 - `detect` reports the problem of the frame
+        return None
 
 
 class Feed(Generic[Frame, Result]):

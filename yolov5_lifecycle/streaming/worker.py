@@ -9,10 +9,9 @@ from contextlib import contextmanager
 from typing import Generic
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.streaming.feed import Feed
+from yolov5_lifecycle.streaming.feed import Feed, Job, Schedule, Slot, Turn
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 from yolov5_lifecycle.streaming.pipeline import Batch, Frame, Result
-from yolov5_lifecycle.streaming.schedule import Job, Schedule, Slot, Turn
 
 MAX_ABANDONED_THREADS = 3
 """Each holds the memory of its model and image; beyond this limit, restart the process."""

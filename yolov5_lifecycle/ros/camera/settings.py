@@ -8,8 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rclpy.node import Node
 
-from yolov5_lifecycle.images.frame_id import MAX_FRAME_ID
-from yolov5_lifecycle.images.image import MAX_SIDE_PX
+from yolov5_lifecycle.images.image import MAX_FRAME_ID, MAX_SIDE_PX
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.parameters.declaration import declare
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides

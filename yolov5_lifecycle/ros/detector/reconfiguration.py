@@ -111,7 +111,8 @@ class Reconfiguration:
         if detection is not None and (problems := _broken_by(proposal, detection.model)):
             return refusal(problems)
         result = self._commit(proposal)
-        await self._resources.end_removed()
+        if proposal.kind is Change.CAMERAS:
+            await self._resources.end_removed()
         return result
 
     async def _reload(self, detection: Detection, proposal: Proposal) -> SetParametersResult:
