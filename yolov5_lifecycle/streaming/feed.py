@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Generic
 
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
@@ -82,7 +83,7 @@ class Slot(Generic[Frame, Result]):
         """The waiting frame with the current pipeline; for a slot that has a frame and is not stopped."""
         assert self.pipeline is not None, "a stopped slot has no turn"
         assert self.frame is not None, "a slot without a frame has no turn"
-        return Turn(self, self.pipeline, self.frame)
+        return Turn(self, self.pipeline, self.frame, self.pipeline.network)
 
     def begin(self, job: Job[Frame, Result], number: int) -> None:
         """Hand the waiting frame over to `job`, as turn `number`; see `last_turn`."""
@@ -98,14 +99,11 @@ class Turn(Generic[Frame, Result]):
     slot: Slot[Frame, Result]
     pipeline: Pipeline[Frame, Result]
     frame: Frame
+    network: object
     outcome: Outcome = Outcome.DETECTED
     error: Exception | None = None
     has_sent: bool = False
     """Whether its first message, the detections, was sent or is being sent."""
-
-    @property
-    def network(self) -> object:
-        return self.pipeline.network
 
     def fail(self, outcome: Outcome, error: Exception) -> None:
         self.outcome = outcome
@@ -128,9 +126,6 @@ class Job(Generic[Frame, Result]):
     awaited_s: float | None = None
     """When somebody first waited for its end, None: nobody has."""
     is_abandoned: bool = False
-
-    def uses(self, network: object) -> bool:
-        return any(turn.network is network for turn in self.turns)
 
     def abandon(self) -> None:
         """Fail the frames whose detections were not sent; the others count as detected."""
@@ -174,7 +169,7 @@ class Schedule(Generic[Frame, Result]):
 
     def ready(self) -> Sequence[Slot[Frame, Result]]:
         """The slots whose waiting frame may begin: those whose network no abandoned job keeps."""
-        return [] if self.pauses else [slot for slot in self.waiting if not self.keeps(slot.turn().network)]
+        return [] if self.pauses else [each for each in self.waiting if not self.keeps(each.turn().network)]
 
     def begin(self, batch: Batch[Frame, Result] | None = None) -> Job[Frame, Result]:
         """Start the next job; a slot must be `ready`.
@@ -213,8 +208,7 @@ class Schedule(Generic[Frame, Result]):
         if job is None:
             return True
         now_s = self.clock()
-        if job.awaited_s is None:
-            job.awaited_s = now_s
+        job.awaited_s = now_s if job.awaited_s is None else job.awaited_s
         rest_s = max(0.0, timeout_s - (now_s - job.awaited_s))
         return self.changed.wait_for(lambda: self.job is not job, rest_s) and not job.is_abandoned
 
@@ -231,14 +225,14 @@ class Schedule(Generic[Frame, Result]):
 
     def keeps(self, network: object) -> bool:
         """Whether an abandoned job keeps `network`."""
-        return any(job.uses(network) for job in self._abandoned)
+        return any(turn.network is network for job in self._abandoned for turn in job.turns)
 
     def _next_slots(
         self, ready: Sequence[Slot[Frame, Result]], batch: Batch[Frame, Result] | None
     ) -> Sequence[Slot[Frame, Result]]:
         if batch is None or len(ready) == 1:
-            return [min(ready, key=_last_turn)]
-        first, *others = sorted(ready, key=_last_turn)
+            return [min(ready, key=attrgetter("last_turn"))]
+        first, *others = sorted(ready, key=attrgetter("last_turn"))
         slots = [first]
         if (key := _key(batch, first)) is not None:
             for slot in others:
@@ -247,10 +241,6 @@ class Schedule(Generic[Frame, Result]):
                 if _key(batch, slot) == key:
                     slots.append(slot)
         return slots
-
-
-def _last_turn(slot: Slot[Frame, Result]) -> int:
-    return slot.last_turn
 
 
 def _key(batch: Batch[Frame, Result], slot: Slot[Frame, Result]) -> Hashable | None:
