@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support.random_model import CLASS_NAMES, random_model
+from support.runtime_names import EVERY_RUNTIME
+from support.scripted_camera import PATIENCE_S
 from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
@@ -187,3 +192,41 @@ def test_settings_that_no_model_can_obey_are_refused() -> None:
         load_detector(random_model(), runtime="tensorrt")
     with pytest.raises(DeviceError, match="absent"):
         load_detector(random_model(), device="cuda:99")
+
+
+@pytest.mark.parametrize("runtime", EVERY_RUNTIME)
+def test_threads_that_share_a_detector_get_what_one_gets(runtime: str) -> None:
+    detector = load_detector(random_model(1), device="cpu", runtime=runtime, image_size=64)
+    images = [random_image(48 + 16 * index, 64) for index in range(3)]
+    expected = [detector.detect(image, EVERYTHING) for image in images]
+    together = threading.Barrier(2)
+
+    def detect_all(_: int) -> bool:
+        together.wait(PATIENCE_S)
+        found = [detector.detect(images[index % 3], EVERYTHING) for index in range(60)]
+        return all(
+            np.array_equal(one.boxes_xyxy, expected[index % 3].boxes_xyxy) for index, one in enumerate(found)
+        )
+
+    with ThreadPoolExecutor(2) as threads:
+        assert list(threads.map(detect_all, range(2))) == [True, True]
+
+
+def test_a_twin_detects_while_another_thread_is_inside_the_detector() -> None:
+    entered, release = threading.Event(), threading.Event()
+
+    def hang() -> NDArray[np.float32]:
+        entered.set()
+        assert release.wait(PATIENCE_S)
+        return rows()
+
+    runtime = ScriptedRuntime(hang)
+    detector = detector_of(runtime)
+    twin = detector.twin()
+    runtime.twins[0].run = lambda: rows(row(32, 32, 16, 16, 1, 0, 0))
+    with ThreadPoolExecutor(1) as thread:
+        hung = thread.submit(detector.detect, random_image(64, 64), EVERYTHING)
+        assert entered.wait(PATIENCE_S)
+        assert len(twin.detect(random_image(64, 64), EVERYTHING)) == 1
+        release.set()
+        assert len(hung.result(PATIENCE_S)) == 0

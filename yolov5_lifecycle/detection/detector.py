@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Iterable, Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -36,7 +36,10 @@ class Batches:
 
 
 class Detector:
-    """Detects objects in images; for one thread at a time. Owns `runtime`; stateless between images.
+    """Detects objects in images. Owns `runtime`; stateless between images.
+
+    Detects for one thread at a time, others wait: two would overwrite each other's features. For threads that
+    detect at the same time give each a `twin`.
 
     `class_names` by class id. `image_size`: longer side of the network input in pixels, a multiple of
     `stride`, the largest stride of the model; else ValueError. `choice` and `precision_choice`: why this
@@ -70,6 +73,7 @@ class Detector:
         self.mask_coefficients = mask_coefficients
         self.cost = cost
         self.selection = Selection()
+        self._in_use = threading.RLock()
 
     def __call__(self, pixels: NDArray[np.uint8], *, order: Order = "bgr") -> Detections:
         """Detections in an image (H, W, 3) of dtype uint8, as cv2.imread returns it; see `detect`.
@@ -85,8 +89,10 @@ class Detector:
         """
         letterbox = self._letterbox(image.size_hw)
         pixels, order = image.as_sent
-        raw = self.runtime(letterbox.apply(pixels), order, selection.min_objectness)
-        return self._detections(raw, letterbox, selection)
+        frame = letterbox.apply(pixels)
+        with self._in_use:
+            raw = self.runtime(frame, order, selection.min_objectness)
+            return self._detections(raw, letterbox, selection)
 
     def detect_batch(
         self, images: Sequence[ColourImage], selections: Sequence[Selection]
@@ -111,15 +117,15 @@ class Detector:
                 letterbox.apply(image.as_sent[0])
                 for letterbox, image in zip(letterboxes, images, strict=True)
             ]
-            batch = self.runtime.run_batch(
-                frames,
-                [image.as_sent[1] for image in images],
-                [selection.min_objectness for selection in selections],
-            )
+            with self._in_use:
+                batch = self.runtime.run_batch(
+                    frames,
+                    [image.as_sent[1] for image in images],
+                    [selection.min_objectness for selection in selections],
+                )
+                return list(map(_result_of(self._detections), batch, letterboxes, selections))
         except InferenceError as error:
             problem = str(error)
-        else:
-            return list(map(_result_of(self._detections), batch, letterboxes, selections))
         results = self._detect_alone(images, selections)
         if any(isinstance(result, Detections) for result in results):
             self.batches = Batches((), f"none: a batch of {len(images)} failed: {problem}")
@@ -182,8 +188,17 @@ class Detector:
 
     def twin(self) -> Detector:
         """A detector of the same network for another thread, with buffers of its own; see `Runtime.twin`."""
-        twin = copy(self)
-        twin.runtime = self.runtime.twin()
+        twin = Detector(
+            self.runtime.twin(),
+            class_names=self.class_names,
+            image_size=self.image_size,
+            stride=self.stride,
+            choice=self.choice,
+            precision_choice=self.precision_choice,
+            mask_coefficients=self.mask_coefficients,
+            cost=self.cost,
+        )
+        twin.batches, twin.selection = self.batches, self.selection
         return twin
 
     def close(self) -> None:
