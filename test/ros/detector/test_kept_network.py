@@ -14,6 +14,7 @@ from support.colcon_workspace import REPOSITORY
 from support.detector_process import scene_image
 from support.preparations import Preparations, prediction
 from support.runtime_names import EVERY_RUNTIME
+from support.scripted_runtime import ScriptedRuntime
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of
 from vision_msgs.msg import Detection2DArray
 
@@ -173,3 +174,44 @@ def test_a_network_that_cannot_be_prepared_again_deactivates_the_node_with_the_r
 
 def refuse(_: object) -> None:
     raise InferenceError("no memory")
+
+
+def test_a_hang_that_ends_while_another_network_is_prepared_costs_no_frame_of_other_cameras(
+    prepare: Preparations,
+    cameras: tuple[ServedNode, CameraClient, CameraClient],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    served, front, rear = cameras
+    network, twins, closed = prepare.running, threading.Event(), threading.Event()
+    release, entered = threading.Event(), threading.Event()
+    monkeypatch.setattr(ScriptedRuntime, "twin", waiting_twin(twins, closed))
+    network.run = hanging(release, entered)
+    served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to hang")
+    assert served.set(cameras=["rear"]) == (True, "")
+    in_work, may_end = threading.Event(), threading.Event()
+    network.run = hanging(may_end, in_work)
+    release.set()
+    served.wait_for(lambda: bool(rear.send()) and in_work.is_set(), "a frame with the network, free again")
+    twins.set()
+    served.wait_for(closed.is_set, "the network that nobody needs to be closed")
+    assert not network.is_closed, "a frame in progress uses it"
+    may_end.set()
+    assert class_ids_of(rear.detect()) == ["cat"]
+    assert network.twins[0].is_closed
+    assert not network.is_closed
+
+
+def waiting_twin(
+    may_go_on: threading.Event, closed: threading.Event
+) -> Callable[[ScriptedRuntime], ScriptedRuntime]:
+    """Makes twins once they `may_go_on`; `closed` is set as soon as it or the original is closed."""
+    twin_of = ScriptedRuntime.twin
+
+    def twin(original: ScriptedRuntime) -> ScriptedRuntime:
+        assert may_go_on.wait(PATIENCE_S)
+        original.on_close = closed.set
+        made = twin_of(original)
+        made.run = lambda: prediction("dog", 0.9)
+        return made
+
+    return twin

@@ -153,19 +153,24 @@ class ManagedResources:
             executor.create_task(self._renew, detection)
 
     async def _renew(self, detection: Detection) -> None:
-        """Let `detection` go on with another network, as an abandoned thread keeps the present one."""
+        """Let `detection` go on with another network, as an abandoned thread keeps the present one.
+
+        The thread may end meanwhile: then frames go on with the present one.
+        """
         kept = detection.preparation
         self._node.get_logger().warning(
             "the network is prepared again, because the abandoned thread keeps it; frames wait meanwhile"
         )
         twin = await self.loader.twin(detection.model)
-        is_wanted = self.detection is detection and detection.preparation is kept
+        is_running = self.detection is detection and detection.preparation is kept
+        is_wanted = is_running and self._worker.keeps(kept.result().detector)
         if (error := twin.exception()) is not None:
             if is_wanted:
                 await self._on_too_many(f"a frame that hangs, as no other network can be prepared: {error}")
         elif is_wanted:
             detection.apply(self._parameters.settings(), twin)
-            kept.result().close(is_at_rest=False)
+            # Before the last camera had another network, the thread may have ended and a frame begun.
+            await self.loader.retire(kept.result(), after=detection.rest)
         else:
             twin.result().close()
 
