@@ -181,10 +181,14 @@ class Detector:
         for network_hw in dict.fromkeys(map(self.network_hw, sizes_hw)):
             grey = np.full((*network_hw, 3), PADDING_VALUE, np.uint8)
             for _ in range(2):
-                predictions = self.runtime(grey, "rgb", Selection().min_objectness)
-                self._check(predictions.rows)
-                if predictions.compute_prototypes is not None:
-                    predictions.compute_prototypes()
+                self._run_once(grey)
+
+    def _run_once(self, pixels: NDArray[np.uint8]) -> None:
+        """Run the network, and free its predictions: beside those of another run they would count twice."""
+        predictions = self.runtime(pixels, "rgb", Selection().min_objectness)
+        self._check(predictions.rows)
+        if predictions.compute_prototypes is not None:
+            predictions.compute_prototypes()
 
     def twin(self) -> Detector:
         """A detector of the same network for another thread, with buffers of its own; see `Runtime.twin`."""

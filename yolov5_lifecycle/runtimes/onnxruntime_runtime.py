@@ -63,6 +63,8 @@ def _session(graph: bytes, optimized_file: str = "") -> Run:
     options.add_session_config_entry(*_waiting())
     # Weights of 1e-36 produce denormal floats, with which a frame took 19 times as long.
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
+    # One block for all features of a run, planned from the first one, would stay beside those of that run.
+    options.enable_mem_pattern = False
     # Fused into a max-pool, zeros at the edge would become -inf (microsoft/onnxruntime#18136).
     disabled = ["Pad_Fusion"]
     session = onnxruntime.InferenceSession(
