@@ -14,7 +14,7 @@ from yolov5_lifecycle.ros.console.bounded_listener import (
     BoundedListener,
 )
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
-from yolov5_lifecycle.ros.console.web_server import listening_socket
+from yolov5_lifecycle.ros.console.web_server import ListenError, listening_socket
 
 
 class Clients:
@@ -71,3 +71,11 @@ def test_a_closed_connection_makes_room(clients: Clients) -> None:
     assert not clients.connect("127.0.0.1")
     clients.accepted[0].close()
     assert clients.connect("127.0.0.1")
+
+
+@pytest.mark.parametrize(
+    "host", ["no such host", "lamp\u202e", f"{'a' * 64}.local"], ids=["gap", "mark", "long"]
+)
+def test_a_host_that_is_no_name_is_refused_with_what_is_expected(host: str) -> None:
+    with pytest.raises(ListenError, match="expected an address or name of this machine, such as"):
+        listening_socket(ConsoleOptions(host=host, port=0))

@@ -173,7 +173,7 @@ def listening_socket(options: ConsoleOptions) -> BoundedListener:
         return BoundedListener(
             socket.create_server(address[:2], family=family, backlog=_BACKLOG, dualstack_ipv6=is_dual)
         )
-    except socket.gaierror:
+    except (socket.gaierror, UnicodeError):  # the latter for what no name in the DNS can contain
         raise ListenError(
             f"--host {options.host}: expected an address or name of this machine, such as 0.0.0.0 for all"
         ) from None
