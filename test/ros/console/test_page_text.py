@@ -45,7 +45,7 @@ def call(browser: Chrome, _isolated: None) -> Iterator[Call]:
 
 def parameter(name: str, kind: str, value: object, default: object = None) -> dict[str, object]:
     """A parameter as the page receives it."""
-    return {"name": name, "type": kind, "value": value, "default": default}
+    return {"name": name, "type": kind, "value": value, "is_shown": True, "default": default}
 
 
 def written(call: Call, folder: Path, *parameters: dict[str, object]) -> dict[str, object]:

@@ -159,8 +159,19 @@ def test_a_value_that_no_setting_can_have_is_shown_as_unknown(value: ParameterVa
         pytest.param("lazy", ["yes"], id="list for bool"),
     ],
 )
-def test_a_value_of_another_type_is_shown_as_unknown(name: str, value: object) -> None:
-    assert KNOWN[name].as_json(value)["value"] is None
+def test_a_value_of_another_type_is_not_shown(name: str, value: object) -> None:
+    shown = KNOWN[name].as_json(value)
+    assert (shown["value"], shown["is_shown"]) == (None, False)
+
+
+def test_what_is_not_set_differs_from_what_is_not_shown() -> None:
+    values = {
+        "classes": ParameterValue(),
+        "weights": Parameter("a", value="x" * 5_001).to_parameter_msg().value,
+    }
+    assert shown_values(values) == {"classes": None}
+    assert KNOWN["classes"].as_json(None)["is_shown"] is True
+    assert KNOWN["classes"].as_json(None, is_shown=False)["is_shown"] is False
 
 
 @pytest.mark.parametrize(
@@ -190,6 +201,7 @@ def test_a_value_is_shown_printable_and_within_bounds(value: Parameter, shown: o
     assert plain_value(value.to_parameter_msg().value) == shown
 
 
-def test_values_beyond_what_all_may_have_are_shown_as_unknown() -> None:
+def test_values_beyond_what_all_may_have_are_not_shown() -> None:
     large = Parameter("a", value=["x" * 4_000] * 200).to_parameter_msg().value
-    assert shown_values({"first": large, "second": large})["second"] is None
+    small = Parameter("a", value=1).to_parameter_msg().value
+    assert [*shown_values({"first": large, "second": large, "third": small})] == ["first", "third"]

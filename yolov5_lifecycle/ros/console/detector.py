@@ -236,7 +236,10 @@ class Detector:
         self._descriptors = {str(one.name): one for one, _ in found}
         self._views = {view.name: view for one, _ in found if (view := ParameterView.of(one)) is not None}
         self._values = shown_values({str(one.name): value for one, value in found if one.name in self._views})
-        self._parameters = [view.as_json(self._values[name]) for name, view in self._views.items()]
+        self._parameters = [
+            view.as_json(self._values.get(name), is_shown=name in self._values)
+            for name, view in self._views.items()
+        ]
 
     async def _reason(self, count: int) -> str:
         """The problems that the node has logged since line number `count`; waits a little for them."""

@@ -75,12 +75,17 @@ class ParameterView:
         per_camera = found["scope"] is not None
         return cls(descriptor, found["allowed"], _parsed(found["default"]), change, per_camera=per_camera)
 
-    def as_json(self, value: object) -> dict[str, object]:
-        """The parameter with its current `value`, for JSON; null for a value of another type."""
+    def as_json(self, value: object, *, is_shown: bool = True) -> dict[str, object]:
+        """The parameter with its current `value`, for JSON.
+
+        null with `is_shown`: not set; without: its value is of another type or cannot be shown.
+        """
+        own = self._of_own_type(value)
         return {
             "name": self.name,
             "type": self.type,
-            "value": self._of_own_type(value),
+            "value": own,
+            "is_shown": is_shown and (own is not None or value is None),
             "default": self._of_own_type(self._default),
             "description": in_one_line(self._descriptor.description),
             "constraints": in_one_line(self._allowed),
@@ -111,12 +116,14 @@ class ParameterView:
 
 
 def shown_values(values: Mapping[str, ParameterValue]) -> dict[str, object]:
-    """`plain_value` of each of `values`, None for those after _MAX_LENGTH characters of others."""
+    """`plain_value` of those of `values` that can be shown, in _MAX_LENGTH characters; None: not set."""
     shown, length = dict[str, object](), 0
     for name, value in values.items():
         plain = plain_value(value)
-        length += _length(plain)
-        shown[name] = plain if length <= _MAX_LENGTH else None
+        is_known = plain is not None or value.type == ParameterType.PARAMETER_NOT_SET
+        if is_known and length + _length(plain) <= _MAX_LENGTH:
+            length += _length(plain)
+            shown[name] = plain
     return shown
 
 

@@ -1,7 +1,7 @@
 /** A form that gives one camera its own value of a parameter. */
 
 import { element, setText } from "./element.js";
-import { isOverride, isSame } from "./yaml_text.js";
+import { isOverride, isSame, isSet } from "./yaml_text.js";
 
 export class CameraOverride {
   #isViewOnly;
@@ -41,7 +41,7 @@ export class CameraOverride {
 
   /** Parameters of the node that the camera does not override yet. */
   #showNames() {
-    const overridden = this.#parameters.filter(({ value }) => value !== null).map(({ name }) => name);
+    const overridden = this.#parameters.filter(isSet).map(({ name }) => name);
     const names = this.#parameters
       .filter(({ name, per_camera: isPerCamera }) => isPerCamera && !isOverride(name))
       .map(({ name }) => name);

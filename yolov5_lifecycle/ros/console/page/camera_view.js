@@ -1,6 +1,6 @@
 /** The cameras of a detector: live annotated image, rate, latency, and why there is no output. */
 
-import { conditionOf } from "./condition.js";
+import { conditionOf, LOST } from "./condition.js";
 import { element, KeyedViews, setText } from "./element.js";
 import { tenth } from "./figures.js";
 import { ImageView } from "./image_view.js";
@@ -21,10 +21,6 @@ export class CameraViews {
     const cameras = node.cameras.map((camera) => ({ ...camera, state: node.state }));
     this.#cameras.update(cameras, (camera) => camera.name);
     this.receive(this.#mayReceive);
-  }
-
-  lose() {
-    this.#cameras.views.forEach((camera) => camera.lose());
   }
 
   /** Images are subscribed to only while they can be seen. */
@@ -71,27 +67,11 @@ class CameraView {
   }
 
   update(camera) {
-    const rate = `${tenth(camera.rate_hz)} Hz`;
-    const latency = `${tenth(camera.latency_ms)} ms, p95 ${tenth(camera.latency_p95_ms)} ms`;
-    const isDetecting = camera.state === "active" && Number.isFinite(camera.rate_hz);
-    if (this.#isLost) {
-      this.#isLost = false;
-      setText(this.#overlay, "waiting for an image");
-    }
-    setText(this.#figures, isDetecting ? `${rate} · ${latency}` : "not detecting");
+    this.#setLost(camera.state === LOST);
+    setText(this.#figures, figuresOf(camera));
     setText(this.#message, camera.message);
     this.#message.dataset.condition = conditionOf(camera, camera.state).name;
     this.#message.hidden = camera.message === "" || camera.message === "detecting";
-  }
-
-  /** The last image stays, but as an old one. */
-  lose() {
-    this.#isLost = true;
-    setText(this.#figures, "lost");
-    setText(this.#shownRate, "");
-    this.#message.hidden = true;
-    this.#message.dataset.condition = "lost";
-    this.#showSilence("lost");
   }
 
   receive(mayReceive) {
@@ -118,6 +98,17 @@ class CameraView {
     }
   }
 
+  /** The last image of a lost detector stays, but as an old one. */
+  #setLost(isLost) {
+    if (isLost) {
+      setText(this.#shownRate, "");
+      this.#showSilence("lost");
+    } else if (this.#isLost) {
+      setText(this.#overlay, "waiting for an image");
+    }
+    this.#isLost = isLost;
+  }
+
   #showSilence(text) {
     this.element.classList.add("silent");
     setText(this.#overlay, text);
@@ -133,4 +124,12 @@ class CameraView {
     this.#pause.setAttribute("aria-pressed", String(isPaused));
     this.receive(this.#mayReceive);
   }
+}
+
+function figuresOf({ state, rate_hz: rateHz, latency_ms: latencyMs, latency_p95_ms: p95Ms }) {
+  if (state === LOST) {
+    return LOST;
+  }
+  const isDetecting = state === "active" && Number.isFinite(rateHz);
+  return isDetecting ? `${tenth(rateHz)} Hz · ${tenth(latencyMs)} ms, p95 ${tenth(p95Ms)} ms` : "not detecting";
 }

@@ -3,6 +3,8 @@
 const LEVELS = ["ok", "warning", "error", "stale"];
 const OF_NODE = "detection";
 const DETECTING = "detecting";
+/** The state of a detector of which nothing is heard; its last one is `last_state`. */
+export const LOST = "lost";
 const STALE = "Diagnostics have stopped: the detector's process hangs, has ended, or cannot be reached.";
 const SYMBOLS = { ok: "✓", note: "i", idle: "○", warning: "!", error: "✕", stale: "?", lost: "✕" };
 const WORDS = { idle: "not detecting" };
@@ -14,7 +16,7 @@ export function conditionCalled(name) {
 
 /** The condition behind one status. Level OK alone is not green: an unconfigured node has it, too. */
 export function conditionOf({ level, message }, state) {
-  const name = LEVELS[level] ?? "stale";
+  const name = state === LOST ? LOST : (LEVELS[level] ?? "stale");
   if (name !== "ok") {
     return conditionCalled(name);
   }
@@ -26,9 +28,12 @@ export function conditionOf({ level, message }, state) {
 export function summaryOf(node) {
   const status = node.diagnostics.find(({ name }) => name === OF_NODE) ?? node.diagnostics[0];
   if (status === undefined) {
-    return { ...conditionCalled("stale"), text: "no diagnostics received yet", problem: "" };
+    return { ...conditionCalled(node.state === LOST ? LOST : "stale"), text: "no diagnostics received yet", problem: "" };
   }
   const found = { ...conditionOf(status, node.state), text: status.message, problem: lastProblem(status) };
+  if (found.name === LOST) {
+    return { ...found, text: `Not known now. Last message: ${status.message}` };
+  }
   if (found.name === "stale") {
     return { ...found, text: `${STALE} Last message: ${status.message}` };
   }

@@ -1,6 +1,6 @@
 /** Every value of the diagnostics, for whoever needs more than the summary. */
 
-import { conditionCalled, conditionOf } from "./condition.js";
+import { conditionOf } from "./condition.js";
 import { element, KeyedViews, setText } from "./element.js";
 
 export class DiagnosticsView {
@@ -20,10 +20,6 @@ export class DiagnosticsView {
   update(node) {
     const statuses = node.diagnostics.map((status) => ({ ...status, state: node.state }));
     this.#statuses.update(statuses, (status) => status.name);
-  }
-
-  lose() {
-    this.#statuses.views.forEach((status) => status.showCondition(conditionCalled("lost")));
   }
 }
 
@@ -46,15 +42,12 @@ class StatusView {
   }
 
   update(status) {
+    const { name, symbol, word } = conditionOf(status, status.state);
     setText(this.#title, status.name);
-    this.showCondition(conditionOf(status, status.state));
-    setText(this.#message, status.message);
-    this.#values.update(Object.entries(status.values), ([key]) => key);
-  }
-
-  showCondition({ name, symbol, word }) {
     setText(this.#level, `${symbol} ${word}`);
     this.#level.dataset.condition = name;
+    setText(this.#message, status.message);
+    this.#values.update(Object.entries(status.values), ([key]) => key);
   }
 }
 

@@ -1,5 +1,6 @@
 /** Plots of rate and latency of every camera. */
 
+import { LOST } from "./condition.js";
 import { element, KeyedViews } from "./element.js";
 import { History } from "./history.js";
 import { HistoryPlot } from "./history_plot.js";
@@ -20,16 +21,14 @@ export class HistoryView {
 
   update(node) {
     this.#cameras.update(node.cameras, (camera) => camera.name);
+    if (node.state === LOST) {
+      this.sample(); // at once: a plot must not show an old figure as that of now
+    }
   }
 
-  /** The plots show no figure as that of now. */
-  lose() {
-    this.#cameras.views.forEach((camera) => camera.sample(true));
-  }
-
-  /** Called once a second; `isLost`: the known values are old. */
-  sample(isLost) {
-    this.#cameras.views.forEach((camera) => camera.sample(isLost));
+  /** Called once a second. */
+  sample() {
+    this.#cameras.views.forEach((camera) => camera.sample());
   }
 }
 
@@ -48,9 +47,9 @@ class CameraHistory {
     this.#camera = camera;
   }
 
-  sample(isLost) {
+  sample() {
     const { rate_hz: rateHz, latency_ms: latencyMs } = this.#camera;
-    this.#history.add(isLost ? null : rateHz, isLost ? null : latencyMs);
+    this.#history.add(rateHz, latencyMs);
     const { samples } = this.#history;
     this.#rate.update(samples.map((sample) => sample.rateHz));
     this.#latency.update(samples.map((sample) => sample.latencyMs));

@@ -11,8 +11,10 @@ class Page {
   #connection = new Connection();
   #views = new Map();
   #isViewOnly = false;
+  /** Names that the console has announced; the detectors themselves arrive one by one. */
+  #announced = [];
   #shown;
-  #revealed;
+  #revealed = "";
   #tabs = new KeyedViews(byId("nodes"), (view) => new Tab(view));
 
   start() {
@@ -28,20 +30,36 @@ class Page {
 
   #take(message) {
     if (message.type === "welcome") {
-      this.#welcome(message.view_only);
+      this.#welcome(message);
     } else if (message.type === "node") {
       this.#viewOf(message.node).update(message.node);
     } else if (message.type === "gone") {
-      this.#views.get(message.name)?.setGone();
+      const view = this.#viewOf(message.node);
+      view.update(message.node);
+      view.setGone();
+    } else if (message.type === "omitted") {
+      this.#showOmitted(message);
     }
     this.#show();
   }
 
-  /** After this, every detector is sent again; a missing one has left meanwhile. */
-  #welcome(isViewOnly) {
+  /** After this, every detector in `nodes` is sent; others have left meanwhile. */
+  #welcome({ view_only: isViewOnly, nodes }) {
     this.#isViewOnly = isViewOnly;
+    this.#announced = nodes;
     byId("view-only").hidden = !isViewOnly;
-    this.#views.forEach((view) => view.setGone());
+    this.#views.forEach((view) => nodes.includes(view.name) || view.setGone());
+    this.#showOmitted({ count: 0, names: [] });
+  }
+
+  /** The console has room for so many detectors; `names` are the first of those left out. */
+  #showOmitted({ count, names }) {
+    byId("omitted").hidden = count === 0;
+    const others = count > names.length ? ` and ${count - names.length} more` : "";
+    const text =
+      `${count} further ${count === 1 ? "node is" : "nodes are"} left out, as the console shows no more at once: ` +
+      `${names.join(", ")}${others}. To see one, start a console with --node and its name.`;
+    setText(byId("omitted"), count === 0 ? "" : text);
   }
 
   #viewOf(node) {
@@ -67,26 +85,26 @@ class Page {
   /** The address decides which detector is shown: the images of another one could wake it. */
   #show() {
     const names = [...this.#views.keys()].sort();
-    const wanted = wantedName();
-    const shown = wanted === "" ? (this.#shown ?? names[0]) : wanted;
-    const isMissing = shown !== undefined && !names.includes(shown);
-    this.#shown = isMissing ? undefined : shown;
+    const shown = wantedName() || (this.#shown ?? this.#announced[0] ?? names[0]);
+    const isHere = this.#views.has(shown);
+    const isMissing = shown !== undefined && !isHere && !this.#announced.includes(shown);
+    this.#shown = isHere ? shown : undefined;
     for (const [name, view] of this.#views) {
       view.isCurrent = name === shown;
       view.show(view.isCurrent, view.isCurrent && !document.hidden);
     }
-    byId("empty").hidden = names.length > 0;
+    byId("empty").hidden = names.length > 0 || this.#announced.length > 0;
     byId("missing").hidden = !isMissing || names.length === 0;
     setText(byId("missing"), isMissing ? `No detector ${shown} yet, which this address names. Choose another above.` : "");
     this.#tabs.update(names.map((name) => this.#views.get(name)), (view) => view.name);
     document.title = shown === undefined ? "Detector console" : `${shown} - Detector console`;
-    this.#revealTab();
+    this.#revealTab(JSON.stringify([this.#shown, names]));
   }
 
-  /** Scroll the tab of the shown detector into the bar, once it has changed. */
-  #revealTab() {
-    if (this.#revealed !== this.#shown) {
-      this.#revealed = this.#shown;
+  /** Scroll the tab of the shown detector into the bar, once another is shown or a new one has moved it. */
+  #revealTab(arrangement) {
+    if (this.#revealed !== arrangement) {
+      this.#revealed = arrangement;
       byId("nodes").querySelector("[aria-current]")?.scrollIntoView({ block: "nearest", inline: "center" });
     }
   }

@@ -2,11 +2,12 @@
 
 import { CameraViews } from "./camera_view.js";
 import { DiagnosticsView } from "./diagnostics_view.js";
-import { conditionCalled, summaryOf } from "./condition.js";
+import { conditionCalled, LOST, summaryOf } from "./condition.js";
 import { element, setText } from "./element.js";
 import { FrameBalance } from "./frame_balance.js";
 import { HistoryView } from "./history_view.js";
 import { LogView } from "./log_view.js";
+import { asLost } from "./lost_node.js";
 import { ParameterList } from "./parameter_list.js";
 import { ReasonView } from "./reason_view.js";
 import { StateView } from "./state_view.js";
@@ -15,7 +16,7 @@ import { UndoBar } from "./undo_bar.js";
 export class NodeView {
   isGone = false;
   isCurrent = false;
-  #state = "";
+  #node = null;
   #condition = conditionCalled("stale");
   #gone = element("p", { class: "notice error", role: "alert", hidden: true });
   #parts;
@@ -51,16 +52,13 @@ export class NodeView {
   }
 
   update(node) {
-    this.#state = node.state;
-    this.#condition = summaryOf(node);
     this.#setGone(false);
-    this.element.classList.remove("old");
-    this.#parts.forEach((part) => part.update(node));
+    this.#take(node);
   }
 
   /** `{name, symbol, word}` for the tab; the word is that of the state if it alone explains the condition. */
   get condition() {
-    return this.#condition.name === "idle" ? { ...this.#condition, word: this.#state } : this.#condition;
+    return this.#condition.name === "idle" ? { ...this.#condition, word: this.#node.state } : this.#condition;
   }
 
   /** The detector has left: its last values stay, as they may show why. */
@@ -71,9 +69,9 @@ export class NodeView {
 
   /** Nothing is heard of the detector until `update`: what is shown is not current. */
   lose() {
-    this.#condition = conditionCalled("lost");
-    this.element.classList.add("old");
-    this.#parts.forEach((part) => part.lose?.());
+    if (this.#node.state !== LOST) {
+      this.#take(asLost(this.#node));
+    }
   }
 
   /** Take the last change of this page back. */
@@ -88,7 +86,7 @@ export class NodeView {
 
   /** Called once a second. */
   sample() {
-    this.#history.sample(this.#condition.name === "lost");
+    this.#history.sample();
     this.#cameras.sample();
   }
 
@@ -97,11 +95,19 @@ export class NodeView {
     this.element.remove();
   }
 
+  #take(node) {
+    this.#node = node;
+    this.#condition = summaryOf(node);
+    this.element.classList.toggle("old", node.state === LOST);
+    this.#parts.forEach((part) => part.update(node));
+  }
+
   #setGone(isGone) {
     this.isGone = isGone;
     this.#gone.hidden = !isGone;
+    const last = isGone ? `Its last state was ${this.#node.last_state}. ` : "";
     const gone =
-      `${this.name} is lost: its process has ended, or cannot be reached. The values shown are old; ` +
+      `${this.name} is lost: its process has ended, or cannot be reached. ${last}The values shown are old; ` +
       "the page continues automatically when the detector is back.";
     setText(this.#gone, isGone ? gone : "");
   }

@@ -1,7 +1,8 @@
 /** One parameter: its widget, what a pending change waits for, and why a change was refused. */
 
 import { element, setText, uniqueId } from "./element.js";
-import { shownValue, widgetFor, widgetKind } from "./parameter_widgets.js";
+import { shownValue } from "./fixed_value.js";
+import { widgetFor, widgetKind } from "./parameter_widgets.js";
 import { isChanged, isOverride, isSame } from "./yaml_text.js";
 
 const SETTLED_MS = 2000;
@@ -74,7 +75,7 @@ export class ParameterRow {
       this.#place.replaceChildren(this.#widget.element);
     }
     this.element.classList.toggle("changed", isChanged(parameter));
-    const canReset = isChanged(parameter) && !isFixed && (this.#usual !== null || isOverride(parameter.name));
+    const canReset = parameter.is_shown && isChanged(parameter) && !isFixed && (this.#usual !== null || isOverride(parameter.name));
     // A button that has the keyboard stays until it is left: focus would be lost.
     this.#reset.hidden = !canReset && document.activeElement !== this.#reset;
     this.#reset.title = canReset ? `Default: ${shownValue(this.#usual)}` : "";

@@ -1,14 +1,15 @@
 /** The widget that shows and edits one value, chosen by the descriptor of the parameter. */
 
 import { Chips } from "./chips.js";
-import { element, setText } from "./element.js";
+import { element } from "./element.js";
+import { FixedValue, HiddenValue } from "./fixed_value.js";
 import { TouchDrag } from "./touch_drag.js";
 
 let lastGesture = 0;
 
 /** Changes when a parameter needs another widget. */
-export function widgetKind({ type, range, choices }, isFixed) {
-  return JSON.stringify([type, range, choices, isFixed]);
+export function widgetKind({ type, range, choices, is_shown: isShown }, isFixed) {
+  return JSON.stringify([type, range, choices, isShown, isFixed]);
 }
 
 /**
@@ -18,6 +19,9 @@ export function widgetKind({ type, range, choices }, isFixed) {
  * number. `refused(reason)` is called for invalid input.
  */
 export function widgetFor(parameter, options) {
+  if (!parameter.is_shown) {
+    return new HiddenValue();
+  }
   if (options.isFixed) {
     return new FixedValue();
   }
@@ -37,29 +41,8 @@ export function widgetFor(parameter, options) {
   return new TextField(type, options);
 }
 
-/** A value as text. */
-export function shownValue(value) {
-  if (value === null) {
-    return "not set";
-  }
-  if (Array.isArray(value)) {
-    return value.length > 0 ? value.join(", ") : "empty";
-  }
-  return value === "" ? "empty" : String(value);
-}
-
 function labelled({ labelId, meaningId }) {
   return { "aria-labelledby": labelId, "aria-describedby": meaningId };
-}
-
-class FixedValue {
-  element = element("output", { class: "fixed" });
-
-  show(value) {
-    setText(this.element, shownValue(value));
-  }
-
-  forget() {}
 }
 
 class Switch {

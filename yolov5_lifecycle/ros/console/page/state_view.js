@@ -36,13 +36,6 @@ export class StateView {
     this.#buttons.update(node.transitions, (transition) => transition.label);
   }
 
-  /** No transition is possible, and no state is known. */
-  lose() {
-    this.#showState("lost");
-    this.#show("");
-    this.#buttons.update([], () => "");
-  }
-
   #showState(state) {
     if (this.#state.dataset.state !== state) {
       this.#confirmation.replaceChildren(); // it was about another state

@@ -1,7 +1,7 @@
 /** The last change of this page, and a button that takes it back. */
 
 import { element, setText } from "./element.js";
-import { shownValue } from "./parameter_widgets.js";
+import { shownValue } from "./fixed_value.js";
 import { UndoStack } from "./undo_stack.js";
 
 const MAX_SHOWN = 60;

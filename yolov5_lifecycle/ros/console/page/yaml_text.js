@@ -2,9 +2,14 @@
 
 const HEAD = "/**:\n  ros__parameters:\n";
 
-/** Whether a parameter differs from its default. An override for a camera does wherever it is set. */
-export function isChanged({ name, value, default: usual }) {
-  return value !== null && (isOverride(name) || !isSame(value, usual));
+/** Whether a parameter differs from its default, as a hidden one does. An override does wherever it is set. */
+export function isChanged({ name, value, is_shown: isShown, default: usual }) {
+  return !isShown || (value !== null && (isOverride(name) || !isSame(value, usual)));
+}
+
+/** Whether a parameter has a value, be it a hidden one. */
+export function isSet({ value, is_shown: isShown }) {
+  return value !== null || !isShown;
 }
 
 /** Whether the parameter is that of one camera, such as `front.max_rate`: without a value, the node's applies. */
@@ -28,7 +33,11 @@ export function yamlText(parameters) {
   if (changed.length === 0) {
     return "# Every parameter has its default.\n";
   }
-  return HEAD + changed.map(({ name, type, value }) => `    ${key(name)}: ${written(type, value)}\n`).join("");
+  return HEAD + changed.map(line).join("");
+}
+
+function line({ name, type, value, is_shown: isShown }) {
+  return isShown ? `    ${key(name)}: ${written(type, value)}\n` : `    # ${name}: not shown by the console\n`;
 }
 
 function key(name) {
