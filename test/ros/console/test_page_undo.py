@@ -14,6 +14,7 @@ from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.console_robot import ConsoleRobot
 from support.detector_process import NODE, DetectorProcess, detector_process
+from support.finger import Finger, middle, set_touch_screen
 
 pytestmark = pytest.mark.long
 
@@ -163,6 +164,20 @@ def test_undo_has_a_name_that_says_what_it_does_and_keeps_the_keyboard(page: Con
     button.send_keys(Keys.ENTER)
     page.wait_for_text(".undo .change", "classes is empty again.")
     assert page.driver.switch_to.active_element == button
+    assert button.get_attribute("aria-disabled") == "true"
+
+
+def test_after_the_last_change_was_undone_by_touch_the_bar_goes(page: ConsolePage) -> None:
+    set_touch_screen(page.driver, is_on=True)
+    try:
+        chip(page)
+        page.wait_for_text(".undo .change", "classes changed")
+        Finger(page.driver).tap(middle(page.find(".undo button")))
+        page.wait_for_text(".undo .change", "classes is empty again.")
+        assert not page.find(".undo button").is_displayed()
+        page.wait_for(lambda: not page.find(".undo").is_displayed(), "the end of the report")
+    finally:
+        set_touch_screen(page.driver, is_on=False)
 
 
 @pytest.fixture

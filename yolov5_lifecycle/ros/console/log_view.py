@@ -10,7 +10,8 @@ from yolov5_lifecycle.printable import in_lines
 from yolov5_lifecycle.ros.console.serialized_message import SerializedMessage
 
 KEPT = 100
-_MAX_TEXT = 2_000
+_MAX_TEXT = 4_000
+"""Characters; a detector with one camera lists its settings in 2,500."""
 _MAX_NAME = 300
 _MAX_OTHERS = 64
 """Loggers of which no detector is known yet."""

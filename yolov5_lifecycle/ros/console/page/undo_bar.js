@@ -5,12 +5,16 @@ import { shownValue } from "./fixed_value.js";
 import { UndoStack } from "./undo_stack.js";
 
 const MAX_SHOWN = 60;
+/** How long an undone change is reported. */
+const OUTCOME_MS = 10_000;
 
 export class UndoBar {
   #changes = new UndoStack();
   #request;
   #restored;
   #isPending = false;
+  #outcome = "";
+  #timer = 0;
   #text = element("p", { class: "change", role: "status" });
   #refusal = element("p", { class: "refusal", role: "alert" });
   #button = element("button", { type: "button", class: "primary", "aria-keyshortcuts": "Control+Z" }, "Undo");
@@ -20,6 +24,7 @@ export class UndoBar {
     this.#request = request;
     this.#restored = restored;
     this.#button.addEventListener("click", () => this.undo());
+    this.#button.addEventListener("blur", () => this.#draw());
     this.element = element(
       "section",
       { class: "undo", "aria-label": "Last change", hidden: true },
@@ -57,18 +62,28 @@ export class UndoBar {
   #setPending(isPending) {
     this.#isPending = isPending;
     this.element.setAttribute("aria-busy", String(isPending));
-    this.#button.setAttribute("aria-disabled", String(isPending));
+    this.#draw();
   }
 
   #show(outcome = "") {
+    clearTimeout(this.#timer);
+    this.#outcome = outcome;
+    this.#draw();
+    if (outcome !== "") {
+      this.#timer = setTimeout(() => this.#show(), OUTCOME_MS);
+    }
+  }
+
+  #draw() {
     const { last, count } = this.#changes;
-    const hasFocus = document.activeElement === this.#button;
-    this.element.hidden = last === undefined && !hasFocus && outcome === "";
     // A button that has the keyboard stays: focus would be lost.
-    this.#button.hidden = last === undefined && !hasFocus;
+    const hasKeyboard = this.#button.matches(":focus-visible");
+    this.element.hidden = last === undefined && !hasKeyboard && this.#outcome === "";
+    this.#button.hidden = last === undefined && !hasKeyboard;
+    this.#button.setAttribute("aria-disabled", String(this.#isPending || last === undefined));
     setText(this.#button, count > 1 ? `Undo (${count})` : "Undo");
     const change = last && `${last.name} changed from ${inShort(last.before)} to ${inShort(last.after)}.`;
-    setText(this.#text, [outcome, change].filter(Boolean).join(" "));
+    setText(this.#text, [this.#outcome, change].filter(Boolean).join(" "));
     const label = last ? `: set ${last.name} to ${inShort(last.before)}` : ": nothing to undo";
     this.#button.setAttribute("aria-label", `${this.#button.textContent}${label}`);
   }
