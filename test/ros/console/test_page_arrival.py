@@ -18,6 +18,8 @@ from support.many_detectors import ACTIVE, NAMES, many_detectors
 
 pytestmark = pytest.mark.long
 
+LONG = [f"/a_robot_with_a_long_name/a_detector_with_a_long_name_{number}" for number in range(8)]
+MAX_NOTICE_PX = 100
 LAST_FIRST = """
     window.opened = [];
     window.texts = [];
@@ -133,7 +135,9 @@ def test_a_detector_that_was_never_sent_is_shown_once_it_is_gone(screen: Chrome,
     ("count", "names", "expected"),
     [
         pytest.param(1, ["/a"], "1 further node is left out.*: /a. ", id="one"),
-        pytest.param(40, ["/a", "/b"], "40 further nodes are left out.*: /a, /b and 38 more. ", id="many"),
+        pytest.param(
+            40, LONG, f"40 further nodes are left out.*: {', '.join(LONG)} and 32 more. ", id="many"
+        ),
     ],
 )
 def test_nodes_that_are_left_out_are_named_until_there_are_none(
@@ -144,6 +148,7 @@ def test_nodes_that_are_left_out_are_named_until_there_are_none(
     assert not omitted.is_displayed()
     deliver(screen, type="omitted", count=count, names=names)
     assert re.match(expected, omitted.text)
+    assert omitted.size["height"] <= MAX_NOTICE_PX
     assert screen.execute_script("return document.documentElement.scrollWidth") <= PHONE[0]
     deliver(screen, type="omitted", count=0, names=[])
     assert not omitted.is_displayed()
