@@ -36,10 +36,17 @@ LAST_FIRST = """
           return;
         }
         const held = [];
-        window.deliver = (message) => listener({ data: JSON.stringify(message) });
+        let isReplaced = false;
+        window.deliver = (message) => {
+          isReplaced = true;
+          listener({ data: JSON.stringify(message) });
+        };
         super.addEventListener(type, (event) => {
           const message = JSON.parse(event.data);
           window.texts.push(event.data);
+          if (isReplaced) {
+            return;
+          }
           if (message.type === "node" && message.node.name !== LAST) {
             held.push(event);
           } else {
@@ -50,8 +57,8 @@ LAST_FIRST = """
       }
     };
     """.replace("LAST", repr(NAMES[-1]))
-"""The page gets the last detector before the others; `deliver` gives it a message as if of the console,
-`opened` has the nodes whose images it has opened, `texts` what it was sent."""
+"""The page gets the last detector before the others; `deliver` gives it a message in place of all
+further ones of the console, `opened` has the nodes whose images it has opened, `texts` what it was sent."""
 
 
 @pytest.fixture(scope="module")
