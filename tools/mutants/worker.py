@@ -7,11 +7,13 @@ go out.
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import select
 import signal
 import sys
+import threading
 import time
 import traceback
 import warnings
@@ -24,7 +26,17 @@ from typing import Any
 import coverage
 import pytest
 
-LIBRARIES = ("torch", "cv2", "numpy", "scipy.optimize", "pydantic", "yaml", "safetensors.torch", "rclpy")
+LIBRARIES = (
+    "torch",
+    "cv2",
+    "numpy",
+    "scipy.optimize",
+    "pydantic",
+    "yaml",
+    "safetensors.torch",
+    "rclpy",
+    "selenium.webdriver.chrome.webdriver",
+)
 LOG = Path("build") / "mutants.log"
 LINES = Path("build") / "mutants-lines.json"
 KILLED_BY_TIME = -1
@@ -36,6 +48,10 @@ OPTIONS = (
     "not long",
     "-p",
     "no:cacheprovider",
+    "-p",
+    "no:anyio",
+    "-p",
+    "no:threadexception",
     "--basetemp=build/mutants-tests",
 )
 
@@ -58,6 +74,7 @@ def main() -> None:
         warnings.simplefilter("ignore")
         for library in LIBRARIES:
             import_module(library)
+    gc.freeze()  # a garbage collection of a fork neither visits nor copies what the libraries hold
     for line in sys.stdin:
         answer = run(**json.loads(line))
         sys.stdout.write(json.dumps(answer) + "\n")
@@ -104,6 +121,7 @@ def _run_in_child(tests: list[str], measured: str) -> None:
     try:
         os.setpgid(0, 0)
         _redirect_output()
+        threading.excepthook = _end
         found = find_spec("yolov5_lifecycle")
         assert found is not None, "no package"
         assert str(found.origin).startswith(str(Path.cwd())), f"{found.origin} is not in the copy"
@@ -116,6 +134,14 @@ def _run_in_child(tests: list[str], measured: str) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
+
+
+def _end(failed: threading.ExceptHookArgs) -> None:
+    """An exception that a thread does not handle ends the trial at once: the test may wait long for the thread."""
+    if failed.exc_value is not None:
+        traceback.print_exception(failed.exc_value)
+    sys.stderr.flush()
+    os._exit(1)
 
 
 def _measured(tests: list[str], measured: str) -> int:
