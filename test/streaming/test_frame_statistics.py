@@ -6,7 +6,13 @@ import math
 
 import pytest
 
-from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
+from yolov5_lifecycle.streaming.frame_statistics import (
+    EmptyFrames,
+    EmptyRun,
+    FrameCounter,
+    LatencyWindow,
+    Outcome,
+)
 
 
 def test_an_empty_window_has_no_latency() -> None:
@@ -25,6 +31,13 @@ def test_the_window_summarises_recent_events_only() -> None:
     assert summary.rate_hz == pytest.approx(10.0)
     assert summary.median_ms == pytest.approx(50.5)
     assert summary.p95_ms == pytest.approx(96.0)
+
+
+def test_the_window_is_five_seconds_wide() -> None:
+    window = LatencyWindow(begin_s=0.0)
+    window.add(94.9, 1000.0)
+    window.add(95.1, 1.0)
+    assert window.summary(100.0).median_ms == 1.0
 
 
 @pytest.mark.parametrize(
@@ -53,6 +66,7 @@ def test_a_look_in_the_moment_of_the_first_event_gives_a_number() -> None:
 
 def test_empty_frames_are_counted_until_something_is_found() -> None:
     frames = EmptyFrames(0.5)
+    assert frames.run == EmptyRun(0.5)
     assert (frames.run.frames, frames.run.duration_s) == (0, 0.0)
     for now_s, best_missed, best_filtered in ((3.0, 0.1, 0.8), (4.0, 0.4, 0.9), (6.0, 0.0, 0.0)):
         frames.add(now_s, 0, best_missed=best_missed, best_filtered=best_filtered)
@@ -60,3 +74,14 @@ def test_empty_frames_are_counted_until_something_is_found() -> None:
     assert (frames.run.best_missed, frames.run.best_filtered) == (0.4, 0.9)
     frames.add(7.0, 1, best_missed=0.0)
     assert frames.run == EmptyRun(0.5)
+
+
+def test_every_outcome_is_told_by_its_name() -> None:
+    counter = FrameCounter()
+    for count, outcome in enumerate(Outcome):
+        for _ in range(count):
+            counter.receive()
+            counter.finish(outcome)
+    counter.receive()
+    told = ", ".join(f"{count} {outcome.name.lower()}" for count, outcome in enumerate(Outcome) if count)
+    assert str(counter.balance()) == f"22 frames received, 1 pending, {told}"

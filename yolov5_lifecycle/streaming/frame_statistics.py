@@ -87,26 +87,21 @@ class EmptyRun:
         return self.ended_s - self.begun_s
 
 
-_NO_RUN = EmptyRun(threshold=0.0)
-
-
-@dataclass
 class EmptyFrames:
     """Counts consecutive frames without detections; one thread adds, any thread may read `run`."""
 
-    threshold: float
-    has_class_thresholds: bool = False
-    run: EmptyRun = _NO_RUN
+    def __init__(self, threshold: float, *, has_class_thresholds: bool = False) -> None:
+        self._none = EmptyRun(threshold, has_class_thresholds=has_class_thresholds)
+        self.run = self._none
 
     def add(self, now_s: float, found: int, *, best_missed: float, best_filtered: float = 0.0) -> None:
         """Add a frame with `found` detections at `now_s` (monotonic seconds)."""
         before = self.run
-        none = EmptyRun(self.threshold, has_class_thresholds=self.has_class_thresholds)
         if found:
-            self.run = none
+            self.run = self._none
         else:
             self.run = replace(
-                none,
+                before,
                 frames=before.frames + 1,
                 begun_s=before.begun_s if before.frames else now_s,
                 ended_s=now_s,

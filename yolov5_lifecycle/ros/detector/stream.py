@@ -61,7 +61,9 @@ class Stream:
         self.losses = ImageLosses()
         self.problem = ""
         self.latencies = LatencyWindow()
-        self.empty_frames = EmptyFrames(settings.confidence_threshold, bool(settings.class_thresholds))
+        self.empty_frames = EmptyFrames(
+            settings.confidence_threshold, has_class_thresholds=bool(settings.class_thresholds)
+        )
         self.depth: DepthInput | None = None
         topic.follow(settings.image_transport)
         self._start()
@@ -98,7 +100,9 @@ class Stream:
         self._detector = detector
         if is_other_camera or is_other_model or before.tracker != settings.tracker:
             self._tracker = self._new_tracker()
-        self.empty_frames = EmptyFrames(settings.confidence_threshold, bool(settings.class_thresholds))
+        self.empty_frames = EmptyFrames(
+            settings.confidence_threshold, has_class_thresholds=bool(settings.class_thresholds)
+        )
         self._start()
         is_resubscribed = bool(before.differing(settings, Change.RESUBSCRIBE))
         if is_resubscribed:
