@@ -11,10 +11,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.random_model import TINY, random_network
+from support.small_families import EVERY_SMALL
 from torch import nn
 
-from yolov5_lifecycle.models.architecture import SIZES
+from yolov5_lifecycle.models.activations import ACTIVATIONS, activation_of
+from yolov5_lifecycle.models.architecture import SIZES, Architecture
+from yolov5_lifecycle.models.convolutions import Focus
 from yolov5_lifecycle.models.network import Network, fuse
+from yolov5_lifecycle.models.pooling import SPP
 
 # Parameters and digest of the table of names, shapes, anchors and strides of the official checkpoints.
 OFFICIAL = {
@@ -88,13 +92,35 @@ def test_decoding_follows_the_formula() -> None:
     assert next(rows, None) is None
 
 
-@settings(max_examples=10, deadline=None)
+@pytest.mark.parametrize("architecture", [TINY, *EVERY_SMALL.values()], ids=["tiny", *EVERY_SMALL])
+@settings(max_examples=3)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_fusing_leaves_the_predictions_as_they_are(seed: int) -> None:
-    network = random_network(seed)
-    pixels = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(seed))
+def test_fusing_leaves_the_predictions_as_they_are(architecture: Architecture, seed: int) -> None:
+    network = random_network(seed, architecture)
+    pixels = torch.rand(1, architecture.image_channels, 64, 96, generator=torch.Generator().manual_seed(seed))
     with torch.inference_mode():
-        torch.testing.assert_close(fuse(network)(pixels), random_network(seed)(pixels), rtol=1e-3, atol=1e-4)
+        expected = network(pixels)
+        torch.testing.assert_close(fuse(network)(pixels), expected, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("stride", [1, 2, 4])
+def test_a_focus_has_its_stride_after_taking_every_second_pixel(stride: int) -> None:
+    focus = Focus(3, 8, 3, stride)
+    assert focus(torch.zeros(1, 3, 64, 96)).shape == (1, 8, 32 // stride, 48 // stride)
+
+
+def test_pooling_with_small_windows_one_after_the_other_is_pooling_with_every_window() -> None:
+    spp = SPP(8, 4, (3, 5, 9, 13)).eval()
+    pixels = torch.rand(1, 8, 20, 30, generator=torch.Generator().manual_seed(0))
+    with torch.inference_mode():
+        narrow = spp.cv1(pixels)
+        expected = spp.cv2(torch.cat([narrow, *(pool(narrow) for pool in spp.m)], dim=1))
+        assert torch.equal(spp(pixels), expected)
+
+
+@pytest.mark.parametrize("name", ["LeakyReLU(0.1)", *sorted(ACTIVATIONS.keys() - {"LeakyReLU"})])
+def test_an_activation_is_the_one_of_its_name(name: str) -> None:
+    assert type(activation_of(name)).__name__ == name.partition("(")[0]
 
 
 def test_fusing_removes_every_normalisation_and_may_be_repeated() -> None:

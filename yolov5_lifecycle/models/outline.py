@@ -164,11 +164,10 @@ def _transposed(
 
 
 def _pooled(
-    features: Outline, kernel: Any, stride: Any = None, padding: Any = 0, dilation: Any = 1, **_: object
+    features: Outline, kernel: int, stride: int, padding: int = 0, dilation: int = 1, **_: object
 ) -> Outline:
-    steps = (kernel, kernel if stride is None else stride, padding, dilation)
-    sides = [(side, side) if isinstance(side, int) else tuple(side) for side in steps]
-    pooled = features.made(*features.shape[:2], *_slid(features.shape[2:], *sides))
+    squares = ((side, side) for side in (kernel, stride, padding, dilation))
+    pooled = features.made(*features.shape[:2], *_slid(features.shape[2:], *squares))
     pooled.made(2, *pooled.shape)  # torch also writes where each maximum is, in 64 bits, and drops that
     return pooled
 
@@ -206,12 +205,8 @@ def _shuffled(features: Outline, factor: int) -> Outline:
     return features.made(batch, channels // factor**2, ny * factor, nx * factor)
 
 
-def _activated(features: Outline, *_: object, inplace: bool = False, **__: object) -> Outline:
-    return features if inplace else features.made(*features.shape)
-
-
-def _normalised(features: Outline, *_: object, **__: object) -> Outline:
-    """Every runtime folds the normalisation into the convolution before it."""
+def _in_place(features: Outline, *_: object, **__: object) -> Outline:
+    """Activations work in place, and every runtime folds a normalisation into the convolution before it."""
     return features
 
 
@@ -244,11 +239,11 @@ _FUNCTIONS: Mapping[Callable[..., object], Callable[..., object]] = {
     torch.cat: _joined,
     torch.stack: _stacked,
     torch.pixel_shuffle: _shuffled,
-    functional.batch_norm: _normalised,
-    functional.silu: _activated,
-    functional.hardswish: _activated,
-    functional.leaky_relu: _activated,
-    functional.relu: _activated,
+    functional.batch_norm: _in_place,
+    functional.silu: _in_place,
+    functional.hardswish: _in_place,
+    functional.leaky_relu: _in_place,
+    functional.relu: _in_place,
     functional.linear: _linear,
     functional.multi_head_attention_forward: _attended,
 }
