@@ -205,6 +205,7 @@ def test_a_program_sets_overrides_of_its_node_on_the_same_path(served: ServedNod
     served.node.set_parameters([Parameter("rear.lazy", value=False)])
     served.node.set_parameters([Parameter("rear.lazy", Parameter.Type.NOT_SET)])
     assert settings_of(served) == Settings(cameras=("rear",))
+    assert not {"front.max_rate", "rear.lazy"} & names(served)  # served after what each change has begun
 
 
 def test_a_program_that_sets_a_read_only_parameter_too_leaves_nothing_behind(served: ServedNode) -> None:
