@@ -137,7 +137,7 @@ def _run_in_child(tests: list[str], measured: str) -> None:
 
 
 def _end(failed: threading.ExceptHookArgs) -> None:
-    """An exception that a thread does not handle ends the trial at once: the test may wait long for the thread."""
+    """End the trial with an error that no thread handles: the test may wait long for that thread."""
     if failed.exc_value is not None:
         traceback.print_exception(failed.exc_value)
     sys.stderr.flush()
