@@ -217,6 +217,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         "expected",
     ),
     "pool without arguments": (row(1, -1, 1, "nn.MaxPool2d", []), "the kernel of layer 1"),
+    "pool without a stride": (row(1, -1, 1, "nn.MaxPool2d", [2]), "the stride of layer 1"),
     "pool of a list": (row(1, -1, 1, "nn.MaxPool2d", [[2, 2], 2]), "the kernel of layer 1"),
     "uneven padding": (row(1, -1, 1, "nn.ZeroPad2d", [[0, 1, 0, 2]]), "not supported"),
     "padding of a million": (row(1, -1, 1, "nn.ZeroPad2d", [[0, 10**6, 0, 10**6]]), "the padding of layer 1"),
