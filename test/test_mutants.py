@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from collections.abc import Collection
+from pathlib import Path
 
 import pytest
 from support.colcon_workspace import REPOSITORY
 
 from tools.mutants.folders import PACKAGE, TESTS, files_of_tests
 from tools.mutants.known_survivors import LIST, differences, known_survivors
+
+PATIENCE_S = 60.0
 
 
 @pytest.mark.parametrize("folder", TESTS)
@@ -116,3 +122,28 @@ def test_a_sample_stays_the_same_when_other_code_is_added() -> None:
     assert len(before) == 20
     assert len(before & after) >= 18
     assert len(before & another) < 18
+
+
+HANGS = """
+import threading
+
+def test_waits_for_a_thread_that_fails():
+    done = threading.Event()
+    threading.Thread(target=lambda: 1 / 0, daemon=True).start()
+    done.wait()
+"""
+
+
+def test_an_error_that_no_thread_handles_ends_the_trial(tmp_path: Path) -> None:
+    file = tmp_path / "test_hangs.py"
+    file.write_text(HANGS)
+    question = json.dumps({"tests": [str(file)], "measured": "", "limit_s": PATIENCE_S})
+    answer = subprocess.run(
+        [sys.executable, "-m", "tools.mutants.worker"],
+        cwd=REPOSITORY,
+        input=question + "\n",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert json.loads(answer.stdout)["code"] == pytest.ExitCode.TESTS_FAILED

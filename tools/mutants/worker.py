@@ -136,12 +136,9 @@ def _run_in_child(tests: list[str], measured: str) -> None:
         os._exit(code)
 
 
-def _end(failed: threading.ExceptHookArgs) -> None:
+def _end(_: threading.ExceptHookArgs) -> None:
     """End the trial with an error that no thread handles: the test may wait long for that thread."""
-    if failed.exc_value is not None:
-        traceback.print_exception(failed.exc_value)
-    sys.stderr.flush()
-    os._exit(1)
+    os._exit(pytest.ExitCode.TESTS_FAILED)
 
 
 def _measured(tests: list[str], measured: str) -> int:
