@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from safetensors.torch import save
 from support.checkpoint_builder import SMALL
-from support.random_model import CLASS_NAMES, random_network
+from support.random_model import CLASS_NAMES, random_model, random_network
 
 from yolov5_lifecycle.checkpoints.safetensors_file import (
     FORMAT,
@@ -23,6 +23,8 @@ from yolov5_lifecycle.checkpoints.safetensors_file import (
     read_safetensors,
     write_safetensors,
 )
+from yolov5_lifecycle.checkpoints.yaml_architecture import MAX_LEVELS
+from yolov5_lifecycle.models.architecture import Layer
 from yolov5_lifecycle.models.model import Model, WeightsError
 from yolov5_lifecycle.models.network import Network
 
@@ -81,6 +83,19 @@ def test_a_model_comes_back_as_it_was_written(half: bool, tmp_path: Path) -> Non
         assert tensor.dtype is model.state_dict[key].dtype, key
         assert torch.equal(tensor, model.state_dict[key]), key
     Network(again.architecture).load_state_dict(again.state_dict, strict=True)
+
+
+@pytest.mark.parametrize("levels", [1, MAX_LEVELS], ids=["one", "the most"])
+def test_a_model_of_one_level_and_one_of_the_most_come_back(levels: int, tmp_path: Path) -> None:
+    architecture = dataclasses.replace(
+        SMALL,
+        anchors_px=(((10, 13), (16, 30)),) * levels,
+        strides=(4,) * levels,
+        layers=(*SMALL.layers[:2], Layer((1,) * levels, 1, "Detect")),
+    )
+    path = tmp_path / "levels.safetensors"
+    write_safetensors(random_model(0, architecture), path)
+    assert read_safetensors(path.read_bytes()).architecture == architecture
 
 
 def test_what_was_fp16_takes_two_bytes_a_number_and_what_was_not_takes_four(tmp_path: Path) -> None:
