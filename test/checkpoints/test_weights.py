@@ -14,7 +14,13 @@ import pytest
 import torch
 from support.random_model import CLASS_NAMES, random_model
 
-from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, find_weights, is_out_of_memory, load_weights
+from yolov5_lifecycle.checkpoints.locate import (
+    MAX_FILE_BYTES,
+    find_weights,
+    is_out_of_memory,
+    load_weights,
+    weights_digest,
+)
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.model import WeightsError
 
@@ -126,6 +132,13 @@ def test_another_digest_is_refused_with_both(good: Path, digest: str) -> None:
     message = refusal(good, sha256=digest)
     assert digest in message
     assert hashlib.sha256(good.read_bytes()).hexdigest() in message
+
+
+def test_the_digest_of_a_file_is_that_of_its_bytes_with_or_without_one_to_compare(good: Path) -> None:
+    digest = hashlib.sha256(good.read_bytes()).hexdigest()
+    assert weights_digest(good) == weights_digest(good, sha256=digest) == digest
+    with pytest.raises(WeightsError, match=digest):
+        weights_digest(good, sha256="0" * 64)
 
 
 def test_the_digest_is_checked_before_anything_is_read_out_of_the_file(tmp_path: Path) -> None:
