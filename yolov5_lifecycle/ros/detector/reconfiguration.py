@@ -179,7 +179,7 @@ class Reconfiguration:
         """Apply settings that a program set through the methods of the node."""
         detection = self._resources.detection
         self._apply(before, after, detection.preparation if detection is not None else None)
-        if (executor := self._node.executor) is not None:
+        if before.cameras != after.cameras and (executor := self._node.executor) is not None:
             executor.create_task(self._resources.end_removed)
 
     def _apply(self, before: Settings, after: Settings, preparation: Preparation | None) -> None:
