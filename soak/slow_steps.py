@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,19 +14,19 @@ from functools import partial
 
 import cv2
 import numpy as np
-from lifecycle_msgs.srv import GetState
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from support.depth_messages import camera_info_message, depth_message
-from support.detector_process import NODE, SCENE
+from support.detector_process import NODE, SCENE, environment
 
-from soak import slow_detector
+from soak import slow_detector, state_asker
 from soak.finding import Finding, number_of, problem
 from soak.largest_images import LARGEST_SIDE_PX
 from soak.sender import TRANSPORTS
 from soak.subject import Subject, subject_of
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess
 from yolov5_lifecycle.ros.demo.domain import own_domain
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 
@@ -35,6 +36,7 @@ _IMAGE_PARAMETERS = {"image_size": 1280, "confidence_threshold": 0.05, "image_tr
 _ANSWER_S = 1.0
 _DEACTIVATE_S = REST_TIMEOUT_S + 1
 _END_S = 5.0
+_START_S = 60.0
 _TILES = 5
 """The large image shows the scene this often along each side."""
 
@@ -78,15 +80,18 @@ def survived_slow_steps(
 
 
 class _Viewer:
-    """Sends compressed images and depth to `process`, and subscribes to all that is computed from them."""
+    """Sends compressed images and depth to `process`, and subscribes to all that is computed from them.
 
-    def __init__(self, process: Subject) -> None:
+    `asker` asks for the state meanwhile.
+    """
+
+    def __init__(self, process: Subject, asker: ChildProcess) -> None:
         self.process = process
+        self._asker = asker
         observer = process.observer
         self._images = observer.create_publisher(*TRANSPORTS["compressed"], 1)
         self._depth = observer.create_publisher(Image, f"{NODE}/depth/image_raw", 1)
         self._infos = observer.create_publisher(CameraInfo, f"{NODE}/depth/camera_info", 1)
-        self._states = observer.create_client(GetState, f"{NODE}/get_state")
         self.seen: dict[str, int] = dict.fromkeys(("masks", "image", "image/compressed"), 0)
         for topic in self.seen:
             kind = CompressedImage if topic.endswith("compressed") else Image
@@ -112,17 +117,15 @@ class _Viewer:
         self.process.observer.wait_for(is_met, what)
 
     def deactivate(self, times: _Times) -> None:
-        """Deactivate while the state is asked for all the time."""
-        future, begun_s = self.process.begin_transition("deactivate"), time.monotonic()
-        while not future.done():
-            self.ask(times)
-        assert future.result().success
+        begun_s = time.monotonic()
+        assert self.process.transition("deactivate")
         times.deactivate_s = max(times.deactivate_s, time.monotonic() - begun_s)
 
-    def ask(self, times: _Times) -> None:
-        begun_s = time.monotonic()
-        self.process.observer.call(self._states, GetState.Request())
-        times.answer_s = max(times.answer_s, time.monotonic() - begun_s)
+    def stop_asking(self, times: _Times) -> None:
+        """Read how long the slowest answer took."""
+        assert self._asker.stop(signal.SIGTERM, timeout_s=10 * _END_S) == 0
+        answer_s = float(self._asker.output.rpartition(state_asker.LONGEST)[2].split()[0])
+        times.answer_s = max(times.answer_s, answer_s)
 
     def _see(self, topic: str, _: object) -> None:
         self.seen[topic] += 1
@@ -138,6 +141,7 @@ def _delay(step: str, times: _Times) -> None:
             viewer.send_until(lambda: "or it hangs" in process.status()["message"], f"{step} to hang")
             if not is_last:
                 viewer.deactivate(times)
+        viewer.stop_asking(times)
         _terminate(process, times)
 
 
@@ -155,6 +159,7 @@ def _send_large(side_px: int, times: _Times) -> None:
             )
             if not is_last:
                 viewer.deactivate(times)
+        viewer.stop_asking(times)
         _terminate(process, times)
 
 
@@ -168,8 +173,14 @@ def _terminate(process: Subject, times: _Times) -> None:
 @contextmanager
 def _viewer(program: Sequence[str], parameters: Mapping[str, object]) -> Iterator[_Viewer]:
     given = {"weights": _WEIGHTS, "device": "cpu", **parameters}
-    with own_domain() as domain, subject_of(program, given, domain) as process:
-        yield _Viewer(process)
+    asking = [sys.executable, state_asker.__file__]
+    with (
+        own_domain() as domain,
+        subject_of(program, given, domain) as process,
+        ChildProcess("asker", asking, environment(domain)) as asker,
+    ):
+        asker.wait_for_output("asking", _START_S)
+        yield _Viewer(process, asker)
 
 
 def _tiled(pixels: NDArray[np.uint8], side_px: int) -> NDArray[np.uint8]:
