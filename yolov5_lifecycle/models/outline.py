@@ -136,7 +136,7 @@ def _convolved(
         weight.shape[0],
         *_slid(features.shape[2:], tuple(weight.shape[2:]), stride, padding, dilation),
     )
-    features.made(*weight.shape)  # torch sorts the weights for the processor, each time anew
+    features.made(*weight.shape)  # torch sorts the weights for the processor in every run
     features.ledger.multiply_adds += math.prod(made.shape) * math.prod(weight.shape[1:])
     return made
 

@@ -124,7 +124,7 @@ class Job(Generic[Frame, Result]):
     turns: Sequence[Turn[Frame, Result]]
     begun_s: float
     awaited_s: float | None = None
-    """When somebody first waited for its end, None: nobody has."""
+    """When the first wait for its end began, None before that."""
     is_abandoned: bool = False
 
     def abandon(self) -> None:
@@ -203,7 +203,7 @@ class Schedule(Generic[Frame, Result]):
     def wait(self, job: Job[Frame, Result] | None, timeout_s: float) -> bool:
         """Wait for the end of `job`, if any; False if it was abandoned or has not ended in time.
 
-        The time begins when somebody first waits for this job: a second wait continues the first one.
+        The time begins with the first wait for this job: a second wait continues it.
         """
         if job is None:
             return True

@@ -37,9 +37,9 @@ _COLUMNS = {
 
 
 def check_summary(folder: Path) -> None:
-    """Raise OutputError if `folder` has a file of somebody else where the summary will be.
+    """Raise OutputError if `folder` has a file of another program where the summary will be.
 
-    The table is written after the JSON file: without that it belongs to somebody else.
+    The table is written after the JSON file: without that it belongs to another program.
     """
     json_file, table = folder / JSON_NAME, folder / PARQUET_NAME
     if not _is_summary(json_file):

@@ -94,7 +94,7 @@ class DetectorLink:
     async def parameters(
         self, known: Mapping[str, ParameterDescriptor]
     ) -> list[tuple[ParameterDescriptor, ParameterValue]]:
-        """All parameters with their values; those whose descriptors are `known` are not described anew."""
+        """All parameters with their values; those whose descriptors are `known` are not described again."""
         listed = await self._ask("list_parameters", ListParameters.Request())
         names = list(listed.result.names)[:MAX_ITEMS]
         descriptors = dict(known)

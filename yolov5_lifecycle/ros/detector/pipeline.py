@@ -101,7 +101,7 @@ class Pipeline:
         if placed is not None and placed.frame_id is not None and self.outputs.subscribers_3d > 0:
             message = messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
             yield partial(self.outputs.detections_3d.publish, message)
-        yield from self._pictures(result, detections, placed.distances_m if placed else ())
+        yield from self._images(result, detections, placed.distances_m if placed else ())
 
     def _note(self, detections: Detections, received_s: float) -> None:
         """Add the frame whose detections were published to the statistics."""
@@ -122,7 +122,7 @@ class Pipeline:
             return None
         return self.placing.place(detections.boxes_xyxy, image.size_hw, array.header.stamp)
 
-    def _pictures(
+    def _images(
         self, result: DetectedFrame, detections: Detections, distances_m: Sequence[float | None]
     ) -> Iterator[Send]:
         """The masks and the annotated image, each if it has a subscriber.

@@ -110,10 +110,11 @@ class Reconfiguration:
             return await self._reload(detection, proposal)
         if detection is not None and (problems := _broken_by(proposal, detection.model)):
             return refusal(problems)
-        result = self._commit(proposal)
-        if proposal.kind is Change.CAMERAS:
-            await self._resources.end_removed()
-        return result
+        try:
+            return self._commit(proposal)
+        finally:
+            if proposal.kind is Change.CAMERAS:
+                await self._resources.end_removed()
 
     async def _reload(self, detection: Detection, proposal: Proposal) -> SetParametersResult:
         if not await self._turns.begin():

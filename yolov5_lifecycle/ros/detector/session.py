@@ -86,7 +86,7 @@ class Detection:
     def close(self) -> bool:
         """Stop all cameras, free the model; return False if a hung thread was abandoned.
 
-        Waits for the frame in progress unless somebody has, see `Schedule.wait`.
+        Waits for the frame in progress, less the time of earlier waits, see `Schedule.wait`.
         """
         for camera in self._cameras.values():
             camera.unsubscribe()
