@@ -65,7 +65,7 @@ def test_a_look_in_the_moment_of_the_first_event_gives_a_number() -> None:
 
 
 def test_empty_frames_are_counted_until_something_is_found() -> None:
-    frames = EmptyFrames(0.5)
+    frames = EmptyFrames(EmptyRun(0.5))
     assert frames.run == EmptyRun(0.5)
     assert (frames.run.frames, frames.run.duration_s) == (0, 0.0)
     for now_s, best_missed, best_filtered in ((3.0, 0.1, 0.8), (4.0, 0.4, 0.9), (6.0, 0.0, 0.0)):

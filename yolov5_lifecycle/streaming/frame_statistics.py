@@ -87,18 +87,17 @@ class EmptyRun:
         return self.ended_s - self.begun_s
 
 
+@dataclass
 class EmptyFrames:
     """Counts consecutive frames without detections; one thread adds, any thread may read `run`."""
 
-    def __init__(self, threshold: float, *, has_class_thresholds: bool = False) -> None:
-        self._none = EmptyRun(threshold, has_class_thresholds=has_class_thresholds)
-        self.run = self._none
+    run: EmptyRun
 
     def add(self, now_s: float, found: int, *, best_missed: float, best_filtered: float = 0.0) -> None:
         """Add a frame with `found` detections at `now_s` (monotonic seconds)."""
         before = self.run
         if found:
-            self.run = self._none
+            self.run = EmptyRun(before.threshold, has_class_thresholds=before.has_class_thresholds)
         else:
             self.run = replace(
                 before,

@@ -14,7 +14,7 @@ from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import LastImage, Pipeline
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
+from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
 
 NO_OUTPUTS = cast(Outputs, None)
 """Nothing is published here."""
@@ -22,7 +22,13 @@ NO_OUTPUTS = cast(Outputs, None)
 
 def pipeline_of(detector: Detector) -> Pipeline:
     return Pipeline(
-        detector, Selection(), NO_OUTPUTS, LatencyWindow(), EmptyFrames(0.25), LastImage(), placing=None
+        detector,
+        Selection(),
+        NO_OUTPUTS,
+        LatencyWindow(),
+        EmptyFrames(EmptyRun(0.25)),
+        LastImage(),
+        placing=None,
     )
 
 

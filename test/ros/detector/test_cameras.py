@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Batches
+from yolov5_lifecycle.ros.detector.camera import Camera
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 
 CAMERAS = ("front", "rear")
@@ -258,6 +260,27 @@ def test_an_added_camera_that_cannot_start_changes_nothing(
     assert "left.classes: 'horse' is not a class of the model" in reason
     assert served.get("cameras") == [*CAMERAS]
     assert set(served.statuses()) == {"detection", *CAMERAS}
+    assert class_ids_of(cameras["front"].detect()) == ["cat"]
+
+
+def test_a_camera_that_a_failed_change_added_ends_with_the_change(
+    served: ServedNode, cameras: dict[str, CameraClient], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served.bring_to("active")
+    start = Camera.start
+
+    def fail_to_start(camera: Camera, *arguments: Any, **options: Any) -> None:
+        if camera.name == "left":
+            raise RuntimeError("no left camera")
+        start(camera, *arguments, **options)
+
+    monkeypatch.setattr(Camera, "start", fail_to_start)
+    done, _ = served.set(cameras=["front", "rear", "left"])
+    assert not done
+    served.wait_for_log("camera left removed: ")
+    topics = served_topics(served)
+    assert "/yolov5/front/detections" in topics
+    assert "/yolov5/left/detections" not in topics
     assert class_ids_of(cameras["front"].detect()) == ["cat"]
 
 

@@ -17,7 +17,7 @@ from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.pipeline import LastImage, Pipeline
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
+from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
@@ -156,7 +156,7 @@ def test_a_frame_that_is_abandoned_before_it_is_published_leaves_the_tracks_alon
         selection=Selection(),
         outputs=nothing,
         latencies=LatencyWindow(),
-        empty_frames=EmptyFrames(0.25),
+        empty_frames=EmptyFrames(EmptyRun(0.25)),
         last_image=LastImage(),
         placing=None,
         tracking=TrackedDetection(tracker, TrackerSettings()),

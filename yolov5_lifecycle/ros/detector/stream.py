@@ -18,7 +18,7 @@ from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage, Pip
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.feed import Feed
-from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
+from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracker_settings
 
@@ -61,9 +61,7 @@ class Stream:
         self.losses = ImageLosses()
         self.problem = ""
         self.latencies = LatencyWindow()
-        self.empty_frames = EmptyFrames(
-            settings.confidence_threshold, has_class_thresholds=bool(settings.class_thresholds)
-        )
+        self.empty_frames = _no_empty_frames(settings)
         self.depth: DepthInput | None = None
         topic.follow(settings.image_transport)
         self._start()
@@ -100,9 +98,7 @@ class Stream:
         self._detector = detector
         if is_other_camera or is_other_model or before.tracker != settings.tracker:
             self._tracker = self._new_tracker()
-        self.empty_frames = EmptyFrames(
-            settings.confidence_threshold, has_class_thresholds=bool(settings.class_thresholds)
-        )
+        self.empty_frames = _no_empty_frames(settings)
         self._start()
         is_resubscribed = bool(before.differing(settings, Change.RESUBSCRIBE))
         if is_resubscribed:
@@ -188,3 +184,8 @@ class Stream:
             self._input.close()
             self._input = None
         self.problem = ""
+
+
+def _no_empty_frames(settings: Settings) -> EmptyFrames:
+    has_class_thresholds = bool(settings.class_thresholds)
+    return EmptyFrames(EmptyRun(settings.confidence_threshold, has_class_thresholds=has_class_thresholds))
