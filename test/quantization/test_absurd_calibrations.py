@@ -39,12 +39,14 @@ from yolov5_lifecycle.quantization.comparison import (
     Fp32Network,
     deviation,
 )
+from yolov5_lifecycle.quantization.precision_choice import choice_of
 from yolov5_lifecycle.quantization.reference import Reference, contrast_card
-from yolov5_lifecycle.runtimes.auto import choice_key, write_figures
+from yolov5_lifecycle.runtimes.auto import choice_key, computer_digest, write_figures
 from yolov5_lifecycle.runtimes.cache import cache_folder
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
 from yolov5_lifecycle.runtimes.registry import installed_runtimes, load_runtime
+from yolov5_lifecycle.runtimes.speed import INT8_FIGURES
 from yolov5_lifecycle.settings.settings import Settings
 
 SHAPES = REPOSITORY / "weights" / "shapes.safetensors"
@@ -180,10 +182,12 @@ def is_fast(model: Model, calibration: Calibration) -> None:
     frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=IMAGE_SIZE, stride=32).network_hw
     digest = calibration.quantization.digest
     key = choice_key(model, installed_runtimes(), frame_hw, "int8", "openvino", digest)
-    assert write_figures(cache_folder("choices") / f"{key}.json", {"fp32": 20.0, "int8": 1.0}) == ""
+    figures_ms = dict(zip(INT8_FIGURES, (20.0, 1.0, 40.0, 2.0), strict=True))
+    assert write_figures(cache_folder("choices") / f"{key}.json", figures_ms) == ""
 
 
 def prepared(weights: Path, calibration: Calibration) -> PreparedModel:
+    calibration = calibration.model_copy(update={"computer_sha256": "0" * 64})
     write_calibration(path_beside(weights), calibration)
     is_fast(load_weights(weights).model, calibration)
     settings = Settings(weights=str(weights), image_size=IMAGE_SIZE, device="cpu", runtime="openvino")
@@ -306,3 +310,24 @@ def test_an_honest_calibration_has_no_deviation(honest: Calibration) -> None:
     int8 = load_runtime(model, "openvino", device="cpu", precision="int8", quantization=honest.quantization)
     assert deviation(model, honest, int8, FRAME_HW) == ""
     int8.close()
+
+
+@pytest.mark.parametrize(
+    ("int8_ms", "precision"),
+    [pytest.param(1.0, "int8", id="faster"), pytest.param(1e5, "fp32", id="slower")],
+)
+def test_auto_chooses_what_calibrate_measured_here_and_told(
+    int8_ms: float, precision: str, honest: Calibration, weights: Path
+) -> None:
+    changes = {"ms_per_image": int8_ms, "processor_ms_per_image": int8_ms}
+    measured = tuple(
+        each.model_copy(update=changes) if each.precision == "int8" else each for each in honest.measured
+    )
+    calibration = honest.model_copy(update={"measured": measured, "computer_sha256": computer_digest()})
+    write_calibration(path_beside(weights), calibration)
+    is_fast(load_weights(weights).model, calibration)
+    settings = Settings(weights=str(weights), image_size=IMAGE_SIZE, device="cpu", runtime="openvino")
+    model = prepare_model(settings, [FRAME_HW])
+    assert model.facts["precision"] == precision
+    assert model.facts["precision choice"] == choice_of(calibration, "openvino").reason
+    model.close()

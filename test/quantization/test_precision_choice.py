@@ -15,8 +15,10 @@ from yolov5_lifecycle.quantization.precision_choice import (
     choose,
     choose_precision,
 )
+from yolov5_lifecycle.runtimes.auto import computer_digest
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
+from yolov5_lifecycle.runtimes.speed import INT8_FIGURES
 
 needs_openvino = pytest.mark.skipif(
     "openvino" not in installed_runtimes(), reason="no openvino: make install"
@@ -30,6 +32,7 @@ def chosen(
     calibration: Calibration,
     *,
     fp32_ms: float = 20.0,
+    processor_ms: float = 60.0,
     runtime: str = "openvino",
     is_free: bool = True,
 ) -> PrecisionChoice:
@@ -41,7 +44,7 @@ def chosen(
         image_size=320,
         frame_hw=(64, 96),
         folder=folder,
-        measure=lambda *_, **__: {"fp32": fp32_ms, "int8": 10.0},
+        measure=lambda *_, **__: dict(zip(INT8_FIGURES, (fp32_ms, 10.0, processor_ms, 20.0), strict=True)),
     )
 
 
@@ -53,7 +56,42 @@ def test_int8_must_be_faster_here(fp32_ms: float, precision: str, tmp_path: Path
     choice = chosen(tmp_path, a_calibration(weight_bits=HERE), fp32_ms=fp32_ms)
     assert choice.precision == precision
     assert f"int8 is {fp32_ms / 10:.2f} x as fast as fp32 here" in choice.reason
-    assert "measured now) and agrees with it to 0.990 (F1)" in choice.reason
+    assert "3.00 x by processor time; measured now) and agrees with it to 0.990 (F1)" in choice.reason
+
+
+@needs_openvino
+def test_int8_that_is_faster_only_because_another_process_was_busy_is_not_used(tmp_path: Path) -> None:
+    choice = chosen(tmp_path, a_calibration(weight_bits=HERE), fp32_ms=31.4, processor_ms=19.0)
+    assert choice.precision == "fp32"
+    assert "(10.0 ms, not 31.4; 0.95 x by processor time;" in choice.reason
+
+
+@needs_openvino
+@pytest.mark.parametrize(
+    ("int8_ms", "runtime", "is_free", "precision"),
+    [
+        pytest.param(10.0, "openvino", False, "int8", id="faster"),
+        pytest.param(19.0, "openvino", False, "fp32", id="hardly faster"),
+        pytest.param(16.0, "onnxruntime", True, "int8", id="faster than both runtimes"),
+        pytest.param(17.5, "onnxruntime", True, "fp32", id="hardly faster than the other runtime"),
+    ],
+)
+def test_the_speed_that_calibrate_measured_on_this_computer_decides(
+    int8_ms: float, runtime: str, is_free: bool, precision: str, tmp_path: Path
+) -> None:
+    other = FP32.model_copy(update={"runtime": "onnxruntime", "ms_per_image": 26.0})
+    calibration = a_calibration(
+        weight_bits=HERE,
+        computer_sha256=computer_digest(),
+        measured=(other, FP32, measurement("int8", int8_ms, 0.99)),
+    )
+    choice = chosen(tmp_path, calibration, runtime=runtime, is_free=is_free, fp32_ms=1000.0)
+    assert choice.precision == precision
+    assert (
+        f"({int8_ms:.1f} ms, not 20.0; {20 / int8_ms:.2f} x by processor time; measured by" in choice.reason
+    )
+    assert list(tmp_path.iterdir()) == []
+    assert "measured now" in chosen(tmp_path, calibration, runtime="torch").reason
 
 
 @needs_openvino
@@ -63,7 +101,7 @@ def test_the_speed_is_measured_once(tmp_path: Path) -> None:
     again = chosen(tmp_path, calibration, fp32_ms=1.0)
     assert again.precision == "int8"
     (record,) = tmp_path.iterdir()
-    assert f"cached in {record}" in again.reason
+    assert f"cached in {record}, delete this file to measure again" in again.reason
     record.write_text("{}")
     assert chosen(tmp_path, calibration, fp32_ms=1.0).precision == "fp32"
     assert chosen(tmp_path, calibration, runtime="onnxruntime").reason.count("measured now") == 1

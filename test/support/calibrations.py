@@ -28,6 +28,7 @@ def a_calibration(**changed: object) -> Calibration:
         "reference": a_reference(),
         "detections": 120,
         "measured": (measurement("fp32", 20.0, 1.0), measurement("int8", 10.0, 0.99)),
+        "computer_sha256": "cd" * 32,
         "processor": "A processor",
         "abilities": ("avx2", "avx512_vnni"),
         "versions": {"openvino": "2026.1"},
@@ -53,6 +54,7 @@ def measurement(precision: str, ms_per_image: float, agreement_f1: float) -> Mea
         runtime="openvino",
         precision=precision,  # type: ignore[arg-type]
         ms_per_image=ms_per_image,
+        processor_ms_per_image=2 * ms_per_image,
         agreement_f1=agreement_f1,
         box_iou=0.97,
     )

@@ -57,6 +57,8 @@ class Measurement(_Record):
     runtime: Literal["onnxruntime", "openvino"]
     precision: Literal["fp32", "int8", "bf16"]
     ms_per_image: Annotated[float, Field(gt=0, le=1e6)]
+    processor_ms_per_image: Annotated[float, Field(gt=0, le=1e6)]
+    """Of all processors together; another busy process affects this less."""
     agreement_f1: Share
     """F1 of its detections, those of fp32 taken as the truth; the same class, IoU of at least 0.5."""
     box_iou: Share
@@ -89,6 +91,8 @@ class Calibration(_Record):
     detections: Annotated[int, Field(ge=0, le=1_000_000_000)]
     """Detections of fp32 in the compared images; the fewer, the less is known."""
     measured: Annotated[tuple[Measurement, ...], Field(max_length=20)]
+    computer_sha256: Digest
+    """The computer on which it was measured, see `computer_digest`."""
     processor: Annotated[str, Field(max_length=200)]
     abilities: Annotated[tuple[Name, ...], Field(max_length=50)]
     versions: Annotated[dict[Name, Name], Field(max_length=20)]

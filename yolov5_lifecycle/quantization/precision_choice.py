@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from yolov5_lifecycle.runtimes.auto import (
     Choice,
     choice_key,
     choose_runtime,
+    computer_digest,
     read_figures,
     write_figures,
 )
@@ -23,14 +24,13 @@ from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.quantization import QuantizationError
 from yolov5_lifecycle.runtimes.registry import COARSE, COARSE_RUNTIME, installed_runtimes
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.runtimes.speed import measure_int8_ms
+from yolov5_lifecycle.runtimes.speed import INT8_FIGURES, measure_int8_ms
 from yolov5_lifecycle.runtimes.torch_device import resolve_device
 
 MIN_SPEEDUP = 1.15
 MIN_AGREEMENT = 0.98
 MAX_MAP_LOSS = 1.0
 MIN_DETECTIONS = 50
-_MEASURED = ("fp32", "int8")
 
 
 @dataclass(frozen=True)
@@ -116,21 +116,44 @@ def choose_precision(
     folder: Path | None = None,
     measure: Callable[..., dict[str, float]] = measure_int8_ms,
 ) -> PrecisionChoice:
-    """int8 if it is good according to `calibration` and faster here than fp32 in `runtime`, else fp32.
+    """int8 if it is good according to `calibration` and faster here than fp32, else fp32.
 
-    `is_free`: whether int8 may use another runtime. The speed is measured once and kept with the choice of
+    `runtime`: that of fp32; `is_free`: whether int8 may use another one. The speed is the one that
+    `calibrate` measured on this computer. Only without one, it is measured once and kept with the choice of
     the runtime, in `folder`.
     """
     problem = _absence(runtime, is_free=is_free) or quality_problem(calibration, image_size=image_size)
     if problem:
         return PrecisionChoice("fp32", problem)
+    in_fp32 = {each.runtime for each in calibration.measured if each.precision == "fp32"}
+    if runtime in in_fp32 and calibration.computer_sha256 == computer_digest():
+        return choice_of(calibration, *(() if is_free else (runtime,)))
     try:
         figures_ms, origin = _figures_ms(
             model, calibration, runtime=runtime, frame_hw=frame_hw, folder=folder, measure=measure
         )
     except (QuantizationError, InferenceError) as error:
         return PrecisionChoice("fp32", f"int8 cannot be used: {error}")
-    return _of_speed(figures_ms, origin, calibration.measurement(COARSE_RUNTIME, "int8"))
+    return _of_speed(figures_ms, origin, calibration)
+
+
+def choice_of(calibration: Calibration, *runtimes: str) -> PrecisionChoice:
+    """The choice by what `calibrate` measured: int8 beside the fastest fp32 (in `runtimes`, default: all).
+
+    int8 must have been measured, and fp32 in one of `runtimes`.
+    """
+    in_fp32 = [
+        each
+        for each in calibration.measured
+        if each.precision == "fp32" and (not runtimes or each.runtime in runtimes)
+    ]
+    fp32 = min(in_fp32, key=lambda each: each.ms_per_image)
+    int8 = _of_int8(calibration)
+    figures_ms = (
+        *(fp32.ms_per_image, int8.ms_per_image),
+        *(fp32.processor_ms_per_image, int8.processor_ms_per_image),
+    )
+    return _of_speed(dict(zip(INT8_FIGURES, figures_ms, strict=True)), "measured by calibrate", calibration)
 
 
 def quality_problem(calibration: Calibration, *, image_size: int) -> str:
@@ -171,15 +194,21 @@ def _absence(runtime: str, *, is_free: bool) -> str:
     return "" if COARSE_RUNTIME in installed_runtimes() else f"int8 needs {COARSE_RUNTIME}, not installed"
 
 
-def _of_speed(figures_ms: dict[str, float], origin: str, measured: Measurement | None) -> PrecisionChoice:
+def _of_int8(calibration: Calibration) -> Measurement:
+    measured = calibration.measurement(COARSE_RUNTIME, "int8")
     assert measured is not None
-    speedup = figures_ms["fp32"] / figures_ms["int8"]
+    return measured
+
+
+def _of_speed(figures_ms: Mapping[str, float], origin: str, calibration: Calibration) -> PrecisionChoice:
+    fp32_ms, int8_ms, fp32_processor_ms, int8_processor_ms = (figures_ms[name] for name in INT8_FIGURES)
+    speedup, saving = fp32_ms / int8_ms, fp32_processor_ms / int8_processor_ms
     told = (
-        f"int8 is {speedup:.2f} x as fast as fp32 here ({figures_ms['int8']:.1f} ms, not "
-        f"{figures_ms['fp32']:.1f}; {origin}) and agrees with it to {measured.agreement_f1:.3f} (F1)"
+        f"int8 is {speedup:.2f} x as fast as fp32 here ({int8_ms:.1f} ms, not {fp32_ms:.1f}; {saving:.2f} x "
+        f"by processor time; {origin}) and agrees with it to {_of_int8(calibration).agreement_f1:.3f} (F1)"
     )
-    if speedup < MIN_SPEEDUP:
-        return PrecisionChoice("fp32", f"{told}; it is used from {MIN_SPEEDUP:g} x")
+    if min(speedup, saving) < MIN_SPEEDUP:
+        return PrecisionChoice("fp32", f"{told}; int8 is used from {MIN_SPEEDUP:g} x by both times")
     return PrecisionChoice("int8", told)
 
 
@@ -196,7 +225,7 @@ def _figures_ms(
     quantization = calibration.quantization
     key = choice_key(model, installed_runtimes(), frame_hw, "int8", runtime, quantization.digest)
     record = (folder or cache_folder("choices")) / f"{key}.json"
-    if (kept_ms := read_figures(record, _MEASURED, required=_MEASURED)) is not None:
-        return kept_ms, f"cached in {record}"
+    if (kept_ms := read_figures(record, INT8_FIGURES, required=INT8_FIGURES)) is not None:
+        return kept_ms, f"cached in {record}, delete this file to measure again"
     figures_ms = measure(model, runtime, quantization, frame_hw=frame_hw)
     return figures_ms, write_figures(record, figures_ms) or "measured now"

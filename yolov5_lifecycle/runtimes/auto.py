@@ -80,16 +80,22 @@ def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
 
 def choice_key(model: Model, installed: list[str], frame_hw: tuple[int, int], *further: str) -> str:
     """Cache key of everything that affects speed, including `further`; the weight values do not."""
+    circumstances = [repr(model.architecture), frame_hw, *_computer(installed), *further]
+    return _digest(circumstances)[:16]
+
+
+def computer_digest() -> str:
+    """SHA-256 of everything that affects speed but the model: processor, threads, builds of the runtimes."""
+    return _digest(_computer(installed_runtimes()))
+
+
+def _computer(installed: list[str]) -> list[object]:
     packages = sorted({package for runtime in installed for package in REQUIREMENTS[runtime]})
-    circumstances = [
-        repr(model.architecture),
-        frame_hw,
-        [installed_build(package) for package in packages],
-        processor(),
-        torch.get_num_threads(),
-        *further,
-    ]
-    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()[:16]
+    return [[installed_build(package) for package in packages], processor(), torch.get_num_threads()]
+
+
+def _digest(circumstances: list[object]) -> str:
+    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()
 
 
 def read_figures(

@@ -6,6 +6,7 @@ import logging
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -23,9 +24,20 @@ _NOTHING_FOUND = 1.0  # as min_objectness: detections in a grey image must not a
 _ENOUGH_S = 2.0  # large networks are measured in fewer rounds
 _MAX_BATCHES_S = 4.0
 
+INT8_FIGURES = ("fp32", "int8", "fp32 processor", "int8 processor")
+"""Milliseconds, and those of the processor, which another busy process affects less."""
+
 Key = TypeVar("Key")
 Run = Callable[[], object]
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Milliseconds on the clock, and of all processors together in all threads of this process."""
+
+    wall_ms: float
+    processor_ms: float
 
 
 def measure_ms(
@@ -38,18 +50,18 @@ def measure_ms(
     frame = _grey(frame_hw)
     warm = {name: _warm_runtime(model, name, precision, frame) for name in runtimes}
     running = {name: runtime for name, runtime in warm.items() if runtime is not None}
-    taken_ms = _take_turns(
+    taken = _take_turns(
         {name: partial(runtime, frame, "rgb", _NOTHING_FOUND) for name, runtime in running.items()}
     )
     for runtime in running.values():
         runtime.close()
-    return taken_ms
+    return {name: each.wall_ms for name, each in taken.items()}
 
 
 def measure_int8_ms(
     model: Model, runtime: str, quantization: Quantization, *, frame_hw: tuple[int, int]
 ) -> dict[str, float]:
-    """Median milliseconds per frame of `frame_hw` on the CPU: fp32 in `runtime`, and int8.
+    """Median milliseconds per frame of `frame_hw` on the CPU: fp32 in `runtime`, and int8; see INT8_FIGURES.
 
     Raises RuntimeAbsentError, QuantizationError and InferenceError.
     """
@@ -63,10 +75,11 @@ def measure_int8_ms(
     runs = {name: partial(loaded, frame, "rgb", _NOTHING_FOUND) for name, loaded in runtimes.items()}
     for _ in range(_WARM_UPS):
         _run_all(runs.values())
-    taken_ms = _take_turns(runs)
+    taken = _take_turns(runs)
     for loaded in runtimes.values():
         loaded.close()
-    return taken_ms
+    wall = {name: each.wall_ms for name, each in taken.items()}
+    return wall | {f"{name} processor": each.processor_ms for name, each in taken.items()}
 
 
 def measure_batches_ms(
@@ -89,8 +102,8 @@ def measure_batches_ms(
         expected_s = single_s * (sum(runs) + size) * (_WARM_UPS + 1)
         if expected_s < max_s and _is_warm(batches := _runs(runtime, size, frames_hw)):
             runs[size] = batches
-    taken_ms = _take_turns({size: partial(_run_all, batches) for size, batches in runs.items()})
-    return {size: round(ms / (size * len(frames_hw)), 2) for size, ms in taken_ms.items()}
+    taken = _take_turns({size: partial(_run_all, batches) for size, batches in runs.items()})
+    return {size: round(each.wall_ms / (size * len(frames_hw)), 2) for size, each in taken.items()}
 
 
 def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uint8]) -> Runtime | None:
@@ -136,16 +149,30 @@ def _grey(frame_hw: tuple[int, int]) -> NDArray[np.uint8]:
     return np.full((*frame_hw, 3), 114, np.uint8)
 
 
-def _take_turns(runs: Mapping[Key, Run]) -> dict[Key, float]:
-    """Median milliseconds of each run, measured alternately so that machine load affects all equally."""
-    seconds: dict[Key, list[float]] = {key: [] for key in runs}
+def _take_turns(runs: Mapping[Key, Run]) -> dict[Key, Taken]:
+    """Medians of each run, measured alternately so that machine load affects all equally."""
+    rounds: dict[Key, list[Taken]] = {key: [] for key in runs}
     begin = time.perf_counter()
     for _ in range(_ROUNDS):
         for key, run in runs.items():
-            seconds[key].append(_seconds(run))
+            rounds[key].append(time_taken(run))
         if time.perf_counter() - begin > _ENOUGH_S:
             break
-    return {key: round(1e3 * statistics.median(taken), 2) for key, taken in seconds.items()}
+    return {key: median(taken) for key, taken in rounds.items()}
+
+
+def time_taken(run: Run) -> Taken:
+    """What `run` takes, once."""
+    wall_s, processor_s = time.perf_counter(), time.process_time()
+    run()
+    return Taken(1e3 * (time.perf_counter() - wall_s), 1e3 * (time.process_time() - processor_s))
+
+
+def median(taken: Sequence[Taken]) -> Taken:
+    """The medians, rounded to 0.01 ms, of at least one."""
+    wall_ms = statistics.median(each.wall_ms for each in taken)
+    processor_ms = statistics.median(each.processor_ms for each in taken)
+    return Taken(round(wall_ms, 2), round(processor_ms, 2))
 
 
 def _seconds(run: Run) -> float:

@@ -211,6 +211,6 @@ def test_the_verdict_names_what_keeps_auto_at_fp32() -> None:
         measured = (measurement("fp32", 20.0, 1.0), measurement("int8", int8_ms, agreement_f1))
         return verdict(a_calibration(measured=measured, weight_bits=weight_bits(abilities())))
 
-    assert of(10.0).startswith("int8 is 2.00 x as fast as the fastest fp32 here: precision auto uses it")
-    assert of(19.0).endswith("here, less than 1.15 x: precision auto stays fp32")
-    assert of(10.0, 0.9).startswith("precision auto stays fp32: int8 agrees with fp32 to 0.900 (F1)")
+    assert of(10.0).startswith("precision auto uses int8 because int8 is 2.00 x as fast as fp32 here")
+    assert of(19.0).startswith("precision auto uses fp32 because int8 is 1.05 x as fast as fp32 here")
+    assert of(10.0, 0.9).startswith("precision auto uses fp32 because int8 agrees with fp32 to 0.900 (F1)")

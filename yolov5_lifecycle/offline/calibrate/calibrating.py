@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import statistics
-import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from importlib.metadata import distributions
 from typing import Literal
 
@@ -26,10 +25,12 @@ from yolov5_lifecycle.quantization.calibration_file import Calibration, Measurem
 from yolov5_lifecycle.quantization.comparison import Fp32Network
 from yolov5_lifecycle.quantization.reference import Reference, reduced
 from yolov5_lifecycle.quantization.sensitivity import most_sensitive
+from yolov5_lifecycle.runtimes.auto import computer_digest
 from yolov5_lifecycle.runtimes.cache import processor
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
 from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes, load_runtime
+from yolov5_lifecycle.runtimes.speed import Taken, median, time_taken
 
 Tell = Callable[[str], None]
 """Shows the current step."""
@@ -93,6 +94,7 @@ class Calibrating:
             reference=reference,
             detections=found,
             measured=measured,
+            computer_sha256=computer_digest(),
             processor=_processor_name(),
             abilities=abilities(),
             versions=_versions(),
@@ -150,17 +152,18 @@ class Calibrating:
         if has_bf16(abilities()):
             wanted.append((COARSE_RUNTIME, "bf16"))
         detectors = {(name, kind): self._detector(name, kind, quantization) for name, kind in wanted}
-        taken_ms, found = self._timed(list(detectors.values()))
+        taken, found = self._timed(list(detectors.values()))
         truth = found[0]
         lost = self._map_loss(detectors[COARSE_RUNTIME, "fp32"], detectors[COARSE_RUNTIME, "int8"])
         measured = []
-        for (runtime, precision), times_ms, others in zip(detectors, taken_ms, found, strict=True):
-            same = agreement(truth, others)
+        for (runtime, precision), times, others in zip(detectors, taken, found, strict=True):
+            same, usual = agreement(truth, others), median(times)
             measured.append(
                 Measurement(
                     runtime=runtime,
                     precision=precision,
-                    ms_per_image=round(statistics.median(times_ms), 2),
+                    ms_per_image=usual.wall_ms,
+                    processor_ms_per_image=usual.processor_ms,
                     agreement_f1=round(same.f1, 4),
                     box_iou=round(same.box_iou, 4),
                     map_loss=lost if precision == "int8" else None,
@@ -168,20 +171,18 @@ class Calibrating:
             )
         return tuple(measured), sum(map(len, truth))
 
-    def _timed(self, detectors: Sequence[Detector]) -> tuple[list[list[float]], list[list[Detections]]]:
-        """Milliseconds and detections of the detectors, run alternately, so that load affects all equally."""
-        taken_ms: list[list[float]] = [[] for _ in detectors]
+    def _timed(self, detectors: Sequence[Detector]) -> tuple[list[list[Taken]], list[list[Detections]]]:
+        """Times and detections of the detectors, run alternately, so that load affects all equally."""
+        taken: list[list[Taken]] = [[] for _ in detectors]
         found: list[list[Detections]] = [[] for _ in detectors]
         for detector in detectors:
             for _ in range(_WARM_UPS):
                 detector.detect(self._compared[0], self._selection)
         for number, image in enumerate(self._compared):
-            for detector, times_ms, detections in zip(detectors, taken_ms, found, strict=True):
-                begun_s = time.perf_counter()
-                detections.append(detector.detect(image, self._selection))
-                times_ms.append(1e3 * (time.perf_counter() - begun_s))
+            for detector, times, detections in zip(detectors, taken, found, strict=True):
+                times.append(time_taken(partial(_detect, detector, image, self._selection, detections)))
             self._tell(f"measuring: {number + 1} of {len(self._compared)} images")
-        return taken_ms, found
+        return taken, found
 
     def _detections(self, detector: Detector, images: Sequence[ColourImage]) -> list[Detections]:
         found = [detector.detect(image, self._selection) for image in images]
@@ -198,6 +199,10 @@ class Calibrating:
             stride=size_multiple(model.architecture),
             mask_coefficients=model.architecture.mask_coefficients,
         )
+
+
+def _detect(detector: Detector, image: ColourImage, selection: Selection, found: list[Detections]) -> None:
+    found.append(detector.detect(image, selection))
 
 
 def _digest(images: Sequence[ColourImage]) -> str:

@@ -25,7 +25,7 @@ from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, add_d
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration
-from yolov5_lifecycle.quantization.precision_choice import MIN_SPEEDUP, quality_problem
+from yolov5_lifecycle.quantization.precision_choice import MIN_SPEEDUP, choice_of, quality_problem
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, RuntimeAbsentError, installed_runtimes
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
@@ -68,11 +68,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def report(calibration: Calibration, path: Path, unknown: str = "") -> str:
     """Summary for the user; `unknown`: why the loss of mAP is unknown, or ""."""
-    lines = [f"{'':24}{'ms per image':>14}{'agreement F1':>14}{'box IoU':>10}{'mAP loss':>10}"]
+    lines = [
+        f"{'':24}{'ms per image':>14}{'processor ms':>14}{'agreement F1':>14}{'box IoU':>10}{'mAP loss':>10}"
+    ]
     for each in calibration.measured:
         name = f"{each.precision} in {each.runtime}"
         loss = "" if each.map_loss is None else f"{each.map_loss:10.2f}"
-        lines.append(f"{name:24}{each.ms_per_image:14.1f}{each.agreement_f1:14.3f}{each.box_iou:10.3f}{loss}")
+        times = f"{each.ms_per_image:14.1f}{each.processor_ms_per_image:14.1f}"
+        lines.append(f"{name:24}{times}{each.agreement_f1:14.3f}{each.box_iou:10.3f}{loss}")
     layers, kept = len(calibration.ranges), len(calibration.fp32_layers)
     return "\n".join(
         (
@@ -95,16 +98,11 @@ def _loss(unknown: str) -> str:
 
 
 def verdict(calibration: Calibration) -> str:
-    """Whether `precision: auto` will use int8, and why."""
+    """Which precision `auto` uses on this computer, and why."""
     if problem := quality_problem(calibration, image_size=calibration.image_size):
-        return f"precision auto stays fp32: {problem}"
-    fp32_ms = min(each.ms_per_image for each in calibration.measured if each.precision == "fp32")
-    int8_ms = min(each.ms_per_image for each in calibration.measured if each.precision == "int8")
-    speedup = fp32_ms / int8_ms
-    told = f"int8 is {speedup:.2f} x as fast as the fastest fp32 here"
-    if speedup < MIN_SPEEDUP:
-        return f"{told}, less than {MIN_SPEEDUP:g} x: precision auto stays fp32"
-    return f"{told}: precision auto uses it if it is still as fast when the model is loaded"
+        return f"precision auto uses fp32 because {problem}"
+    choice = choice_of(calibration)
+    return f"precision auto uses {choice.precision} because {choice.reason}"
 
 
 def _run(arguments: argparse.Namespace, terminal: _Terminal) -> str:
