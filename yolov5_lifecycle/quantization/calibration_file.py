@@ -103,7 +103,7 @@ class Calibration(_Record):
     def _are_ordered(cls, value: dict[str, Range]) -> dict[str, Range]:
         for name, (low, high) in value.items():
             if not (low <= 0 <= high and high - low >= 1e-6):
-                raise ValueError(f"{name[:50]!r}: expected a range with 0 in it that is not empty")
+                raise ValueError(f"{name[:50]!r}: expected [low, high] with low <= 0 <= high and low < high")
         return value
 
     @model_validator(mode="after")
