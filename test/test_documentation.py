@@ -246,6 +246,14 @@ def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() 
             assert SCHEMA.meant(name) == row[1].strip("`")
 
 
+def test_a_parameter_of_yolo_ros_without_a_replacement_is_refused_without_another_name() -> None:
+    rows = [row for row in table(MIGRATION, "yolo_ros (mgonzs13/yolo_ros)") if row[1] == "-"]
+    names = [name for row in rows for name in re.findall(r"`(\w+)`", row[0])]
+    assert len(names) > 5
+    assert {name: SCHEMA.meant(name) for name in names} == dict.fromkeys(names)
+    assert [name for name in names if SCHEMA.unknown(name).message.endswith("such parameter.")] == []
+
+
 def test_every_reason_for_silence_is_explained() -> None:
     explained = " ".join(TROUBLESHOOTING.read_text().split())
     folder = REPOSITORY / "yolov5_lifecycle" / "ros" / "detector"

@@ -166,7 +166,7 @@ def test_every_wrong_value_is_told_in_the_words_of_the_node() -> None:
     told = str(refused.value).splitlines()
     assert told == [
         "device: 'gpu' must be auto, cpu, cuda, cuda:N, N or mps. Did you mean 'cuda'?",
-        "image_size: True is not an integer from 64 to 4096, a multiple of 32. The default is 640.",
+        "image_size: true is not an integer from 64 to 4096, a multiple of 32. The default is 640.",
         "confidence_threshold: 25.0 is not a number from 0 to 1. The default is 0.25.",
     ]
 

@@ -134,11 +134,16 @@ def test_a_file_that_only_ros_refuses_is_left_out_with_its_reason(ros_domain: in
 @pytest.mark.parametrize(
     ("first", "second", "told"),
     [
-        pytest.param("device: 0", ["-p", "device:=cpu"], "device: 0 in", id="integer and string"),
+        pytest.param("device: 0", ["-p", "device:=cpu"], "as integer 0 in .* as string 'cpu'", id="integer"),
         pytest.param(
             "rate: 30", ["--param", "rate:=5.5"], "'--param rate:=5.5'|--param rate:=5.5", id="numbers"
         ),
-        pytest.param("classes: [0, 2]", ["-p", 'classes:=["cat"]'], "differ in type", id="lists"),
+        pytest.param(
+            "classes: [0, 2]", ["-p", 'classes:=["cat"]'], r"given twice, as list \[0, 2\]", id="lists"
+        ),
+        pytest.param(
+            "lazy: true", ["-p", "lazy:=1"], "as boolean true in .* as integer 1 in -p", id="boolean"
+        ),
         pytest.param("cameras: [front]", ["-p", "cameras:=[]"], "ignores the empty list", id="empty list"),
         pytest.param("cameras: []", ["-p", "cameras:=[front]"], "", id="list after an empty one"),
         pytest.param("cameras: [front]", ["-p", "cameras:=[rear]"], "", id="lists of one type"),

@@ -20,11 +20,11 @@ from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAM
         pytest.param({"confidence_threshold": -0.1}, "-0.1 is not a number from 0 to 1", id="below-range"),
         pytest.param({"confidence_threshold": math.nan}, "nan is not a number", id="nan"),
         pytest.param({"max_rate": math.inf}, "inf is not a number", id="infinity"),
-        pytest.param({"confidence_threshold": True}, "True is not a number", id="bool-for-number"),
+        pytest.param({"confidence_threshold": True}, "true is not a number", id="bool-for-number"),
         pytest.param({"confidence_threshold": "0.5"}, "'0.5' is not a number", id="text-for-number"),
         pytest.param({"max_detections": 0}, "0 is not an integer from 1", id="no-detections"),
         pytest.param({"max_detections": 2.5}, "2.5 is not an integer", id="fraction-for-count"),
-        pytest.param({"image_size": True}, "True is not an integer", id="bool-for-count"),
+        pytest.param({"image_size": True}, "true is not an integer", id="bool-for-count"),
         pytest.param({"image_size": 650}, "a multiple of 32", id="no-multiple-of-a-stride"),
         pytest.param({"lazy": 1}, "1 is not true or false", id="number-for-bool"),
         pytest.param({"model_size": "xl"}, "Did you mean 'x'?", id="misspelt-choice"),
@@ -130,6 +130,9 @@ def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
         ("max_det", "max_detections"),
         *((name, "weights") for name in ("model", "model_file", "model_path", "weights_url")),
         ("use_3d", "depth"),
+        ("use_tracking", "tracker"),
+        ("minimum_probability", "confidence_threshold"),
+        ("interested_classes", "classes"),
         *((name, "regions") for name in ("roi", "rois", "zones")),
     ],
 )
@@ -146,7 +149,22 @@ def test_a_parameter_name_of_another_node_is_answered_with_ours(name: str, meant
     ]
     + [
         pytest.param(name, "not needed: ~/image is published while it has subscribers.", id=name)
-        for name in ("pub_image", "pub_result_img", "publish_image", "show_result")
+        for name in ("pub_image", "pub_result_img", "publish_image", "show_result", "use_debug")
+    ]
+    + [
+        pytest.param(
+            "enable", "deactivate and activate the node: ros2 lifecycle set /yolov5 deactivate.", id="enable"
+        ),
+        pytest.param(
+            "target_frame",
+            "~/detections_3d is in the frame of the depth image: transform it with tf2.",
+            id="target_frame",
+        ),
+        pytest.param(
+            "depth_image_reliability",
+            "not needed: the reliability of depth is that of its publishers.",
+            id="depth_image_reliability",
+        ),
     ],
 )
 def test_an_option_that_is_no_parameter_is_answered_with_its_replacement(name: str, told: str) -> None:

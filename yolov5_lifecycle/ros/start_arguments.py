@@ -22,6 +22,7 @@ from yolov5_lifecycle.settings.parameter_file import (
 )
 from yolov5_lifecycle.settings.parameter_yaml import ParameterYamlError, Value, parameter_value
 from yolov5_lifecycle.settings.schema import Setting
+from yolov5_lifecycle.settings.value_text import shown_value, value_text
 
 _FLAG = "--params-file"
 _ASSIGNMENT_FLAGS = ("-p", "--param")
@@ -132,14 +133,22 @@ def _clashes(words: Sequence[str], files: Mapping[str, ParameterFile]) -> Iterat
             first[node, name] = value, place
         elif value == [] and isinstance(before, list):
             yield in_one_line(
-                f"{name}: ROS ignores the empty list in {place}, because {where} has {before!r}: remove that "
-                "value and restart the node."
+                f"{name}: ROS ignores the empty list in {place}, because {where} has {shown_value(before)}: "
+                "remove that value and restart the node."
             )
         elif kind(value) != kind(before):
             yield in_one_line(
-                f"{name}: {before!r} in {where} and {value!r} in {place} differ in type, and ROS may use "
-                "either: give both the same type, or remove one, and restart the node."
+                f"{name}: is given twice, as {_kind_of(before)} in {where} and as {_kind_of(value)} in "
+                f"{place}; ROS picks one. Remove one, or give both the same type, and restart the node."
             )
+
+
+def _kind_of(value: Value) -> str:
+    """`value` and its type in words, such as `integer 0`."""
+    if isinstance(value, list):
+        return f"list {shown_value(value)}"
+    words = {bool: "boolean", int: "integer", float: "number", str: "string"}
+    return f"{words[type(value)]} {shown_value(value)}"
 
 
 def _assignments(
@@ -205,7 +214,7 @@ def explain(command: str, words: Sequence[str], *, usage: str, settings: Sequenc
         return write_output(command, f"{version_line(command)}\n")
     width = max(len(setting.name) for setting in settings)
     rows = [
-        f"  {setting.name:{width}}  {setting.description} Default: {setting.default!r}"
+        f"  {setting.name:{width}}  {setting.description} Default: {value_text(setting.default)}"
         for setting in settings
     ]
     text = "\n".join([usage, *rows, f"`{command} --version` prints the version.", ""])

@@ -16,11 +16,10 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.suggestion import did_you_mean, nearest
+from yolov5_lifecycle.settings.value_text import MAX_SHOWN, shown_value
 
 Model = TypeVar("Model", bound=BaseModel)
 
-_MAX_SHOWN = 100
-"""Max characters of a value or an unknown name shown in a message."""
 _NONE: Mapping[str, str] = MappingProxyType({})
 SEPARATOR = "."
 """Between a camera and the setting that is overridden for it, as in `front.max_rate`."""
@@ -188,6 +187,10 @@ class Schema(Generic[Model]):
             return None if details["type"] == "contradiction" else self._problems(details, values)[0]
         return None
 
+    def fallback(self, name: str, value: object) -> object:
+        """What the setting `name` is while the `value` that it was given is invalid."""
+        return self.by_name[name].default
+
     def is_known(self, name: str, values: Mapping[str, object]) -> bool:
         """Whether `name` is a setting, or an override of one for a camera in `values`."""
         return name in self.by_name
@@ -202,7 +205,7 @@ class Schema(Generic[Model]):
         self, name: str, values: Mapping[str, object] = _NONE, *, may_suggest: bool = True
     ) -> Problem:
         """The problem for an unknown name, with the setting that was probably meant if `may_suggest`."""
-        shown = in_one_line(name[:_MAX_SHOWN])
+        shown = in_one_line(name[:MAX_SHOWN])
         if name in self._not_settings:
             return Problem(shown, f"there is no such parameter: {self._not_settings[name]}")
         meant = self.meant(name, values) if may_suggest else None
@@ -261,16 +264,18 @@ def _described(name: str, field: FieldInfo) -> Setting:
 
 def _reason(setting: Setting, value: object, details: ErrorDetails) -> str:
     if details["type"] == "violation":
-        return f"{_shown(value)} {details['msg']}"
+        return f"{shown_value(value)} {details['msg']}"
     hint = _hint(setting, value) if isinstance(value, str) else ""
-    return f"{_shown(value)} is not {setting.allowed}.{hint} The default is {_shown(setting.default)}."
+    return (
+        f"{shown_value(value)} is not {setting.allowed}.{hint} The default is {shown_value(setting.default)}."
+    )
 
 
 def _hint(setting: Setting, value: str) -> str:
     """What the user who wrote `value` probably meant, with a leading space, or an empty string."""
     if setting.type is not tuple:
         return did_you_mean(value, setting.choices)
-    if len(value) > _MAX_SHOWN or not value.strip():
+    if len(value) > MAX_SHOWN or not value.strip():
         return ""
     # A list of strings and integers is no ROS type: `ros2 param set` sends it as a string.
     inner = value.strip().removeprefix("[").removesuffix("]")
@@ -280,16 +285,3 @@ def _hint(setting: Setting, value: str) -> str:
 
 def _as_yaml_string(entry: str) -> str:
     return entry if entry.isidentifier() else json.dumps(entry, ensure_ascii=False)
-
-
-def _shown(value: object) -> str:
-    """repr of `value`, truncated; work and length are bounded."""
-    if isinstance(value, (list, tuple)):
-        text = repr([_beginning(entry) for entry in value[:_MAX_SHOWN]])
-    else:
-        text = repr(_beginning(value))
-    return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
-
-
-def _beginning(value: object) -> object:
-    return value[: _MAX_SHOWN + 1] if isinstance(value, str) else value

@@ -19,6 +19,9 @@ SYNONYMS = {
     "model_path": "weights",
     "weights_url": "weights",
     "use_3d": "depth",
+    "use_tracking": "tracker",
+    "minimum_probability": "confidence_threshold",
+    "interested_classes": "classes",
     "roi": "regions",
     "rois": "regions",
     "zones": "regions",
@@ -26,6 +29,12 @@ SYNONYMS = {
 """Names that YOLOv5's own scripts and other nodes use for a setting."""
 
 _TOPIC = "topics are remapped: -r '~/image_raw:=/camera/image_raw'."
+_DEPTH_TOPICS = (
+    "topics are remapped: -r '~/depth/image_raw:=/camera/depth/image_raw', and ~/depth/camera_info."
+)
+_FRAME = "~/detections_3d is in the frame of the depth image: transform it with tf2."
+_OFFERED = "not needed: the reliability of depth is that of its publishers."
+_IN_PIXELS = "not needed: detections are in pixels; only depth needs a calibration, on ~/depth/camera_info."
 _BOND = "set bond_timeout to enable the bond; heartbeats are sent every 0.1 s."
 _SWITCH = "not needed: ~/image is published while it has subscribers."
 NOT_SETTINGS = {
@@ -37,6 +46,26 @@ NOT_SETTINGS = {
     "pub_result_img": _SWITCH,
     "publish_image": _SWITCH,
     "show_result": _SWITCH,
+    "use_debug": _SWITCH,
+    "pub_boxes": "not needed: what has no subscriber is not published.",
+    "enable": "deactivate and activate the node: ros2 lifecycle set /yolov5 deactivate.",
+    "namespace": "it is remapped: -r __ns:=/robot.",
+    "input_depth_topic": _DEPTH_TOPICS,
+    "input_depth_info_topic": _DEPTH_TOPICS,
+    "point_cloud_topic": _DEPTH_TOPICS,
+    "target_frame": _FRAME,
+    "working_frame": _FRAME,
+    "maximum_detection_threshold": "not needed: the surface of an object is found without a limit in metres.",
+    "depth_image_units_divisor": "not needed: the unit follows from the encoding of the depth image.",
+    "depth_image_reliability": _OFFERED,
+    "depth_info_reliability": _OFFERED,
+    "camera_info_topic": _IN_PIXELS,
+    "camera_info_file": _IN_PIXELS,
+    "retina_masks": "not needed: masks always have the size of the image.",
+    "yolo_encoding": "not needed: each image names its encoding.",
+    "fuse_model": "not needed: convolutions and batch normalizations are always fused.",
+    "model_type": "not needed: every model is a YOLOv5.",
+    "augment": "images are detected once, without test-time augmentation.",
     "bond_heartbeat_period": _BOND,
 }
 """Parameters of other nodes that this node lacks, with what to do instead."""
