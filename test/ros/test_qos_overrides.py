@@ -93,7 +93,7 @@ def test_qos_overrides_of_a_parameter_file_apply_in_every_cycle_of_a_process(
         pytest.param(f"{CAMERA}.subscription.depth", 0, "0 is not an integer from 1", id="no depth"),
         pytest.param(f"{CAMERA}.subscription.depth", "deep", "'deep' is not an int", id="string for depth"),
         pytest.param(f"{CAMERA}.subscription.depth", 10_001, "not an integer from 1 to", id="too deep"),
-        pytest.param(f"{CAMERA}.subscription.depth", True, "True is not an integer", id="truth for depth"),
+        pytest.param(f"{CAMERA}.subscription.depth", True, "true is not an integer", id="truth for depth"),
         pytest.param(f"{CAMERA}.subscription.durability", "volatile", "no such topic", id="other policy"),
         pytest.param(
             "/camara/image_raw.subscription.depth", 2, f"'qos_overrides.{CAMERA}.subs", id="mistyped topic"

@@ -17,6 +17,7 @@ from yolov5_lifecycle.settings.schema import Problem
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 from yolov5_lifecycle.settings.synonyms import QOS_PREFIX
+from yolov5_lifecycle.settings.value_text import value_text
 
 Kind = Literal["publisher", "subscription"]
 
@@ -30,10 +31,10 @@ _POLICIES = (*_CHOICES, "depth")
 _REMEDY = "Correct it and restart the node."
 
 
-def qos_problems(node: Node, cameras: Sequence[str]) -> list[Problem]:
+def qos_problems(node: Node, cameras: Sequence[str], *, are_undecided: bool = False) -> list[Problem]:
     """QoS overrides that are invalid or match no topic of `node` with these `cameras`.
 
-    Fixing them needs a restart.
+    Fixing them needs a restart, unless `cameras` lacks a camera: `are_undecided`.
     """
     topics: dict[Kind, list[str]] = {"publisher": published(cameras), "subscription": subscribed(cameras)}
     policy_of = {
@@ -45,11 +46,9 @@ def qos_problems(node: Node, cameras: Sequence[str]) -> list[Problem]:
     problems = []
     for name, override in parameter_overrides(node).items():
         if name not in policy_of and name.startswith(QOS_PREFIX):
-            problems.append(Problem(name, _unknown(name, policy_of)))
+            problems.append(Problem(name, _unknown(name, policy_of, are_undecided)))
         elif name in policy_of and (rule := _broken_rule(policy_of[name], override)):
-            problems.append(
-                Problem(name, f"{override.value!r} is not {rule} Correct it and restart the node.")
-            )
+            problems.append(Problem(name, f"{value_text(override.value)} is not {rule} {_REMEDY}"))
     return problems
 
 
@@ -99,10 +98,12 @@ def _name(node: Node, topic: str, kind: Kind, policy: str) -> str:
     return f"{QOS_PREFIX}{full_name(node, topic)}.{kind}.{policy}"
 
 
-def _unknown(name: str, known: dict[str, str]) -> str:
+def _unknown(name: str, known: dict[str, str], are_undecided: bool) -> str:
+    endpoints = dict.fromkeys(other.removeprefix(QOS_PREFIX).rpartition(".")[0] for other in known)
+    if are_undecided and name.removeprefix(QOS_PREFIX).rpartition(".")[0] not in endpoints:
+        return "correct cameras first: none of its valid cameras has such a topic."
     hint = did_you_mean(name, known)
     if not hint:
-        endpoints = dict.fromkeys(other.removeprefix(QOS_PREFIX).rpartition(".")[0] for other in known)
         hint = f" Expected one of {', '.join(endpoints)}, each with {', '.join(_POLICIES)}."
     return f"this node has no such topic or policy.{hint} {_REMEDY}"
 

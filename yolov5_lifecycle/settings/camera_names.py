@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Collection, Sequence
+from itertools import islice
 
 from yolov5_lifecycle.settings.schema import SEPARATOR
 from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
@@ -33,6 +34,17 @@ def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
         return f"must name each camera once: leave out one {repeated[0]!r}."
     return ""
+
+
+def usable_names(value: object, settings: Collection[str]) -> tuple[str, ...]:
+    """The first MAX_CAMERAS valid names in `value`, an invalid list of cameras or a string meant as one."""
+    if isinstance(value, str):
+        value = [name.strip(" \"'") for name in value.strip(" []").split(",")]
+    if not isinstance(value, (list, tuple)):
+        return ()
+    names = dict.fromkeys(name for name in value if isinstance(name, str))
+    valid = (name for name in names if not camera_names_rule([name], settings))
+    return tuple(islice(valid, MAX_CAMERAS))
 
 
 def _owner(name: str, settings: Collection[str]) -> str:

@@ -9,7 +9,12 @@ from typing import TypeVar
 
 from pydantic import BaseModel
 
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, MAX_NAME_LENGTH
+from yolov5_lifecycle.settings.camera_names import (
+    MAX_CAMERAS,
+    MAX_NAME_LENGTH,
+    camera_names_rule,
+    usable_names,
+)
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, Schema, Setting, SettingsError
 from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS, nearest
 
@@ -27,10 +32,18 @@ class OverridableSchema(Schema[Model]):
     Then those of the node are validated, with the valid overrides by dotted name as pydantic's context.
     """
 
+    def fallback(self, name: str, value: object) -> object:
+        """Of invalid `cameras`, the names that are valid: their overrides can then be judged and set."""
+        return usable_names(value, self.by_name) if name == CAMERAS else super().fallback(name, value)
+
     def is_known(self, name: str, values: Mapping[str, object]) -> bool:
         return name in self.by_name or (
-            self._inherited(name) is not None and name.partition(SEPARATOR)[0] in _cameras(values)
+            camera_of(name) in _cameras(values) and self._inherited(name) is not None
         )
+
+    def without_camera(self, name: str, values: Mapping[str, object]) -> Problem:
+        """The problem of the override `name`, whose camera is not in `values`."""
+        return Problem(name, _addition(_cameras(values)))
 
     def problem(self, name: str, value: object) -> Problem | None:
         camera, separator, setting = name.rpartition(SEPARATOR)
@@ -41,12 +54,14 @@ class OverridableSchema(Schema[Model]):
         camera, separator, setting = name.partition(SEPARATOR)
         cameras = _cameras(values)
         if not (separator and cameras):
-            return None if self._inherited(name) else super().meant(name)  # its camera is missing
+            return None if self._overridden(name) else super().meant(name)  # its camera is missing
         if setting in self.by_name and not self.by_name[setting].per_camera:
             return None
         near_camera = camera if camera in cameras else nearest(camera, cameras)
         near_setting = super().meant(setting)
-        if near_camera is None or near_setting is None or not self.by_name[near_setting].per_camera:
+        if near_camera is None or not self._may_be_camera(near_camera):
+            return None
+        if near_setting is None or not self.by_name[near_setting].per_camera:
             return None
         return f"{near_camera}{SEPARATOR}{near_setting}"
 
@@ -70,6 +85,8 @@ class OverridableSchema(Schema[Model]):
     def _reason(self, name: str, cameras: Sequence[str], *, may_suggest: bool) -> str:
         """Why there is no parameter `name` with these `cameras`; empty if they have nothing to do with it."""
         camera, separator, setting = name.partition(SEPARATOR)
+        if self._overridden(name) and not self._may_be_camera(camera):
+            return f"no camera can have the name {camera[:MAX_NAME_LENGTH]!r}. Use the camera's new name."
         if separator and camera in cameras and setting in self.by_name:
             return f"{setting} is a setting of the node, the same for all cameras."
         if separator and camera in self.by_name:
@@ -79,22 +96,29 @@ class OverridableSchema(Schema[Model]):
             return f"{name} is a camera; its settings have names such as {name}{SEPARATOR}{example}."
         if self._inherited(name) is None or (cameras and (not may_suggest or nearest(camera, cameras))):
             return ""
-        present = f"has {', '.join(name[:MAX_NAME_LENGTH] for name in cameras)}" if cameras else "is empty"
-        return f"add the camera to {CAMERAS}, which {present}."
+        return _addition(cameras)
 
     def _override(self, name: str) -> Setting | None:
         setting = self._inherited(name)
         if setting is None:
             return None
-        camera, _, _ = name.partition(SEPARATOR)
-        described = f"{setting.description} For the camera {camera}; if not set, {setting.name} applies."
+        described = (
+            f"{setting.description} For the camera {camera_of(name)}; if not set, {setting.name} applies."
+        )
         return replace(setting, name=name, description=described)
 
     def _inherited(self, name: str) -> Setting | None:
-        """The setting of the node that the override `name` replaces."""
+        """The setting of the node that the override `name` replaces; None if its camera cannot exist."""
+        return self._overridden(name) if self._may_be_camera(camera_of(name)) else None
+
+    def _overridden(self, name: str) -> Setting | None:
+        """The setting after the dot of `name`, whatever stands before it."""
         camera, _, overridden = name.partition(SEPARATOR)
         setting = self.by_name.get(overridden)
         return setting if camera and setting is not None and setting.per_camera else None
+
+    def _may_be_camera(self, name: str) -> bool:
+        return not camera_names_rule([name], self.by_name)
 
     def _with_overrides(self, values: Mapping[str, object]) -> Model:
         own = {name: value for name, value in values.items() if SEPARATOR not in name}
@@ -162,6 +186,17 @@ def overrides_of(camera: str, overrides: Mapping[str, object]) -> dict[str, obje
     """Values of the `overrides` for one camera, by the names of the settings."""
     prefix = f"{camera}{SEPARATOR}"
     return {name.removeprefix(prefix): value for name, value in overrides.items() if name.startswith(prefix)}
+
+
+def camera_of(name: str) -> str:
+    """The camera of the override `name`."""
+    return name.partition(SEPARATOR)[0]
+
+
+def _addition(cameras: Sequence[str]) -> str:
+    """The remedy for an override whose camera is not in `cameras`."""
+    present = f"has {', '.join(name[:MAX_NAME_LENGTH] for name in cameras)}" if cameras else "is empty"
+    return f"add the camera to {CAMERAS}, which {present}."
 
 
 def _cameras(values: Mapping[str, object]) -> tuple[str, ...]:

@@ -176,6 +176,7 @@ def test_an_integer_is_taken_for_a_number_and_indices_for_names(served: ServedNo
 def test_a_wrong_override_is_refused_and_changes_nothing(
     served: ServedNode, values: dict[str, Any], reason: str
 ) -> None:
+    served.bring_to("inactive")
     present, before = names(served), settings_of(served)
     done, told = change(served, values)
     assert not done

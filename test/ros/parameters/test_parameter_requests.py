@@ -102,6 +102,7 @@ def test_a_program_that_sets_a_parameter_of_its_node_is_validated_once(
 
 
 def test_the_same_refused_parameter_is_validated_again_after_another_change(served: ServedNode) -> None:
+    served.bring_to("inactive")
     precision, device = Parameter("precision", value="fp16"), Parameter("device", value="cpu")
     assert [result.successful for result in served.node.set_parameters([device, precision])] == [True, False]
     served.node.set_parameters([Parameter("device", value="auto"), Parameter("lazy", value=False)])

@@ -23,6 +23,7 @@ from yolov5_lifecycle.ros.detector.transitions import (
     refused_transition,
     requested_label,
 )
+from yolov5_lifecycle.ros.parameters.configuration_problems import corrections
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters, Validate
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
 from yolov5_lifecycle.ros.qos_overrides import qos_problems, qos_rules
@@ -34,6 +35,7 @@ from yolov5_lifecycle.ros.rclpy_internals import (
 )
 from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.topics import impossible_names, remapping_problems
+from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.settings import validated
 from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
@@ -120,13 +122,21 @@ class DetectorNode(PrintableNode, LifecycleNode):
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         cameras = self._settings.value("cameras") or ("",)
+        of_parameters = self._settings.problems()
         problems = [
             *map(in_one_line, self._start_problems),
-            *self._topic_problems(cameras),
-            *(in_one_line(str(problem)) for problem in self._settings.problems()),
+            *self._topic_problems(
+                cameras, are_undecided=any(problem.setting == CAMERAS for problem in of_parameters)
+            ),
+            *(in_one_line(str(problem)) for problem in of_parameters),
         ]
         if problems:
-            self.report("\n  ".join([f"configure refused, {len(problems)} problem(s):", *problems]))
+            heading = f"configure refused, {len(problems)} problem(s):"
+            self.report(
+                "\n  ".join(
+                    [heading, *problems, *corrections(of_parameters, self.get_fully_qualified_name())]
+                )
+            )
             return FAILURE
         self._is_qos_checked = True
         settings = self._settings.settings()
@@ -136,6 +146,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
         except ValueError as error:
             self.report(f"configure refused: {error}")
             return FAILURE
+        self._settings.forget_unusable()
         self.get_logger().info("configured with\n" + self._settings.table())
         self._resources.configure()
         self._problem = ""
@@ -176,19 +187,20 @@ class DetectorNode(PrintableNode, LifecycleNode):
     def _declared_settings(self, validate: Validate, arguments: Sequence[str]) -> SettingsParameters:
         return SettingsParameters(
             self,
-            review=lambda candidate: self._reconfiguration.review(candidate),
+            review=lambda before, after: self._reconfiguration.review(before, after),
             commit=lambda before, after: self._reconfiguration.take_effect(before, after),
             rules=qos_rules(self),
             arguments=arguments,
             validate=validate,
+            is_unconfigured=lambda: self.state_label == "unconfigured",
         )
 
-    def _topic_problems(self, cameras: Sequence[str]) -> list[str]:
-        """Problems of these cameras with their topics or QoS overrides."""
+    def _topic_problems(self, cameras: Sequence[str], *, are_undecided: bool) -> list[str]:
+        """Problems of these cameras, to which others may be added, with their topics or QoS overrides."""
         if problems := impossible_names(self, cameras):
             return problems
         # The overrides are fixed, but their camera may have been removed since.
-        of_qos = [] if self._is_qos_checked else qos_problems(self, cameras)
+        of_qos = [] if self._is_qos_checked else qos_problems(self, cameras, are_undecided=are_undecided)
         return [*remapping_problems(self, cameras), *(in_one_line(str(problem)) for problem in of_qos)]
 
     def _greet(self) -> None:

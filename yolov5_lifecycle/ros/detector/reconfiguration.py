@@ -198,9 +198,9 @@ class Reconfiguration:
             return []
         return [Problem("cameras", text) for text in remapping_problems(self._node, after.camera_names)]
 
-    def review(self, candidate: Settings) -> list[Problem]:
-        """Problems of `candidate` with the topics of the node and the running model."""
-        if problems := self._topic_problems(self._parameters.settings(), candidate):
+    def review(self, before: Settings | None, candidate: Settings) -> list[Problem]:
+        """Problems of `candidate`, to follow `before`, with the topics of the node and the running model."""
+        if problems := self._topic_problems(before, candidate):
             return problems
         if (detection := self._resources.detection) is None:
             return []

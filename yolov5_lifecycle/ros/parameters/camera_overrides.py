@@ -10,8 +10,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.ros.parameters.declaration import declare_unset, unset_descriptor
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
+from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR
-from yolov5_lifecycle.settings.settings import SCHEMA
+from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS
+
+MAX_OVERRIDES = MAX_CAMERAS * sum(setting.per_camera for setting in SETTINGS)
+"""Of all cameras, those that are not in `cameras` included."""
 
 
 def deletion(name: str) -> Parameter:
@@ -38,9 +43,26 @@ def undeclare_unset(node: Node, parameters: Iterable[Parameter]) -> None:
             node.undeclare_parameter(setting.name)
 
 
-def orphaned(names: Iterable[str], values: Mapping[str, object]) -> list[str]:
-    """The overrides among `names` whose cameras are not in `values`."""
-    return [name for name in names if SEPARATOR in name and not SCHEMA.is_known(name, values)]
+def without_camera(values: Mapping[str, object]) -> list[str]:
+    """The overrides among `values` whose cameras are not in `values`."""
+    return [name for name in values if SEPARATOR in name and not SCHEMA.is_known(name, values)]
+
+
+def orphaned(before: Mapping[str, object], after: Mapping[str, object]) -> list[str]:
+    """The overrides in the values `before` whose cameras were removed by those `after`."""
+    absent = set(without_camera(before))
+    return [name for name in without_camera({**before, CAMERAS: after[CAMERAS]}) if name not in absent]
+
+
+def log_removed(node: Node, before: Mapping[str, object], after: Mapping[str, object]) -> None:
+    """Log the overrides that left with their cameras when the values changed from `before` to `after`."""
+    if removed := [name for name in orphaned(before, after) if name not in after]:
+        node.get_logger().info(f"removed with its camera: {', '.join(removed)}")
+
+
+def are_too_many(values: Mapping[str, object]) -> bool:
+    """Whether there are more than MAX_OVERRIDES overrides in `values`; those that are None are deleted."""
+    return sum(SEPARATOR in name and value is not None for name, value in values.items()) > MAX_OVERRIDES
 
 
 def without_deleted(values: Mapping[str, object]) -> dict[str, object]:

@@ -17,6 +17,7 @@ from yolov5_lifecycle.ros.parameters.values import TYPES, coerced, plain_values,
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, Setting
 from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
+from yolov5_lifecycle.settings.value_text import value_text
 
 
 class Source(Enum):
@@ -30,10 +31,10 @@ class Source(Enum):
 
 @dataclass(frozen=True)
 class Declaration:
-    """What a node started with: value and source of each setting, and the overrides that it cannot use.
+    """What a node started with: value of each setting, and the overrides that it cannot use.
 
-    A setting whose override is `invalid` has its default; a setting of a camera has the value of the node.
-    `unknown`: the overrides that are not settings. All by name.
+    A setting whose override is `invalid` has its `fallback`; a setting of a camera has the value of the node.
+    `unknown`: the overrides that are not settings. `sources`: also those of unusable overrides. All by name.
     """
 
     values: Mapping[str, object]
@@ -56,25 +57,36 @@ def declare(node: Node, schema: Schema[Any], *, arguments: Sequence[str] = ()) -
         parameter = Parameter(setting.name, TYPES[setting.type], ros_value(setting.default))
         if override is not None:
             wanted = coerced(override, schema.by_name, may_be_unset=True)
-            if problem := _problem(wanted, schema):
+            if problem := problem_of(wanted, schema):
                 invalid[setting.name] = problem
-            else:
-                parameter = wanted
+                usable = schema.fallback(setting.name, *plain_values([wanted], schema.by_name).values())
+                wanted = Parameter(setting.name, TYPES[setting.type], ros_value(usable))
+            parameter = wanted
         _declare(node, setting, parameter)
     values = plain_values(map(node.get_parameter, schema.by_name), schema.by_name)
     for name in [name for name in overrides if schema.is_known(name, values)]:
         settings = schema.found([name])
         wanted = coerced(overrides[name], settings, may_be_unset=True)
-        if problem := _problem(wanted, schema):
+        sources[name] = _source(overrides[name], on_command_line)
+        if problem := problem_of(wanted, schema):
             invalid[name] = problem
         else:
             declare_unset(node, settings[name])
             node.set_parameters([wanted])
-            sources[name] = _source(overrides[name], on_command_line)
             values |= plain_values([wanted], settings)
         del overrides[name]
     unknown = {name: given for name, given in overrides.items() if not name.startswith(ROS_PREFIXES)}
+    sources |= {name: _source(given, on_command_line) for name, given in unknown.items()}
     return Declaration(values, sources, invalid, unknown)
+
+
+def source_table(values: Mapping[str, object], sources: Mapping[str, Source]) -> str:
+    """Name, value and source of every setting in `sources`, one per line."""
+    width = max(map(len, sources))
+    return "\n".join(
+        f"  {name:{width}}  {value_text(values[name]):<28}  {source.value}"
+        for name, source in sources.items()
+    )
 
 
 def _source(override: Parameter | None, on_command_line: set[str]) -> Source:
@@ -89,8 +101,8 @@ def _names_on_command_line(arguments: Sequence[str]) -> set[str]:
     return {assignment.partition(":=")[0].rpartition(":")[2] for assignment in assignments}
 
 
-def _problem(parameter: Parameter, schema: Schema[Any]) -> Problem | None:
-    """Why `parameter` alone is invalid, or None."""
+def problem_of(parameter: Parameter, schema: Schema[Any]) -> Problem | None:
+    """Why `parameter`, a setting of `schema`, is invalid whatever the others are, or None."""
     (value,) = plain_values([parameter], schema.found([parameter.name])).values()
     return schema.problem(parameter.name, value)
 

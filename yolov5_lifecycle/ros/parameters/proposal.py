@@ -44,6 +44,8 @@ class Proposal:
     """Requested names that are not parameters."""
     problems: tuple[Problem, ...] = ()
     """Why the request must be refused; excludes problems that `base` already has."""
+    unsolved: tuple[Problem, ...] = ()
+    """Problems that the change adds and another one can solve: accepted while the node is unconfigured."""
     is_direct: bool = False
     """Whether the request was made in-process, through the methods of the rclpy node."""
 
@@ -53,8 +55,18 @@ MAX_REASON_LENGTH = 2000
 
 
 def refusal(problems: Sequence[Problem]) -> SetParametersResult:
-    """Result that rejects a change because of `problems`, truncated to MAX_REASON_LENGTH."""
+    """Result that rejects a change because of `problems`; the reason is at most MAX_REASON_LENGTH long."""
+    return SetParametersResult(successful=False, reason=_reason(problems))
+
+
+def acceptance(proposal: Proposal) -> SetParametersResult:
+    """Result of a stored change with `unsolved` problems; `ros2 param set` shows them beside the success."""
+    remark = f"change another parameter, too, or configure is refused: {_reason(proposal.unsolved)}"
+    return SetParametersResult(successful=True, reason=remark)
+
+
+def _reason(problems: Sequence[Problem]) -> str:
     reason = " ".join(map(str, problems))
-    if len(reason) > MAX_REASON_LENGTH:
-        reason = f"{reason[:MAX_REASON_LENGTH]}... ({len(problems)} problems)"
-    return SetParametersResult(successful=False, reason=reason)
+    if len(reason) <= MAX_REASON_LENGTH:
+        return reason
+    return f"{reason[:MAX_REASON_LENGTH]}... ({len(problems)} problems)"

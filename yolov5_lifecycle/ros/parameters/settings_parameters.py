@@ -12,21 +12,30 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.ros.parameters.camera_overrides import (
+    are_too_many,
     declare_missing,
     deletion,
     describe,
+    log_removed,
     orphaned,
     undeclare_unset,
+    without_camera,
     without_deleted,
 )
-from yolov5_lifecycle.ros.parameters.declaration import Source, declare
-from yolov5_lifecycle.ros.parameters.proposal import Configuration, Proposal, refusal
+from yolov5_lifecycle.ros.parameters.configuration_problems import (
+    accepted_until_configure,
+    configuration_problems,
+    explained,
+)
+from yolov5_lifecycle.ros.parameters.declaration import Source, declare, source_table
+from yolov5_lifecycle.ros.parameters.proposal import Configuration, Proposal, acceptance, refusal
 from yolov5_lifecycle.ros.parameters.unusable_overrides import UnusableOverrides
-from yolov5_lifecycle.ros.parameters.values import coerced, plain_values, ros_value
+from yolov5_lifecycle.ros.parameters.values import coerced, is_read_only, plain_values, stays
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, Settings, validated
 
 Rule = Callable[[Settings], list[Problem]]
+Review = Callable[[Settings | None, Settings], list[Problem]]
 Validate = Callable[[Mapping[str, object]], Settings]
 """See `validated`."""
 
@@ -43,12 +52,15 @@ def has_overrides(names: Iterable[str]) -> bool:
 class SettingsParameters:
     """Owns the current settings; other code queries it or is passed the frozen settings.
 
-    A bad override (YAML file or command line) never raises: the parameter is declared with its default and
+    A bad override (YAML file or command line) never raises: the parameter is declared with its fallback and
     the problem is kept until the parameter is set again, so that configure can report all problems.
 
+    While the node `is_unconfigured`, values may contradict each other and cameras with overrides may be
+    missing, so that parameters can be set one by one in any order; configure then refuses what is left.
+
     `propose` validates a service request, `store` sets the proposed values. In-process calls of the node's
-    set_parameters methods follow the same path inside rclpy's callbacks: `review(settings)` adds the checks
-    that need the loaded model, `commit(before, after)` makes the change take effect.
+    set_parameters methods follow the same path inside rclpy's callbacks: `review(before, after)` adds the
+    checks that need the loaded model, `commit(before, after)` makes the change take effect.
 
     `rules` are checked in addition to those of Settings, `start_problems` can only be solved by a restart.
     `arguments` are the command-line arguments. `validate` creates settings from values.
@@ -58,12 +70,13 @@ class SettingsParameters:
         self,
         node: Node,
         *,
-        review: Rule,
+        review: Review,
         commit: Callable[[Settings, Settings], None],
         rules: Sequence[Rule] = (),
         start_problems: Sequence[Problem] = (),
         arguments: Sequence[str] = (),
         validate: Validate = validated,
+        is_unconfigured: Callable[[], bool] = lambda: False,
     ) -> None:
         self._node = node
         self._review = review
@@ -71,8 +84,10 @@ class SettingsParameters:
         self._rules = rules
         self._start_problems = start_problems
         self._validate = validate
+        self._is_unconfigured = is_unconfigured
         declaration = declare(node, SCHEMA, arguments=arguments)
-        self._sources = dict(declaration.sources)
+        self._given = declaration.sources
+        self._sources = {name: self._given[name] for name in declaration.values}
         self._unusable = UnusableOverrides(declaration.invalid, declaration.unknown).without(())
         self._current = self._configuration(declaration.values)
         self._accepted: Proposal | None = None
@@ -82,9 +97,18 @@ class SettingsParameters:
 
     def problems(self) -> list[Problem]:
         """Problems of the current values and of the overrides."""
-        unusable, values = self._unusable, self._current.values
-        of_start = unusable.problems(values, self._node.get_fully_qualified_name()) if unusable else []
-        return [*of_start, *self._start_problems, *self._current.problems]
+        of_parameters = configuration_problems(
+            self._current,
+            self._unusable or UnusableOverrides({}, {}),
+            changed={name for name, source in self._sources.items() if source is Source.RUN_TIME},
+            configure=self._configuration,
+            node_name=self._node.get_fully_qualified_name(),
+        )
+        return [*self._start_problems, *of_parameters]
+
+    def forget_unusable(self) -> None:
+        """Forget the overrides without effect, once `problems` has none."""
+        self._unusable = None
 
     def settings(self) -> Settings:
         """The current settings; raises SettingsError if the values contradict each other."""
@@ -109,7 +133,7 @@ class SettingsParameters:
 
         Suggests a similar name for at most `suggestions` unknown names.
         """
-        withdrawn = tuple(parameter.name for parameter in asked if self._is_withdrawn(parameter))
+        withdrawn = self._unusable.deleted_by(asked) if self._unusable is not None else ()
         rest = [parameter for parameter in asked if parameter.name not in withdrawn]
         settings = SCHEMA.found(parameter.name for parameter in rest)
         wanted = [coerced(parameter, settings) for parameter in rest]
@@ -120,7 +144,7 @@ class SettingsParameters:
             for index, name in enumerate(unknown)
         ]
         known = (parameter for parameter in wanted if parameter.name not in unknown)
-        proposal = self._proposal([p for p in known if not self._stays(p)], withdrawn)
+        proposal = self._proposal([p for p in known if not stays(self._node, p)], withdrawn)
         return replace(
             proposal,
             asked=tuple(asked),
@@ -143,7 +167,7 @@ class SettingsParameters:
                 return result
         if self._unusable is not None:
             self._unusable = self._unusable.without(proposal.withdrawn)
-        return SetParametersResult(successful=True)
+        return acceptance(proposal) if proposal.unsolved else SetParametersResult(successful=True)
 
     def present(self, parameters: Sequence[Parameter]) -> list[Parameter]:
         """Current values of these parameters; those that are not declared are unset."""
@@ -152,29 +176,30 @@ class SettingsParameters:
 
     def table(self) -> str:
         """Name, value and source of every setting and override, one per line."""
-        width = max(map(len, self._sources))
-        values = self._current.values
-        return "\n".join(
-            f"  {name:{width}}  {ros_value(values[name])!r:<28}  {source.value}"
-            for name, source in self._sources.items()
-        )
+        return source_table(self._current.values, self._sources)
 
     def _proposal(self, parameters: Sequence[Parameter], withdrawn: Collection[str] = ()) -> Proposal:
         """Proposal for parameters that are already coerced."""
-        base, changed = self._current, self._changed(parameters)
+        asked, base, changed = parameters, self._current, self._changed(parameters)
         values = {**base.values, **changed}
         if self._unusable is not None or has_overrides(values):
-            parameters = [*parameters, *self._consequences(values, changed, withdrawn)]
+            usable = self._unusable.usable_with(values, withdrawn) if self._unusable else []
+            removed = [name for name in orphaned(base.values, values) if name not in changed]
+            parameters = [*parameters, *usable, *map(deletion, removed)]
             changed = self._changed(parameters)
             values = without_deleted({**base.values, **changed})
         after = self._configuration(values) if changed else base
+        problems = [problem for problem in after.problems if problem not in base.problems]
+        may_wait = problems and self._is_unconfigured()
+        unsolved = accepted_until_configure(problems, values) if may_wait else ()
         return Proposal(
             base=base,
             after=after,
             kind=_kind(base.settings, after.settings),
-            asked=tuple(parameters),
+            asked=tuple(asked),
             parameters=tuple(parameters),
-            problems=tuple(problem for problem in after.problems if problem not in base.problems),
+            problems=tuple(explained(problem, values) for problem in problems if problem not in unsolved),
+            unsolved=unsolved,
         )
 
     def _changed(self, parameters: Sequence[Parameter]) -> dict[str, object]:
@@ -183,54 +208,24 @@ class SettingsParameters:
         present = self._current.values
         return {name: value for name, value in values.items() if value is not None or name in present}
 
-    def _consequences(
-        self, values: Mapping[str, object], changed: Collection[str], withdrawn: Collection[str]
-    ) -> list[Parameter]:
-        """Further parameters to set with `values`: overrides of added cameras, deletion of orphaned ones."""
-        usable = self._unusable.usable_with(values) if self._unusable else []
-        return [
-            *(parameter for parameter in usable if parameter.name not in withdrawn),
-            *(deletion(name) for name in orphaned(values, values) if name not in changed),
-        ]
-
     def _configuration(self, values: Mapping[str, object]) -> Configuration:
+        absent = without_camera(values) if has_overrides(values) else []
+        problems = [SCHEMA.without_camera(name, values) for name in absent]
+        present = {name: value for name, value in values.items() if name not in absent}
         try:
-            settings = self._validate(values)
+            settings = self._validate(present)
         except SettingsError as error:
-            return Configuration(values, None, tuple(error.problems))
-        if problems := [problem for rule in self._rules for problem in rule(settings)]:
-            return Configuration(values, None, tuple(problems))
-        return Configuration(values, settings)
-
-    def _is_withdrawn(self, parameter: Parameter) -> bool:
-        """Whether `parameter` deletes an unusable override."""
-        is_unset = parameter.type_ is Parameter.Type.NOT_SET
-        return is_unset and self._unusable is not None and self._unusable.may_be_deleted(parameter.name)
+            return Configuration(values, None, (*error.problems, *problems))
+        problems += [problem for rule in self._rules for problem in rule(settings)]
+        return Configuration(values, None if problems else settings, tuple(problems))
 
     def _is_parameter(self, parameter: Parameter, values: Mapping[str, object]) -> bool:
         """Whether `parameter` may be set or deleted if the other values are `values`."""
         name = parameter.name
-        is_declared: bool = self._node.has_parameter(name)
-        if SEPARATOR not in name or SCHEMA.find(name) is None:
-            return is_declared
         is_unset = parameter.type_ is Parameter.Type.NOT_SET
-        return SCHEMA.is_known(name, values) or (is_declared and is_unset)
-
-    def _stays(self, parameter: Parameter) -> bool:
-        """Whether `parameter` deletes an override that is not set, or is read-only and has this value.
-
-        rclpy would reject both, the latter with `ros2 param load` of a dump of the node.
-        """
-        name = parameter.name
-        if not self._node.has_parameter(name):
-            return parameter.type_ is Parameter.Type.NOT_SET
-        if not self._is_read_only(name):
-            return False
-        present = self._node.get_parameter(name)
-        return (parameter.type_, parameter.value) == (present.type_, present.value)
-
-    def _is_read_only(self, name: str) -> bool:
-        return self._node.has_parameter(name) and bool(self._node.describe_parameter(name).read_only)
+        if SEPARATOR not in name or SCHEMA.find(name) is None or is_unset:
+            return self._node.has_parameter(name) or SCHEMA.is_known(name, values)
+        return SCHEMA.is_known(name, values) or (self._is_unconfigured() and not are_too_many(values))
 
     # rclpy's callbacks compare their parameters with the accepted proposal. Parameters without a proposal
     # were set in-process, through the node's methods.
@@ -247,7 +242,9 @@ class SettingsParameters:
         """What rclpy is to set instead of `parameters`: those of their proposal, new overrides declared."""
         proposal = self._proposal_of(parameters)
         names = [parameter.name for parameter in proposal.parameters]
-        is_refused = proposal.problems or (proposal.is_direct and any(map(self._is_read_only, names)))
+        is_refused = proposal.problems or (
+            proposal.is_direct and any(is_read_only(self._node, name) for name in names)
+        )
         if has_overrides(names) and not is_refused:
             declare_missing(self._node, proposal.parameters)
             self._accepted = proposal  # declaring ran the callbacks, which accepted another one
@@ -260,7 +257,7 @@ class SettingsParameters:
         settings = proposal.after.settings
         if proposal.problems or settings is None or proposal.after is proposal.base:
             return proposal
-        return replace(proposal, problems=tuple(self._review(settings)))
+        return replace(proposal, problems=tuple(self._review(proposal.base.settings, settings)))
 
     def _answer(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         problems = self._proposal_of(parameters).problems
@@ -271,14 +268,16 @@ class SettingsParameters:
         if proposal.after is proposal.base:
             return
         self._current, values = proposal.after, proposal.after.values
-        names = {parameter.name for parameter in parameters}
-        self._sources |= dict.fromkeys(names & values.keys(), Source.RUN_TIME)
+        names, asked = {p.name for p in parameters}, {p.name for p in proposal.asked}
+        self._sources |= {
+            name: Source.RUN_TIME if name in asked else self._given[name] for name in values.keys() & names
+        }
         for name in self._sources.keys() - values.keys():
             del self._sources[name]
         if self._unusable is not None:
             self._unusable = self._unusable.after_setting(names, values)
-        if has_overrides(proposal.base.values) and (removed := orphaned(proposal.base.values, values)):
-            self._node.get_logger().info(f"removed with its camera: {', '.join(removed)}")
+        if has_overrides(proposal.base.values):
+            log_removed(self._node, proposal.base.values, values)
         old, new = proposal.base.settings, proposal.after.settings
         if proposal.is_direct and old is not None and new is not None:
             self._commit(old, new)

@@ -1,4 +1,4 @@
-"""Conversion of ROS parameters to values of settings, and of requests to parameters."""
+"""Conversion of ROS parameters to values of settings, and of requests to parameters; which change nothing."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.settings.schema import Setting
@@ -56,6 +57,25 @@ def _is_empty(parameter: Parameter, may_be_unset: bool) -> bool:
     if parameter.type_ is Parameter.Type.NOT_SET:
         return may_be_unset  # YAML `[]`; from a service it means "delete"
     return parameter.type_.name.endswith("ARRAY") and len(parameter.value) == 0
+
+
+def stays(node: Node, parameter: Parameter) -> bool:
+    """Whether `parameter` deletes an override that is not set, or is read-only and has this value.
+
+    rclpy would reject both, the latter with `ros2 param load` of a dump of the node.
+    """
+    name = parameter.name
+    if not node.has_parameter(name):
+        return parameter.type_ is Parameter.Type.NOT_SET
+    if not is_read_only(node, name):
+        return False
+    present = node.get_parameter(name)
+    return (parameter.type_, parameter.value) == (present.type_, present.value)
+
+
+def is_read_only(node: Node, name: str) -> bool:
+    """Whether `name` is a declared parameter that only the start of the node sets."""
+    return node.has_parameter(name) and bool(node.describe_parameter(name).read_only)
 
 
 def plain_values(parameters: Iterable[Parameter], settings: Mapping[str, Setting]) -> dict[str, object]:

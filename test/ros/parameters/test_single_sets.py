@@ -1,0 +1,184 @@
+"""Wrong files are corrected by single sets in any order, and configure names all that is wrong at once."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from support.preparations import Preparations
+
+from yolov5_lifecycle.ros.detector.node import DetectorNode
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
+from yolov5_lifecycle.settings.schema import SettingsError
+from yolov5_lifecycle.settings.settings import validated
+
+Values = dict[str, Any]
+
+NAMES = ("front", "front2", "front_left", "rear")
+"""Of cameras; some resemble each other, as on robots."""
+GOOD: Mapping[str, list[Any]] = {
+    "confidence_threshold": [0.3, 0.6],
+    "track_low_threshold": [0.05, 0.3, 0.6],
+    "track_high_threshold": [0.2, 0.5, 0.9],
+    "min_box_size": [0.1, 0.4],
+    "max_box_size": [0.2, 0.5],
+    "classes": [["cat"], ["dog", "cat"]],
+    "max_rate": [0.0, 5.0],
+    "lazy": [True, False],
+}
+WRONG: Mapping[str, list[Any]] = {
+    "confidence_threshold": [7.0, "high"],
+    "track_low_threshold": [-1.0],
+    "track_high_threshold": [2.0, False],
+    "min_box_size": [-0.5],
+    "max_box_size": ["big"],
+    "classes": [["a", ""] * 6000, "cat"],
+    "max_rate": [-1.0, 2000.0],
+    "lazy": ["often", 1],
+}
+STRAY = ("wieghts", "front.max_rte", "frnt.max_rate", "2nd.max_rate", "rear.weights", "classes.cat", "x.y.z")
+MANY = [f"camera{number}" for number in range(MAX_CAMERAS)]
+
+
+class Detector:
+    """The node, whose services answer in its executor; no client, as examples are many."""
+
+    def __init__(self, file: Path) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, args=[])
+        arguments = ["--ros-args", "--params-file", str(file)]
+        self.node = DetectorNode(
+            prepare=Preparations(), context=self._context, cli_args=arguments, arguments=arguments
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        (self._service,) = (s for s in self.node.services if s.srv_name.endswith("/set_parameters"))
+
+    def set(self, name: str, value: Any) -> SetParametersResult:
+        """What `ros2 param set` or, of None, `ros2 param delete` is answered."""
+        message = ParameterMessage(name=name) if value is None else Parameter(name, value=value)
+        parameter = message if value is None else message.to_parameter_msg()
+        request = SetParameters.Request(parameters=[parameter])
+        answer = self._executor.create_task(self._service.callback, request, SetParameters.Response())
+        self._executor.spin_until_future_complete(answer)
+        (result,) = answer.result().results
+        return result
+
+    def configure(self) -> str:
+        """Why configure is refused, an empty string if it succeeds."""
+        done = self.node.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        return "" if done else str(self.node._problem)
+
+    def close(self) -> None:
+        self.node.close()
+        self._executor.shutdown()
+        rclpy.shutdown(context=self._context)
+
+
+@contextmanager
+def detector(folder: Path, given: Values) -> Iterator[Detector]:
+    """A node that was given these values in a file."""
+    file = folder / "parameters.yaml"
+    file.write_text(json.dumps({"/**": {"ros__parameters": given}}))
+    detector = Detector(file)
+    try:
+        yield detector
+    finally:
+        detector.close()
+
+
+def names_in(problems: str) -> set[str]:
+    """The parameters of which a refusal of configure says what is wrong."""
+    return set(re.findall(r"^  (\S+): ", problems, re.MULTILINE))
+
+
+def deletable_in(problems: str) -> list[str]:
+    """The parameters that a refusal says how to delete."""
+    return list(dict.fromkeys(re.findall(r"ros2 param delete /yolov5 (\S+)$", problems, re.MULTILINE)))
+
+
+def configurations() -> st.SearchStrategy[Values]:
+    """Values for the node and its cameras, each valid alone."""
+
+    def with_overrides(cameras: list[str]) -> st.SearchStrategy[Values]:
+        names = [*GOOD, *(f"{camera}.{name}" for camera in cameras for name in GOOD)]
+        chosen = st.lists(st.sampled_from(names), max_size=8, unique=True)
+        return chosen.flatmap(
+            lambda names: st.fixed_dictionaries(
+                {"cameras": st.just(cameras)}
+                | {name: st.sampled_from(GOOD[name.rpartition(".")[2]]) for name in names}
+            )
+        )
+
+    return st.lists(st.sampled_from(NAMES), min_size=1, unique=True).flatmap(with_overrides)
+
+
+def wrong_cameras(names: list[str]) -> list[Any]:
+    return [[*names, "classes"], [*names, "2nd"], [*names, names[0]], [*MANY, *names], names[0], 3, True, []]
+
+
+@st.composite
+def wrong_files(draw: st.DrawFn) -> tuple[Values, Values, Values, set[str]]:
+    """Values for the start, the valid ones that are wanted, single sets between them, and wrong names."""
+    wanted = draw(configurations())
+    try:
+        validated(wanted)
+    except SettingsError:
+        assume(False)
+    given, corrections, wrong = dict(wanted), dict[str, Any](), set[str]()
+    for name, value in wanted.items():
+        setting = name.rpartition(".")[2]
+        bad = wrong_cameras(value) if name == "cameras" else WRONG[setting]
+        kind = draw(st.sampled_from(["kept", "wrong", "other", "missing"]))
+        if kind == "wrong":
+            given[name] = draw(st.sampled_from(bad))
+        elif kind == "other" and name != "cameras":
+            given[name] = draw(st.sampled_from(GOOD[setting]))
+        elif kind == "missing":
+            del given[name]
+        if kind != "kept":
+            corrections[name] = value
+        if kind == "wrong" and given[name] != []:
+            wrong.add(name)
+    stray = draw(st.lists(st.sampled_from(STRAY), max_size=3, unique=True))
+    return given | dict.fromkeys(stray, 1.0), wanted, corrections, wrong | set(stray)
+
+
+@pytest.mark.parametrize("examples", [40, pytest.param(1500, marks=pytest.mark.long)], ids=["some", "many"])
+def test_a_wrong_file_is_corrected_by_single_sets_in_any_order(
+    ros_domain: int, tmp_path: Path, examples: int
+) -> None:
+    @settings(max_examples=examples)
+    @given(wrong_files(), st.randoms(use_true_random=False))
+    def try_it(case: tuple[Values, Values, Values, set[str]], random: Any) -> None:
+        start, wanted, corrections, wrong = case
+        order = sorted(corrections)
+        random.shuffle(order)
+        with detector(tmp_path, start) as tried:
+            told = tried.configure()
+            assert wrong <= names_in(told)
+            if not told:
+                tried.node.trigger_cleanup()
+            for name in order:
+                result = tried.set(name, corrections[name])
+                assert result.successful, (name, result.reason)
+            for name in deletable_in(tried.configure() if told else ""):
+                assert tried.set(name, None).successful, name
+            assert (tried.node.state_label == "inactive") or tried.configure() == ""
+            assert tried.node._settings.settings() == validated(wanted)
+
+    try_it()
