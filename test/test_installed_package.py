@@ -87,7 +87,7 @@ def test_a_command_that_needs_ros_says_so(command: str, executables: Path, home:
 
 def test_a_recording_is_detected_in(executables: Path, home: Path) -> None:
     record(home / "drive", [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
-    weights = executables.parent / "share" / PACKAGE / "weights" / "shapes.safetensors"
+    weights = f"package://{PACKAGE}/weights/shapes.safetensors"
     words = ["drive", "--output", "found", "--set", f"weights={weights}", "--set", "runtime=onnxruntime"]
     told = run(home, executables / "detect_bag", *words)
     assert told.returncode == 0, told.stderr

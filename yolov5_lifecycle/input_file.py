@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 from pathlib import Path
 
 _SCHEME = "package://"
@@ -12,12 +13,16 @@ _SCHEME = "package://"
 def resolve_package(path: str) -> str:
     """Resolve `package://PACKAGE/PATH` to a path in the package's share folder; returns others unchanged.
 
-    Searches the sourced environment in order, like ROS. Raises ValueError if the package is not found.
+    Searches the sourced environment in order, like ROS; this package itself is also found without one.
+    Raises ValueError if the package is not found.
     """
     if not path.startswith(_SCHEME):
         return path
     package, _, rest = path.removeprefix(_SCHEME).partition("/")
-    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+    sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    # A package lies below the prefix of its share folder, except one that pip installed as editable.
+    own = (*Path(__file__).parents, sys.prefix) if package == __package__ else ()
+    for prefix in (*sourced, *own):
         share = Path(prefix, "share")
         marker = share / "ament_index" / "resource_index" / "packages" / package
         if os.path.isfile(marker):  # noqa: PTH113 - Path.is_file raises if the name is too long

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from typing import Literal
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -134,3 +135,22 @@ def test_topics_with_images_are_searched_seldom_and_only_those_with_publishers_a
     assert similar[0] == "/viewer/image_raw_0"
     assert len(similar) == 3
     assert not {"/viewer/image", "/viewer/image_row"} & set(similar)
+
+
+@pytest.mark.parametrize("transport", ["raw", "compressed"])
+def test_images_of_labels_and_distances_are_not_offered_instead_of_a_camera(
+    node: Observer, transport: Literal["raw", "compressed"]
+) -> None:
+    topic = ImageTopic(node, transport)
+    others = ("masks", "ground_truth_masks", "label_image", "segmentation/image_raw", "depth/image_raw")
+    for name in (*others, "labelled_image"):
+        node.create_publisher(Image, f"/other/{name}", 1)
+    node.wait_for(lambda: node.count_publishers("/other/labelled_image") == 1, "the publishers")
+    assert topic.look().similar == ("/other/labelled_image",)
+
+
+def test_an_image_of_labels_is_offered_where_one_is_expected(ros_domain: int) -> None:
+    with closing(Observer("labels", domain=ros_domain)) as node:
+        node.create_publisher(Image, "/other/labels", 1)
+        node.wait_for(lambda: node.count_publishers("/other/labels") == 1, "the publisher")
+        assert ImageTopic(node, "raw").look().similar == ("/other/labels",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ _TYPE_NAMES = {"raw": "sensor_msgs/msg/Image", "compressed": "sensor_msgs/msg/Co
 DISCOVERY_S = 5.0
 """Time that ROS may take to discover publishers."""
 _SEARCH_EVERY_S = 5.0
+_NOT_COLOUR = {"mask", "label", "segmentation", "semantic", "instance", "depth", "disparity"}
+"""Words in the names of topics with images whose pixels are labels or distances."""
 _MAX_CANDIDATES = 200
 _MAX_ASKED = 20
 _MAX_SHOWN = 3
@@ -120,11 +123,18 @@ class ImageTopic:
         candidates = [
             name
             for name, types in self._node.get_topic_names_and_types()
-            if name not in own and any(type_name in types for type_name in _TYPE_NAMES.values())
+            if name not in own
+            and any(type_name in types for type_name in _TYPE_NAMES.values())
+            and not (_words(name) & _NOT_COLOUR) - _words(self.name)
         ]
         ranked = most_similar(self.name, candidates[:_MAX_CANDIDATES])[:_MAX_ASKED]
         published = [name for name in ranked if self._node.count_publishers(name)]
         return tuple(map(in_one_line, published[:_MAX_SHOWN]))
+
+
+def _words(name: str) -> set[str]:
+    """The words of the name of a topic, as in camera, image and raw of /camera/image_raw."""
+    return {word.lower().removesuffix("s") for word in re.split(r"[/_]", name)}
 
 
 def _gid(info: TopicEndpointInfo) -> bytes:
