@@ -67,6 +67,28 @@ def test_every_mistake_in_a_parameter_file_is_named_and_can_be_corrected(tmp_pat
         assert len(detector.look().scores) > 0
 
 
+@pytest.mark.parametrize(
+    "order",
+    [
+        ("cameras", "front.confidence_threshold", "rear.tracker"),
+        pytest.param(("front.confidence_threshold", "rear.tracker", "cameras"), marks=pytest.mark.long),
+    ],
+    ids=["cameras first", "cameras last"],
+)
+def test_wrong_cameras_and_their_wrong_overrides_are_corrected_one_by_one(
+    tmp_path: Path, order: tuple[str, ...]
+) -> None:
+    text = "cameras: [front, rear, classes]\nfront.confidence_threshold: 7.0\nrear: {tracker: sort}"
+    right = {"cameras": ["front", "rear"], "front.confidence_threshold": 0.5, "rear.tracker": "none"}
+    with detector_process(*parameter_file(tmp_path, text)) as detector:
+        assert not detector.transition("configure")
+        for name in order:
+            detector.process.wait_for_output(f"{name}: ", PATIENCE_S)
+        for name in order:
+            assert detector.node.set_parameters(**{name: right[name]}) == ""
+        assert detector.transition("configure")
+
+
 def test_parameter_files_that_cannot_be_read_are_reported_at_the_start(tmp_path: Path) -> None:
     absent = str(tmp_path / "absent.yaml")
     aliases = tmp_path / "aliases.yaml"

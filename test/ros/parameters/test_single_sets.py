@@ -22,9 +22,11 @@ from rclpy.parameter import Parameter
 from support.preparations import Preparations
 
 from yolov5_lifecycle.ros.detector.node import DetectorNode
+from yolov5_lifecycle.ros.parameters.camera_overrides import MAX_OVERRIDES
+from yolov5_lifecycle.ros.parameters.values import ros_value
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.schema import SettingsError
-from yolov5_lifecycle.settings.settings import validated
+from yolov5_lifecycle.settings.settings import SETTINGS, validated
 
 Values = dict[str, Any]
 
@@ -182,3 +184,223 @@ def test_a_wrong_file_is_corrected_by_single_sets_in_any_order(
             assert tried.node._settings.settings() == validated(wanted)
 
     try_it()
+
+
+FRONT_AND_REAR = {"cameras": ["front", "rear"]}
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        pytest.param(
+            {"cameras": ["front", "classes"], "front.confidence_threshold": 7.0, "front.tracker": "sort"},
+            [
+                "cameras: ['front', 'classes'] must not hold 'classes', the name of a setting: rename that",
+                "front.confidence_threshold: 7.0 is not a number from 0 to 1. The default is 0.25. "
+                "Or remove it: ros2 param delete /yolov5 front.confidence_threshold",
+                "front.tracker: 'sort' is not one of none, bytetrack. The default is 'none'. Or remove it: ",
+            ],
+            id="values beside wrong cameras",
+        ),
+        pytest.param(
+            {"cameras": 3, "front.lazy": 1, "front.max_rate": 5},
+            [
+                "cameras: 3 is not a list",
+                "front.lazy: add front when you correct cameras. Or remove it: ros2 param delete /yolov5",
+                "front.max_rate: add front when you correct cameras. Or remove it: ros2 param delete",
+                "front.lazy: 1 is not true or false. The default is true.",
+            ],
+            id="no camera can be read",
+        ),
+        pytest.param(
+            {"cameras": 3, "front.lazy": 1, "front.track_low_threshold": 0.9},
+            [
+                "cameras: ",
+                "front.lazy: add",
+                "front.track_low_threshold: add",
+                "front.lazy: 1 is not",
+                "front.track_low_threshold: 0.9 is above track_high_threshold, 0.25. Lower it",
+            ],
+            id="contradiction of a camera that does not exist",
+        ),
+        pytest.param(
+            {**FRONT_AND_REAR, "side.max_rate": -1.0},
+            [
+                "side.max_rate: there is no such parameter: add the camera to cameras, which has front, "
+                "rear. Or remove it: ros2 param delete /yolov5 side.max_rate",
+                "side.max_rate: -1.0 is not a number from 0 to 1000.",
+            ],
+            id="value of a missing camera",
+        ),
+        pytest.param(
+            {"cameras": [*MANY, "front"], "front.max_rate": 5.0, "front.max_rte": 5.0},
+            [
+                "cameras: ",
+                "front.max_rate: add front when you correct cameras.",
+                "front.max_rte: there is no such parameter. Did you mean 'front.max_rate'? Set that one, or",
+            ],
+            id="too many cameras",
+        ),
+        pytest.param(
+            {"cameras": ["front", "2nd"], "2nd.max_rate": 5.0},
+            [
+                "cameras: ",
+                "2nd.max_rate: there is no such parameter: no camera can have the name '2nd'. Use the "
+                "camera's new name. Remove it: ros2 param delete /yolov5 2nd.max_rate",
+            ],
+            id="name that no camera can have",
+        ),
+        pytest.param(
+            {"cameras": ["front", "2nd"], "qos_overrides./yolov5/2nd/detections.publisher.depth": 1},
+            [
+                "qos_overrides./yolov5/2nd/detections.publisher.depth: correct cameras first: none of its",
+                "cameras: ",
+            ],
+            id="quality of a camera that is to be renamed",
+        ),
+        pytest.param(
+            {"cameras": ["front", "2nd"], "qos_overrides./yolov5/front/detections.publisher.deph": 1},
+            [
+                "qos_overrides./yolov5/front/detections.publisher.deph: this node has no such",
+                "cameras: ",
+            ],
+            id="quality of a valid camera",
+        ),
+        pytest.param(
+            {"cameras": ["front", "2nd"], "qos_overrides./yolov5/front/detections.publisher.depth": 1},
+            ["cameras: "],
+            id="right quality",
+        ),
+        pytest.param(
+            {"track_high_threshold": 9.0, "track_low_threshold": 0.5},
+            ["track_high_threshold: 9.0 is not"],
+            id="contradiction that a wrong value leaves undecided",
+        ),
+        pytest.param(
+            {**FRONT_AND_REAR, "front.track_high_threshold": 9.0, "track_low_threshold": 0.2},
+            ["front.track_high_threshold: 9.0 is not"],
+            id="undecided contradiction of a camera",
+        ),
+        pytest.param(
+            {"cameras": 3, "front.track_high_threshold": 9.0, "front.track_low_threshold": 0.5},
+            [
+                "cameras: ",
+                "front.track_high_threshold: add",
+                "front.track_low_threshold: add",
+                "front.track_high_threshold: 9.0 is not",
+            ],
+            id="undecided contradiction of a camera that does not exist",
+        ),
+    ],
+)
+def test_configure_names_every_problem_with_its_remedy(
+    ros_domain: int, tmp_path: Path, given: Values, told: list[str]
+) -> None:
+    with detector(tmp_path, given) as tried:
+        first, *problems, last = tried.configure().split("\n")
+    assert first == f"configure refused, {len(told)} problem(s):"
+    assert [problem[2:][: len(beginning)] for problem, beginning in zip(problems, told, strict=True)] == told
+    assert last == "  Correct values one by one, in any order: ros2 param set /yolov5 NAME VALUE"
+
+
+@pytest.mark.parametrize("given", [{"wieghts": "x"}, {"autostart": 1}], ids=["unknown", "read-only"])
+def test_configure_names_no_command_that_cannot_help(ros_domain: int, tmp_path: Path, given: Values) -> None:
+    with detector(tmp_path, given) as tried:
+        assert "ros2 param set" not in tried.configure()
+
+
+@pytest.mark.parametrize(
+    ("given", "name", "value", "remark"),
+    [
+        pytest.param({}, "track_low_threshold", 0.9, "track_low_threshold: 0.9 is above", id="contradiction"),
+        pytest.param({}, "side.max_rate", 5.0, "add the camera to cameras, which is empty.", id="no camera"),
+        pytest.param(FRONT_AND_REAR, "side.lazy", True, "which has front, rear.", id="missing camera"),
+        pytest.param(FRONT_AND_REAR, "front.track_high_threshold", 0.05, "0.1 is above", id="inherited"),
+    ],
+)
+def test_a_set_that_needs_another_one_says_so_and_is_refused_when_configured(
+    ros_domain: int, tmp_path: Path, given: Values, name: str, value: Any, remark: str
+) -> None:
+    with detector(tmp_path, given) as tried:
+        result = tried.set(name, value)
+        assert result.successful
+        assert result.reason.startswith("change another parameter, too, or configure is refused: ")
+        assert remark in result.reason
+        assert tried.node.get_parameter(name).value == value
+        assert remark.rpartition(": ")[2].rstrip(".") in tried.configure()
+    with detector(tmp_path, given) as tried:
+        assert tried.configure() == ""
+        result = tried.set(name, value)
+        assert not result.successful
+        assert remark in result.reason
+
+
+@pytest.mark.parametrize("state", ["unconfigured", "inactive"])
+@pytest.mark.parametrize(
+    ("name", "default"), [("max_rate", "0.0"), ("lazy", "true"), ("classes", "[]"), ("device", "'auto'")]
+)
+def test_deleting_a_parameter_of_the_node_is_refused_with_its_default(
+    ros_domain: int, tmp_path: Path, state: str, name: str, default: str
+) -> None:
+    with detector(tmp_path, {}) as tried:
+        assert state == "unconfigured" or tried.configure() == ""
+        result = tried.set(name, None)
+        assert not result.successful
+        assert result.reason == (
+            f"{name}: a parameter of the node always has a value and cannot be deleted. "
+            f"Set it to its default: {default}."
+        )
+
+
+def test_overrides_for_cameras_that_do_not_exist_are_bounded(ros_domain: int, tmp_path: Path) -> None:
+    of_node = {setting.name: ros_value(setting.default) for setting in SETTINGS if setting.per_camera}
+    overrides = {f"{camera}.{name}": value for camera in MANY for name, value in of_node.items()}
+    assert len(overrides) == MAX_OVERRIDES
+    with detector(tmp_path, {"cameras": MANY, **overrides}) as tried:
+        assert "add the camera to cameras" in tried.set("side.lazy", False).reason
+        assert not tried.node.has_parameter("side.lazy")
+        assert tried.set(f"{MANY[0]}.lazy", None).successful
+        assert tried.set("side.lazy", False).successful
+        assert not tried.set("side.depth", False).successful
+
+
+def test_an_override_waits_for_its_camera_although_that_of_a_similar_name_is_set(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    given = {"cameras": ["front"], "front_left.max_rate": 5.0}
+    with detector(tmp_path, given) as tried:
+        assert tried.set("front.max_rate", 3.0).successful
+        assert tried.set("cameras", ["front", "front_left"]).successful
+        assert tried.configure() == ""
+        assert tried.node._settings.settings().for_camera("front_left").max_rate == 5.0
+        (row,) = re.findall(r"^ *front_left\.max_rate .*$", tried.node._settings.table(), re.MULTILINE)
+        assert row.endswith("parameter file")
+
+
+def test_a_camera_that_is_added_with_a_wrong_override_leaves_its_problem_to_configure(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    with detector(tmp_path, {"cameras": ["front"], "rear.max_rate": -1.0}) as tried:
+        assert tried.set("cameras", ["front", "rear"]).successful
+        assert names_in(tried.configure()) == {"rear.max_rate"}
+        assert tried.set("rear.max_rate", None).successful
+        assert tried.configure() == ""
+
+
+def test_a_program_corrects_values_one_by_one(ros_domain: int, tmp_path: Path) -> None:
+    values = {"track_low_threshold": 0.9, "track_high_threshold": 0.3}
+    with detector(tmp_path, values) as tried:
+        for name, value in {"track_low_threshold": 0.5, "track_high_threshold": 0.6}.items():
+            (result,) = tried.node.set_parameters([Parameter(name, value=value)])
+            assert result.successful, result.reason
+        assert tried.configure() == ""
+
+
+def test_what_a_configured_node_was_given_wrong_has_no_effect_later(ros_domain: int, tmp_path: Path) -> None:
+    with detector(tmp_path, {"cameras": ["front"], "frnt.max_rate": -1.0}) as tried:
+        assert tried.set("front.max_rate", 5.0).successful
+        assert tried.configure() == ""
+        assert tried.set("cameras", ["front", "frnt"]).successful
+        assert tried.node.trigger_cleanup() is TransitionCallbackReturn.SUCCESS
+        assert tried.configure() == ""
+        assert "frnt.max_rate" not in tried.node._settings.settings().overrides

@@ -50,6 +50,8 @@ def without_camera(values: Mapping[str, object]) -> list[str]:
 
 def orphaned(before: Mapping[str, object], after: Mapping[str, object]) -> list[str]:
     """The overrides in the values `before` whose cameras were removed by those `after`."""
+    if before[CAMERAS] == after[CAMERAS]:
+        return []
     absent = set(without_camera(before))
     return [name for name in without_camera({**before, CAMERAS: after[CAMERAS]}) if name not in absent]
 

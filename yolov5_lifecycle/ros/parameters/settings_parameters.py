@@ -189,7 +189,8 @@ class SettingsParameters:
             changed = self._changed(parameters)
             values = without_deleted({**base.values, **changed})
         after = self._configuration(values) if changed else base
-        problems = [problem for problem in after.problems if problem not in base.problems]
+        present = set(base.problems)
+        problems = [problem for problem in after.problems if problem not in present]
         may_wait = problems and self._is_unconfigured()
         unsolved = accepted_until_configure(problems, values) if may_wait else ()
         return Proposal(
