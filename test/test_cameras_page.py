@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 from support.pages import CAMERAS_PAGE, PERFORMANCE, REFERENCE, TROUBLESHOOTING
+from support.preparations import Preparations
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.detection.batch_choice import MIN_GAIN_PERCENT
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
@@ -50,6 +52,20 @@ HEIGHT, WIDTH = USUAL_SOURCE_HW
 )
 def test_a_page_has_the_limit_of_the_code(page: Path, words: str) -> None:
     assert words.lower() in " ".join(page.read_text().split()).lower()
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_the_page_shows_the_refusal_of_its_wrong_file(tmp_path: Path) -> None:
+    section = CAMERAS_PAGE.read_text().partition("\n## Wrong values\n")[2].partition("\n## ")[0]
+    given, told = re.findall(r"^```text\n(.*?)\n```$", section, re.MULTILINE | re.DOTALL)
+    file = tmp_path / "wrong.yaml"
+    file.write_text(given)
+    with ServedNode(Preparations(), arguments=["--ros-args", "--params-file", str(file)]) as served:
+        assert not served.transition("configure")
+        assert served.status().message == told
+        done, remark = served.set(**{"side.max_rate": 5.0})
+    assert done
+    assert f"*Set parameter successful: {remark}*" in " ".join(section.split())
 
 
 def test_the_page_names_what_can_be_overridden_for_one_camera() -> None:

@@ -21,7 +21,7 @@ def resolve_package(path: str) -> str:
     package, _, rest = path.removeprefix(_SCHEME).partition("/")
     sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     # A package lies below the prefix of its share folder, except one that pip installed as editable.
-    own = (*Path(__file__).parents, sys.prefix) if package == __package__ else ()
+    own = [*map(str, Path(__file__).parents), sys.prefix] if package == __package__ else []
     for prefix in (*sourced, *own):
         share = Path(prefix, "share")
         marker = share / "ament_index" / "resource_index" / "packages" / package
