@@ -17,7 +17,8 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -35,6 +36,7 @@ from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
 from yolov5_lifecycle.ros.messages import image_message
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import SETTINGS
+from yolov5_lifecycle.settings.synonyms import QOS_PREFIX
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
@@ -69,6 +71,7 @@ class DetectorProcess:
         observer.create_subscription(Detection2DArray, f"{NODE}/detections", self.detections.append, 10)
         observer.create_subscription(DiagnosticArray, "/diagnostics", self._diagnostics.append, 10)
         self._raw_transitions = observer.create_client(ChangeState, f"{NODE}/change_state")
+        self._names = observer.create_client(ListParameters, f"{NODE}/list_parameters")
         self._raw_parameters = observer.create_client(SetParameters, f"{NODE}/set_parameters")
         self._images: Any = None
         self.node.wait_until_reachable()
@@ -164,6 +167,9 @@ class DetectorProcess:
     def reset(self) -> None:
         """Unconfigured, with every parameter as it was at the start."""
         self.bring_to("unconfigured")
+        listed = self.observer.call(self._names, ListParameters.Request()).result.names
+        overrides = [name for name in listed if "." in name and not name.startswith(QOS_PREFIX)]
+        assert all(r.successful for r in self.set_one_by_one([ParameterMessage(name=n) for n in overrides]))
         defaults = {s.name: s.default for s in SETTINGS if s.change is not Change.READ_ONLY}
         assert self.node.set_parameters(**defaults | PARAMETERS) == ""
         self.detections.clear()

@@ -180,3 +180,10 @@ def test_a_damaged_compiled_model_is_recompiled(active: DetectorProcess) -> None
     assert found.class_names == expected.class_names
     np.testing.assert_allclose(found.scores, expected.scores, atol=1e-5)
     assert any(file.read_bytes() != damaged for file in cache_folder("compiled").iterdir())
+
+
+def test_a_reset_process_has_no_override_left_that_waits_for_its_camera(detector: DetectorProcess) -> None:
+    assert detector.node.set_parameters(**{"side.max_rate": 5.0}) == ""
+    assert not detector.transition("configure")
+    detector.reset()
+    detector.bring_to("inactive")

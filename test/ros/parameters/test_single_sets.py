@@ -337,18 +337,25 @@ def test_a_set_that_needs_another_one_says_so_and_is_refused_when_configured(
 
 @pytest.mark.parametrize("state", ["unconfigured", "inactive"])
 @pytest.mark.parametrize(
-    ("name", "default"), [("max_rate", "0.0"), ("lazy", "true"), ("classes", "[]"), ("device", "'auto'")]
+    ("name", "remedy"),
+    [
+        ("max_rate", " Set it to its default: 0.0."),
+        ("lazy", " Set it to its default: true."),
+        ("classes", " Set it to its default: []."),
+        ("device", " Set it to its default: 'auto'."),
+        ("autostart", ""),
+    ],
+    ids=lambda text: text.partition(" ")[0],
 )
 def test_deleting_a_parameter_of_the_node_is_refused_with_its_default(
-    ros_domain: int, tmp_path: Path, state: str, name: str, default: str
+    ros_domain: int, tmp_path: Path, state: str, name: str, remedy: str
 ) -> None:
     with detector(tmp_path, {}) as tried:
         assert state == "unconfigured" or tried.configure() == ""
         result = tried.set(name, None)
         assert not result.successful
         assert result.reason == (
-            f"{name}: a parameter of the node always has a value and cannot be deleted. "
-            f"Set it to its default: {default}."
+            f"{name}: a parameter of the node always has a value and cannot be deleted.{remedy}"
         )
 
 

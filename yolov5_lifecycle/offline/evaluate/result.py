@@ -35,6 +35,7 @@ from yolov5_lifecycle.evaluation.report import (
 from yolov5_lifecycle.evaluation.thresholds import Goal, Threshold, chosen_thresholds, threshold_yaml
 from yolov5_lifecycle.offline.evaluate.evaluating import Evaluation
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.settings.value_text import value_text
 
 FORMAT = 1
 """Version of report.json; a change that breaks its readers raises it."""
@@ -198,8 +199,13 @@ class EvaluationResult:
         words = {"better": "faster", "worse": "slower"}
         verdict = words.get(self._speed.verdict, self._speed.verdict)
         changed = _changed(first, second)
-        listed = "".join(f"OTHER has {name}={in_one_line(str(value))}\n" for name, value in changed.items())
+        listed = "".join(f"OTHER has {name}={in_one_line(_text(value))}\n" for name, value in changed.items())
         return f"{listed}speed  {_median_ms(first)}, OTHER {_median_ms(second)}: {verdict}\n"
+
+
+def _text(value: object) -> str:
+    """`value` of a setting as it is written after `--compare NAME=`."""
+    return value if isinstance(value, str) else value_text(value)
 
 
 def _changed(first: Evaluation, second: Evaluation) -> Mapping[str, Any]:

@@ -73,11 +73,9 @@ def explained(problem: Problem, values: Mapping[str, object]) -> Problem:
     setting = SETTINGS_BY_NAME.get(problem.setting)
     if setting is None or values.get(setting.name, setting.default) is not None:
         return problem
-    return Problem(
-        setting.name,
-        "a parameter of the node always has a value and cannot be deleted. "
-        f"Set it to its default: {value_text(setting.default)}.",
-    )
+    default = value_text(setting.default)
+    remedy = "" if setting.change is Change.READ_ONLY else f" Set it to its default: {default}."
+    return Problem(setting.name, f"a parameter of the node always has a value and cannot be deleted.{remedy}")
 
 
 def _is_solved_by_another(name: str, values: Mapping[str, object]) -> bool:
