@@ -160,7 +160,7 @@ def wrong_files(draw: st.DrawFn) -> tuple[Values, Values, Values, set[str]]:
     return given | dict.fromkeys(stray, 1.0), wanted, corrections, wrong | set(stray)
 
 
-@pytest.mark.parametrize("examples", [40, pytest.param(1500, marks=pytest.mark.long)], ids=["some", "many"])
+@pytest.mark.parametrize("examples", [40, pytest.param(400, marks=pytest.mark.long)], ids=["some", "many"])
 def test_a_wrong_file_is_corrected_by_single_sets_in_any_order(
     ros_domain: int, tmp_path: Path, examples: int
 ) -> None:
@@ -397,10 +397,12 @@ def test_a_camera_that_is_added_with_a_wrong_override_leaves_its_problem_to_conf
 def test_a_program_corrects_values_one_by_one(ros_domain: int, tmp_path: Path) -> None:
     values = {"track_low_threshold": 0.9, "track_high_threshold": 0.3}
     with detector(tmp_path, values) as tried:
-        for name, value in {"track_low_threshold": 0.5, "track_high_threshold": 0.6}.items():
+        corrections = {"track_low_threshold": 0.5, "track_high_threshold": 0.6}
+        for name, value in {"side.max_rate": 5.0, **corrections, "cameras": ["side"]}.items():
             (result,) = tried.node.set_parameters([Parameter(name, value=value)])
             assert result.successful, result.reason
         assert tried.configure() == ""
+        assert tried.node._settings.settings().for_camera("side").max_rate == 5.0
 
 
 def test_what_a_configured_node_was_given_wrong_has_no_effect_later(ros_domain: int, tmp_path: Path) -> None:
