@@ -291,6 +291,11 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             ],
             id="undecided contradiction of a camera that does not exist",
         ),
+        pytest.param(
+            {"cameras": 3, "track_high_threshold": 9.0, "front.track_low_threshold": 0.5},
+            ["track_high_threshold: 9.0 is not", "cameras: ", "front.track_low_threshold: add"],
+            id="contradiction that a wrong value of the node leaves undecided",
+        ),
     ],
 )
 def test_configure_names_every_problem_with_its_remedy(

@@ -41,15 +41,11 @@ def configuration_problems(
         _of_name(name, values, unusable, may_suggest=index < MAX_SUGGESTIONS)
         for index, name in enumerate([*absent, *unknown])
     ]
+    judged = [*(p for p in current.problems if p.setting not in absent), *_judged(waiting, values, configure)]
     return [
         *(_removable(problem, "Or remove it", node_name) for problem in unusable.invalid.values()),
         *(_removable(problem, remedy, node_name) for problem, remedy in named),
-        *(
-            problem
-            for problem in current.problems
-            if problem.setting not in absent and not _is_about(problem, unusable.invalid)
-        ),
-        *_judged(waiting, values, configure),
+        *(problem for problem in judged if not _is_about(problem, unusable.invalid)),
     ]
 
 
