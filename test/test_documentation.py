@@ -38,7 +38,7 @@ from support.served_node import ServedNode
 from yolov5_lifecycle.detection.nms import WORTH_TELLING
 from yolov5_lifecycle.detection.selection import ClassFilterError, class_ids
 from yolov5_lifecycle.images.encodings import ENCODINGS
-from yolov5_lifecycle.offline.detect_bag import command_parser
+from yolov5_lifecycle.offline.detect_bag_arguments import command_parser
 from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST

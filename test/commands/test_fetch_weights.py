@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import sys
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from support.small_families import SMALL_FAMILIES
 from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
 from yolov5_lifecycle.commands.download import DownloadError
 from yolov5_lifecycle.commands.fetch_weights import main
+from yolov5_lifecycle.commands.official_weights import MODELS, SHA256
 from yolov5_lifecycle.models.model import WeightsError
 
 
@@ -135,16 +137,18 @@ def test_the_command_prints_the_licence_once_and_then_the_facts(
 
 
 def test_the_option_wins_over_the_environment(
-    folder: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch
+    folder: Path, checkpoint: bytes, digest: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("YOLOV5_WEIGHTS_URL", "http://nowhere.invalid/{size}")
+    words = ["n", "--dir", str(folder), "--sha256", digest]
     with FileServer(sending(checkpoint)) as server:
-        assert main(["n", "--dir", str(folder), "--url", server.address + PATTERN]) == 0
+        assert main([*words, "--url", server.address + PATTERN]) == 0
 
 
-def test_on_request_a_safetensors_file_lies_beside_it(folder: Path, checkpoint: bytes) -> None:
+def test_on_request_a_safetensors_file_lies_beside_it(folder: Path, checkpoint: bytes, digest: str) -> None:
+    words = ["n", "--dir", str(folder), "--sha256", digest, "--safetensors"]
     with FileServer(sending(checkpoint)) as server:
-        arguments = ["n", "--dir", str(folder), "--url", server.address + PATTERN, "--safetensors"]
+        arguments = [*words, "--url", server.address + PATTERN]
         assert main(arguments) == 0
         assert main(arguments) == 0, "the second time everything is there"
     converted = find_weights(weights="", weights_dir=folder, model_size="n")
@@ -153,8 +157,46 @@ def test_on_request_a_safetensors_file_lies_beside_it(folder: Path, checkpoint: 
     assert len(server.requests) == 1
 
 
+def test_a_mirror_with_another_file_than_the_official_one_is_refused(
+    folder: Path, checkpoint: bytes, digest: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with FileServer(sending(checkpoint)) as server:
+        assert main(["n", "--dir", str(folder), "--url", server.address + PATTERN]) == 1
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert f"its sha256 is {digest}, expected {SHA256['n']}" in told
+    assert "that of yolov5n.pt in release v7.0: for another file that you trust" in told
+    assert list(folder.glob("*.pt")) == []
+
+
+def test_a_file_under_an_official_name_is_checked_too(
+    folder: Path, checkpoint: bytes, digest: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder.mkdir(parents=True)
+    (folder / "yolov5n.pt").write_bytes(checkpoint)
+    assert main(["n", "--dir", str(folder)]) == 1
+    assert f"expected {SHA256['n']}" in capsys.readouterr().err
+    assert main(["n", "--dir", str(folder), "--sha256", digest]) == 0
+
+
+def test_a_model_without_a_known_digest_is_said_not_to_be_checked(
+    folder: Path, checkpoint: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with FileServer(sending(checkpoint)) as server:
+        assert main(["n-seg", "--dir", str(folder), "--url", server.address + PATTERN]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert (
+        line == "official    not checked: the sha256 of yolov5n-seg.pt is not known here; --sha256 checks it"
+    )
+
+
+def test_the_official_digests_are_of_official_models_and_all_different() -> None:
+    assert set(SHA256) == {model for model in MODELS if not model.endswith("-seg")}
+    assert len(set(SHA256.values())) == len(SHA256)
+    assert all(re.fullmatch(r"[0-9a-f]{64}", digest) for digest in SHA256.values())
+
+
 def test_a_terminal_sees_the_progress(
-    folder: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch
+    folder: Path, checkpoint: bytes, digest: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     master, terminal = pty.openpty()
     with (
@@ -163,7 +205,8 @@ def test_a_terminal_sees_the_progress(
         monkeypatch.context() as patch,
     ):
         patch.setattr(sys, "stderr", stderr)
-        assert main(["n", "--dir", str(folder), "--url", server.address + PATTERN]) == 0
+        words = ["n", "--dir", str(folder), "--sha256", digest]
+        assert main([*words, "--url", server.address + PATTERN]) == 0
     told = os.read(master, 1 << 16).decode()
     os.close(master)
     assert f"{len(checkpoint) / 1e6:.1f} of {len(checkpoint) / 1e6:.1f} MB" in told

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from yolov5_lifecycle.commands.entry_points import ARGUMENTS
 from yolov5_lifecycle.process.missing_package import import_problem
 
 
@@ -46,13 +47,37 @@ def test_the_remedy_fits_what_is_missing(error: ImportError, remedy: str) -> Non
     assert problem.isprintable()
 
 
-@pytest.mark.parametrize(("command", "module"), [("detect_bag", "cv2"), ("convert", "torch")])
-def test_a_command_that_lacks_a_package_ends_with_one_line(command: str, module: str) -> None:
+def run_without(modules: tuple[str, ...], command: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """`command` with the arguments `words`, in a process that cannot import `modules`."""
     program = (
-        f"import sys; sys.modules[{module!r}] = None; "
+        f"import sys; sys.modules.update(dict.fromkeys({modules!r})); "
         f"from yolov5_lifecycle.commands.entry_points import {command}; {command}()"
     )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    arguments = [sys.executable, "-c", program, *words]
+    return subprocess.run(arguments, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("command", ARGUMENTS)
+def test_a_command_shows_its_help_without_the_libraries_that_it_needs(command: str) -> None:
+    run = run_without(("cv2", "rosbags", "torch"), command, "--help")
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout.startswith(f"usage: {command} ")
+
+
+def test_wrong_arguments_are_told_before_missing_libraries() -> None:
+    run = run_without(("cv2", "rosbags", "torch"), "detect_bag", "--wrong")
+    assert run.returncode == 2
+    assert "`detect_bag --help` explains all arguments" in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "module", "words"),
+    [("detect_bag", "cv2", ["drive"]), ("convert", "torch", ["a.pt", "b.safetensors"])],
+)
+def test_a_command_that_lacks_a_package_ends_with_one_line(
+    command: str, module: str, words: list[str]
+) -> None:
+    run = run_without((module,), command, *words)
     assert (run.returncode, run.stdout) == (1, "")
     (line,) = run.stderr.splitlines()
     assert line.startswith(f"{command}: {sys.executable} cannot import what is needed")

@@ -14,7 +14,7 @@ import torch
 from yolov5_lifecycle.checkpoints.description import Description
 from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
-from yolov5_lifecycle.commands.command_line import CommandParser
+from yolov5_lifecycle.commands.convert_arguments import command_parser
 from yolov5_lifecycle.models.model import Model, WeightsError
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
@@ -61,20 +61,7 @@ def _describe(path: Path) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = CommandParser(
-        "convert",
-        description="Convert a YOLOv5 checkpoint to .safetensors, without running any code in it.",
-        usage="%(prog)s IN.pt OUT.safetensors [--force]\n       %(prog)s --describe FILE",
-    )
-    parser.add_argument("source", type=Path, metavar="IN.pt", nargs="?")
-    parser.add_argument("target", type=Path, metavar="OUT.safetensors", nargs="?")
-    parser.add_argument("--force", action="store_true", help="replace OUT.safetensors if it exists")
-    parser.add_argument(
-        "--describe",
-        type=Path,
-        metavar="FILE",
-        help="show what a weights file contains and, if it is refused, why",
-    )
+    parser = command_parser()
     arguments = parser.parse_args(argv)
     if arguments.describe is not None:
         if arguments.source is not None:

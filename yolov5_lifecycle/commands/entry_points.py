@@ -35,6 +35,16 @@ MODULES: Mapping[str, str] = MappingProxyType(
     }
 )
 """The module of each command; its `main` takes the arguments and returns the exit code."""
+ARGUMENTS: Mapping[str, str] = MappingProxyType(
+    {
+        "calibrate": "yolov5_lifecycle.offline.calibrate.arguments",
+        "convert": "yolov5_lifecycle.commands.convert_arguments",
+        "detect_bag": "yolov5_lifecycle.offline.detect_bag_arguments",
+        "evaluate": "yolov5_lifecycle.offline.evaluate.arguments",
+        "fetch_weights": "yolov5_lifecycle.commands.fetch_weights_arguments",
+    }
+)
+"""The module with the argument parser of a command, for those whose parser needs less than their `main`."""
 EXIT_UNABLE = 1
 """Exit code if the machine or its Python lacks what the command needs."""
 _EXIT_INTERRUPTED = 128 + signal.SIGINT
@@ -89,6 +99,7 @@ def _run(command: str) -> NoReturn:
     """
     prepare_process(command)
     try:
+        _check_arguments(command)
         main = importlib.import_module(MODULES[command]).main
     except ImportError as error:
         complain(command, import_problem(error))
@@ -105,3 +116,13 @@ def _run(command: str) -> NoReturn:
     except SystemExit as end:
         code = end.code
     sys.exit(flush_output(command, code))
+
+
+def _check_arguments(command: str) -> None:
+    """Exit if the arguments ask for help or are wrong: neither needs OpenCV, rosbags or torch."""
+    if (module := ARGUMENTS.get(command)) is None:
+        return
+    try:
+        importlib.import_module(module).command_parser().parse_args()
+    except SystemExit as end:
+        sys.exit(flush_output(command, int(end.code or 0)))

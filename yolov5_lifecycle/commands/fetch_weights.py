@@ -15,22 +15,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, WeightsFile, expanded, load_weights
-from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.commands.convert import convert, report
 from yolov5_lifecycle.commands.download import DownloadError, Progress, download
-from yolov5_lifecycle.models.architecture import SIZES
+from yolov5_lifecycle.commands.fetch_weights_arguments import LICENCE, command_parser
+from yolov5_lifecycle.commands.official_weights import SHA256, URL
 from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
-from yolov5_lifecycle.settings.schema import SettingsError
-from yolov5_lifecycle.settings.settings import Settings, validated
 from yolov5_lifecycle.unfinished import open_itself
 
-MODELS = (*SIZES, *(f"{size}-seg" for size in SIZES if len(size) == 1))
-"""The official models: for detection, then for segmentation."""
-URL = "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5{size}.pt"
-URL_VARIABLE = "YOLOV5_WEIGHTS_URL"
-_LICENCE = "The official YOLOv5 weights are by Ultralytics, under AGPL-3.0 or a licence bought from them.\n"
 _STALL_S = 30.0
 _UNFINISHED = ".partial.pt"
 _IRREGULAR = "{}: expected a regular file, found a link, pipe or device: remove it"
@@ -101,7 +94,7 @@ def listing(folder: Path) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = _parser()
+    parser = command_parser()
     arguments = parser.parse_args(argv)
     if arguments.list == (arguments.model is not None):
         parser.error("give a MODEL, or --list")
@@ -122,43 +115,33 @@ def _run(arguments: argparse.Namespace) -> str:
     folder = expanded(arguments.dir)
     if arguments.list:
         return listing(folder)
-    sys.stderr.write(_LICENCE)
-    found = fetch(arguments.model, folder, url=arguments.url, sha256=arguments.sha256, progress=_show_bytes)
+    sys.stderr.write(LICENCE)
+    found = _fetch_checked(arguments, folder)
+    told = "" if arguments.sha256 else _official_line(arguments.model)
     if arguments.safetensors:
         found = convert(found.path, found.path.with_suffix(".safetensors"), overwrite=True)
-    return report(found)
+    return report(found) + told
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser("fetch_weights", description="Download an official YOLOv5 checkpoint. " + _LICENCE)
-    parser.add_argument(
-        "model", nargs="?", choices=MODELS, metavar="MODEL", help=f"one of {', '.join(MODELS)}"
-    )
-    parser.add_argument("--list", action="store_true", help="list the weights files in the folder and exit")
-    parser.add_argument(
-        "--dir",
-        type=Path,
-        default=Path(Settings().weights_dir),
-        help="folder for the file, like the detector's parameter weights_dir (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--sha256", type=_digest, default="", metavar="HEX", help="accept only a file with this digest"
-    )
-    parser.add_argument("--safetensors", action="store_true", help="convert the file to .safetensors as well")
-    parser.add_argument(
-        "--url",
-        default=os.environ.get(URL_VARIABLE) or URL,
-        help="address of a mirror, with {size} in it; or set the environment variable "
-        f"{URL_VARIABLE} (default: %(default)s)",
-    )
-    return parser
-
-
-def _digest(text: str) -> str:
+def _fetch_checked(arguments: argparse.Namespace, folder: Path) -> WeightsFile:
+    """The file with the digest that the user has given, or else that of the official file if it is known."""
+    model, official = arguments.model, SHA256.get(arguments.model, "")
+    sha256 = arguments.sha256 or official
     try:
-        return validated({"weights_sha256": text}).weights_sha256
-    except SettingsError as error:
-        raise argparse.ArgumentTypeError(error.problems[0].message) from None
+        return fetch(model, folder, url=arguments.url, sha256=sha256, progress=_show_bytes)
+    except WeightsError as error:
+        if arguments.sha256 or f"expected {official or None}" not in str(error):
+            raise
+        raise WeightsError(
+            f"{error} The expected digest is that of yolov5{model}.pt in release v7.0: for another file that "
+            "you trust, give its digest with --sha256."
+        ) from None
+
+
+def _official_line(model: str) -> str:
+    if model in SHA256:
+        return f"official    yes, by its sha256: yolov5{model}.pt of release v7.0\n"
+    return f"official    not checked: the sha256 of yolov5{model}.pt is not known here; --sha256 checks it\n"
 
 
 @contextmanager

@@ -244,6 +244,12 @@ def test_a_wrong_argument_ends_it_with_a_reason(
             ["--compare", "image_size=320,min_box_size=0.5"], "min_box_size has no effect", id="compared size"
         ),
         pytest.param(["-p", "tracker:=bytetrack"], "tracker has no effect: images are", id="tracker"),
+        pytest.param(
+            ["--set", "weights=a.pt", "-p", "tracker:=bytetrack", "--topic", "/x"],
+            "no effect: images are evaluated one by one; the setting weights has no effect: the model is "
+            "WEIGHTS; --topic does not apply to ",
+            id="several",
+        ),
         pytest.param(["--track"], "unrecognized arguments: --track", id="track"),
     ],
 )

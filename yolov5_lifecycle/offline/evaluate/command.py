@@ -5,24 +5,18 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
-from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import whole_output
-from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.evaluation.curves import matplotlib_problem
 from yolov5_lifecycle.evaluation.ground_truth import Problems
-from yolov5_lifecycle.evaluation.thresholds import Goal, GoalError
 from yolov5_lifecycle.offline.detecting import Account, DetectingError
-from yolov5_lifecycle.offline.detector_options import (
-    add_detector_options,
-    unwound_by_sigterm,
-    wanted_settings,
-)
+from yolov5_lifecycle.offline.detector_options import unwound_by_sigterm, wanted_settings
+from yolov5_lifecycle.offline.evaluate.arguments import command_parser
 from yolov5_lifecycle.offline.evaluate.compared_settings import compared_settings
+from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
 from yolov5_lifecycle.offline.evaluate.evaluating import NOT_APPLIED, evaluate_models
 from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of, labelled_data
-from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, add_data_options
 from yolov5_lifecycle.offline.evaluate.output_files import write_files
 from yolov5_lifecycle.offline.evaluate.result import EvaluationResult
 from yolov5_lifecycle.offline.terminal import Terminal
@@ -42,20 +36,6 @@ _USELESS = {
     "weights": "the model is WEIGHTS",
 }
 """Settings without effect, which command-line arguments may not contain; a parameter file may."""
-_EPILOG = """\
-DATA is one of
-  a folder with images/ and labels/ in YOLO format, or its data.yaml
-  a COCO file (.json) next to its images
-  a ros2 bag recording with images and corrected detections (Detection2DArray) of the same stamps
-
-examples:
-  evaluate best.pt shots
-  evaluate best.pt shots/data.yaml --split test --output report
-  evaluate best.pt instances_val.json --root images --thresholds f1
-  evaluate best.pt drive --topic /front/image_raw --truth-topic /yolov5/front/detections
-  evaluate best.pt shots --compare older.pt
-  evaluate best.pt shots --compare runtime=openvino,image_size=320
-"""
 
 
 def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
@@ -165,61 +145,14 @@ def _usage_problem(arguments: argparse.Namespace) -> str:
     """The conflict between command-line arguments, or ""."""
     kind = kind_of(arguments.data)
     compared = [] if arguments.compare is None else compared_settings(arguments.compare)
-    if name := _useless(arguments.assignments) or _useless(compared, besides="weights"):
-        return f"the setting {name} has no effect: {_USELESS[name]}"
-    if useless := _data_options(arguments).useless(kind):
-        option = f"--{useless[0].replace('_', '-')}"
-        return f"{option} does not apply to {arguments.data}, a data set of the kind {kind}"
-    return ""
+    useless = _useless(arguments.assignments) | _useless(compared) - {"weights"}
+    problems = [f"the setting {name} has no effect: {_USELESS[name]}" for name in sorted(useless)]
+    for name in _data_options(arguments).useless(kind):
+        option = f"--{name.replace('_', '-')}"
+        problems.append(f"{option} does not apply to {arguments.data}, a data set of the kind {kind}")
+    return "; ".join(problems)
 
 
-def _useless(assignments: Sequence[str], *, besides: str = "") -> str:
-    """The first setting in `assignments` that has no effect, or ""."""
-    names = (assignment.partition("=")[0] for assignment in assignments)
-    return next((name for name in names if name in _USELESS and name != besides), "")
-
-
-def _goal(text: str) -> Goal:
-    try:
-        return Goal.parsed(text)
-    except GoalError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-
-
-def command_parser() -> argparse.ArgumentParser:
-    """The argument parser of the command."""
-    parser = CommandParser(
-        _COMMAND,
-        description="Measure how good a model is on labelled images: precision, recall, F1 and mAP of each\n"
-        "class, the confusion matrix, and the time per image.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("weights", metavar="WEIGHTS", help="weights file (.pt or .safetensors)")
-    parser.add_argument("data", type=Path, metavar="DATA", help="labelled images, see below")
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="FOLDER",
-        help="new folder for report.json, the curves (PNG) and all detections",
-    )
-    parser.add_argument(
-        "--compare",
-        metavar="OTHER",
-        help="another weights file, or other parameters as NAME=VALUE[,NAME=VALUE], to compare with; prints "
-        "95 %% intervals of the differences",
-    )
-    parser.add_argument(
-        "--thresholds",
-        type=_goal,
-        metavar="GOAL",
-        help="f1, recall=0.9 or precision=0.95: print thresholds that reach it, as detector parameters",
-    )
-    add_data_options(parser)
-    parser.add_argument(
-        "--truth-topic",
-        metavar="TOPIC",
-        help="topic of the corrected detections in a recording (default: the only one)",
-    )
-    add_detector_options(parser)
-    return parser
+def _useless(assignments: Sequence[str]) -> set[str]:
+    """The settings in `assignments` that have no effect."""
+    return {assignment.partition("=")[0] for assignment in assignments} & _USELESS.keys()

@@ -26,7 +26,8 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     keep_silent,
 )
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.offline.evaluate.labelled_images import DataOptions, LabelledData
+from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
+from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData
 from yolov5_lifecycle.offline.recording import (
     RecordedImage,
     RecordedTopic,

@@ -1,0 +1,86 @@
+"""Arguments of `calibrate`. They import no library that may be missing, so that `--help` always works."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from yolov5_lifecycle.commands.command_line import CommandParser
+from yolov5_lifecycle.offline.evaluate.data_options import add_data_options
+from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
+
+_EPILOG = """\
+DATA is one of
+  a folder of images, a video or a ros2 bag recording
+  labelled images: a folder with images/ and labels/ in YOLO format, or its data.yaml, or a COCO file (.json)
+With labels, the loss of mAP in int8 is measured, too; this needs pycocotools.
+
+examples:
+  calibrate best.pt drive.mcap
+  calibrate best.pt shots/data.yaml --split train
+  calibrate best.pt images --image-size 320 --confidence-threshold 0.4
+
+The file is written next to the weights, where the detector looks for it. It is used with precision int8, and
+with precision auto if int8 agrees with fp32 and is so much faster on this computer that it pays. See
+docs/int8.md.
+"""
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """The argument parser of the command."""
+    parser = CommandParser(
+        "calibrate",
+        description="Measure on your images how well and how fast a model runs in int8 on this computer.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("weights", type=Path, metavar="WEIGHTS", help="weights file, .pt or .safetensors")
+    parser.add_argument(
+        "data",
+        type=Path,
+        metavar="DATA",
+        help="images like those that the camera will see; see below",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="file to write or replace (default: WEIGHTS with the ending .calibration.json)",
+    )
+    add_data_options(parser)
+    parser.add_argument(
+        "--images", type=_count, default=200, metavar="N", help="use at most N images (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--image-size",
+        type=int,
+        default=SETTINGS_BY_NAME["image_size"].default,
+        metavar="PIXELS",
+        help="longer side of the network input, like the setting image_size (default: %(default)s)",
+    )
+    for name in ("confidence_threshold", "iou_threshold"):
+        parser.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=_share,
+            default=SETTINGS_BY_NAME[name].default,
+            metavar="SHARE",
+            help="like the setting of the same name (default: %(default)s)",
+        )
+    return parser
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 5 and 1 <= int(text) <= 2000):
+        raise argparse.ArgumentTypeError(f"expected 1 to 2000, found {text!r}")
+    return int(text)
+
+
+def _share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"expected a number from 0 to 1, found {text!r}")
+    return value

@@ -1,0 +1,72 @@
+"""Arguments of `evaluate`. They import no library that may be missing, so that `--help` always works."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from yolov5_lifecycle.commands.command_line import CommandParser
+from yolov5_lifecycle.evaluation.thresholds import Goal, GoalError
+from yolov5_lifecycle.offline.detector_options import add_detector_options
+from yolov5_lifecycle.offline.evaluate.data_options import add_data_options
+
+_EPILOG = """\
+DATA is one of
+  a folder with images/ and labels/ in YOLO format, or its data.yaml
+  a COCO file (.json) next to its images
+  a ros2 bag recording with images and corrected detections (Detection2DArray) of the same stamps
+
+examples:
+  evaluate best.pt shots
+  evaluate best.pt shots/data.yaml --split test --output report
+  evaluate best.pt instances_val.json --root images --thresholds f1
+  evaluate best.pt drive --topic /front/image_raw --truth-topic /yolov5/front/detections
+  evaluate best.pt shots --compare older.pt
+  evaluate best.pt shots --compare runtime=openvino,image_size=320
+"""
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """The argument parser of the command."""
+    parser = CommandParser(
+        "evaluate",
+        description="Measure how good a model is on labelled images: precision, recall, F1 and mAP of each\n"
+        "class, the confusion matrix, and the time per image.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("weights", metavar="WEIGHTS", help="weights file (.pt or .safetensors)")
+    parser.add_argument("data", type=Path, metavar="DATA", help="labelled images, see below")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="FOLDER",
+        help="new folder for report.json, the curves (PNG) and all detections",
+    )
+    parser.add_argument(
+        "--compare",
+        metavar="OTHER",
+        help="another weights file, or other parameters as NAME=VALUE[,NAME=VALUE], to compare with; prints "
+        "95 %% intervals of the differences",
+    )
+    parser.add_argument(
+        "--thresholds",
+        type=_goal,
+        metavar="GOAL",
+        help="f1, recall=0.9 or precision=0.95: print thresholds that reach it, as detector parameters",
+    )
+    add_data_options(parser)
+    parser.add_argument(
+        "--truth-topic",
+        metavar="TOPIC",
+        help="topic of the corrected detections in a recording (default: the only one)",
+    )
+    add_detector_options(parser)
+    return parser
+
+
+def _goal(text: str) -> Goal:
+    try:
+        return Goal.parsed(text)
+    except GoalError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
