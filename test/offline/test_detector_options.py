@@ -10,6 +10,7 @@ from support.detected_offline import SET_MODEL, run
 from support.recorded_scene import COUNT, raw, record
 
 from yolov5_lifecycle.offline.detector_options import wanted_settings
+from yolov5_lifecycle.settings.parameter_file import ParameterFileError
 from yolov5_lifecycle.settings.schema import SettingsError
 
 CAMERAS = """\
@@ -71,6 +72,31 @@ def test_a_camera_that_is_missing_or_unknown_is_refused(
 def test_a_camera_needs_parameters_that_name_it() -> None:
     with pytest.raises(SettingsError, match="there are no cameras, but --camera is 'front'"):
         wanted_settings(None, [], "/yolov5", "front")
+
+
+def test_every_value_that_is_refused_is_named_at_once(parameters: Path) -> None:
+    unknown = [f"unknown_{number}=1" for number in range(15)]
+    given = ["autostart=true", *unknown, "max_rate=5.0", "confidence_threshold=2.0"]
+    with pytest.raises(SettingsError) as refused:
+        wanted_settings(None, given, "/yolov5")
+    told = [problem.setting for problem in refused.value.problems]
+    assert sorted(told) == sorted(assignment.partition("=")[0] for assignment in given)
+
+
+def test_a_value_without_effect_is_named_beside_a_camera_that_is_missing(parameters: Path) -> None:
+    with pytest.raises(SettingsError) as refused:
+        wanted_settings(parameters, ["lazy=true"], "/yolov5")
+    assert [problem.setting for problem in refused.value.problems] == ["lazy", "front.classes"]
+
+
+def test_every_assignment_that_cannot_be_read_is_named_at_once() -> None:
+    with pytest.raises(ParameterFileError) as refused:
+        wanted_settings(None, ["image_size", "classes=[", "device=cpu", "=1"], "/yolov5")
+    assert [line.split(":")[0].strip() for line in str(refused.value).splitlines()] == [
+        "'image_size'",
+        "'classes=['",
+        "'=1'",
+    ]
 
 
 @pytest.mark.parametrize(

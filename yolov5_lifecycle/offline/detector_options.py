@@ -10,13 +10,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
+from yolov5_lifecycle.settings.parameter_file import ParameterFileError, assigned_value, file_values
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import Settings, validated
 
 _TERMINATED = 128 + signal.SIGTERM
 _OF_THE_NODE = ("autostart", "bond_timeout", "image_reliability", "image_transport", "lazy", "max_rate")
 """Settings without effect offline; a parameter file may contain them, command-line arguments may not."""
+_NOT_OFFLINE = "it applies to a node that receives images; here every image is read from a file."
 
 
 def wanted_settings(
@@ -24,20 +25,35 @@ def wanted_settings(
 ) -> Settings:
     """Settings of the node named `node`: the parameter file, overridden by `name=value` assignments.
 
-    `camera`: which of its `cameras` the settings are for. Raises ParameterFileError, SettingsError and
-    OSError.
+    `camera`: which of its `cameras` the settings are for. Raises SettingsError with the problems of all
+    values, ParameterFileError and OSError.
     """
     values = file_values(parameter_file, node) if parameter_file else {}
-    assigned = dict(assigned_value(assignment) for assignment in assignments)
-    useless = [
-        Problem(name, "it applies to a node that receives images; here every image is read from a file.")
-        for name in _OF_THE_NODE
-        if name in assigned
-    ]
-    if useless:
-        raise SettingsError(useless)
-    settings = validated(values | assigned)
-    return _without_overrides(settings) if camera is None else _of_camera(settings, camera)
+    assigned = _assigned(assignments)
+    problems = [Problem(name, _NOT_OFFLINE) for name in _OF_THE_NODE if name in assigned]
+    try:
+        settings = validated(values | {name: assigned[name] for name in assigned if name not in _OF_THE_NODE})
+        wanted = _without_overrides(settings) if camera is None else _of_camera(settings, camera)
+    except SettingsError as error:
+        raise SettingsError([*problems, *error.problems]) from None
+    if problems:
+        raise SettingsError(problems)
+    return wanted
+
+
+def _assigned(assignments: Sequence[str]) -> dict[str, object]:
+    """Values by name; raises ParameterFileError with a line for each assignment that cannot be read."""
+    read = list(map(_read, assignments))
+    if problems := [str(one) for one in read if isinstance(one, ParameterFileError)]:
+        raise ParameterFileError("\n  ".join(problems))
+    return dict(one for one in read if not isinstance(one, ParameterFileError))
+
+
+def _read(assignment: str) -> tuple[str, object] | ParameterFileError:
+    try:
+        return assigned_value(assignment)
+    except ParameterFileError as error:
+        return error
 
 
 def _of_camera(settings: Settings, camera: str) -> Settings:
