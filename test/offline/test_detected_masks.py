@@ -27,7 +27,8 @@ from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.detect_files import detection_line
+from yolov5_lifecycle.offline.export.detected_image import DetectedImage
+from yolov5_lifecycle.offline.export.json_lines import detection_line
 from yolov5_lifecycle.offline.image_files import VideoFile
 
 DETECTIONS, MASKS, DRAWN = "/yolov5/detections", "/yolov5/masks", "/yolov5/image"
@@ -128,7 +129,8 @@ def test_tracked_objects_have_masks(tmp_path: Path) -> None:
     assert segment([str(source), "--output", str(output), "--track", *SET_MODEL]) == 0
     for detections, frame in zip(lines_of(output), VideoFile.open(source).frames, strict=True):
         expected = segmented(frame.image)
-        line = detection_line({}, frame.image, expected, ("cat", "dog", "cow"), masks=True)
+        found = DetectedImage(frame, frame.image, expected)
+        line = detection_line(found, ("cat", "dog", "cow"), masks=True)
         assert [one.pop("id") is not None for one in detections] == [True] * OBJECTS
         assert detections == json.loads(line)["detections"]
 

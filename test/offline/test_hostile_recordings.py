@@ -19,8 +19,8 @@ from support.recorded_scene import COMPRESSED, IMAGE, TOPIC, jpeg, raw, record, 
 
 from yolov5_lifecycle.images.image import MAX_FRAME_ID, ColourImage, ImageError
 from yolov5_lifecycle.offline import recording_limits
+from yolov5_lifecycle.offline.annotated_files import VideoOutput
 from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.detect_files import VideoOutput
 from yolov5_lifecycle.offline.image_files import VideoFile
 from yolov5_lifecycle.offline.recording import TYPES, RecordedImage, RecordingError, open_recording
 from yolov5_lifecycle.offline.recording_limits import LimitError, unpacked_message

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
-from yolov5_lifecycle.atomic_file import OutputError, whole_output
+from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections, FoundObject
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detecting import Account, LoadDetector
+from yolov5_lifecycle.offline.export.crops import Crops
+from yolov5_lifecycle.offline.export.detected_image import DetectedImage
+from yolov5_lifecycle.offline.export.exporting import Export, export_images, whole_export
 from yolov5_lifecycle.offline.recording import (
     TYPES,
     RecordedImage,
@@ -29,7 +34,7 @@ from yolov5_lifecycle.offline.recording import (
     RecordingError,
     open_recording,
 )
-from yolov5_lifecycle.offline.recordings import sqlite_problem
+from yolov5_lifecycle.offline.sqlite_path import UriPath
 from yolov5_lifecycle.printable import in_one_line, is_utf8
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
@@ -37,65 +42,78 @@ _LABELS = "vision_msgs/msg/LabelInfo"
 _IMAGE = "sensor_msgs/msg/Image"
 
 
-def detect_recording(
-    source: Path,
-    output: Path,
-    *,
-    topic: str | None,
-    node: str,
-    images: bool,
-    masks: bool,
-    load: LoadDetector,
-) -> Account:
-    """Write the detections in the images of `source` to the new recording `output`, as the node `node`.
+@dataclass(frozen=True)
+class RecordingOptions:
+    """The topic of the images, None for the only one, and what a new recording has, named as by `node`."""
 
-    With `images`, annotated images are written, too; with `masks`, the masks of a segmentation model. Uses
-    the storage format of the source. Raises RecordingError, OutputError, DetectingError and what `load`
-    raises.
+    topic: str | None
+    node: str
+    images: bool
+    """Whether it has annotated images."""
+
+
+def detect_recording(source: Path, export: Export, options: RecordingOptions, load: LoadDetector) -> Account:
+    """`write_detections`, with outputs that appear when they are complete, or not at all.
+
+    Raises RecordingError, OutputError, DetectingError and what `load` raises.
     """
-    with open_recording(source) as recording, whole_output(output) as unfinished:
-        return write_detections(
-            recording, unfinished, topic=topic, node=node, images=images, masks=masks, load=load
-        )
+    with open_recording(source) as recording, whole_export(export) as unfinished:
+        return write_detections(recording, unfinished, options, load)
 
 
 def write_detections(
-    recording: Recording,
-    output: Path,
-    *,
-    topic: str | None,
-    node: str,
-    images: bool,
-    masks: bool,
-    load: LoadDetector,
+    recording: Recording, export: Export, options: RecordingOptions, load: LoadDetector
 ) -> Account:
-    """`detect_recording` for an open `recording`; on failure, what it has written to `output` stays.
+    """Write the detections in the images of `recording`; what is written stays on failure.
 
-    Also raises OSError.
+    Without a suffix in `export`, the output is a new recording in the storage format of `recording`. Also
+    raises OSError.
     """
-    _check_output(output, recording.storage)
-    image_topic = recording.image_topic(topic)
-    images_of_topic = _not_empty(recording.path, image_topic, recording.images(image_topic))
+    image_topic = recording.image_topic(options.topic)
+    images = _not_empty(recording.path, image_topic, recording.images(image_topic))
+    if export.suffix:
+        return export_images(images, image_topic.count, export, load=load)
+    assert export.path is not None
+    _check_name(export.path)
     detector = load()
-    with os_errors(output), Writer(output, version=9, storage_plugin=recording.storage) as writer:
+    with (
+        os_errors(export.path),
+        _Writer(export.path, version=9, storage_plugin=recording.storage) as writer,
+    ):
         bag = DetectionBag(
             writer,
-            node=node,
+            node=options.node,
             class_names=detector.class_names,
             threshold=detector.settings.confidence_threshold,
             box_filter=detector.box_filter,
-            images=images,
-            masks=masks and detector.segments,
+            images=options.images,
+            masks=export.masks and detector.segments,
         )
-        return detector.run(images_of_topic, expected=image_topic.count, write=bag.write)
+        crops = None if export.crops is None else Crops(export.crops, detector.class_names)
+
+        def write(recorded: RecordedImage, image: ColourImage, detections: Detections) -> None:
+            bag.write(recorded, image, detections)
+            if crops is not None:
+                crops.add(DetectedImage(recorded, image, detections))
+
+        return detector.run(images, expected=image_topic.count, write=write)
 
 
-def _check_output(output: Path, storage: StoragePlugin) -> None:
-    """Raise OutputError if rosbags cannot write a recording in the format `storage` to `output`."""
-    name = in_one_line(output.name)
-    if storage is StoragePlugin.SQLITE3 and (problem := sqlite_problem(output)):
-        raise OutputError(f"{name}: {problem}: choose another --output, or convert the recording to MCAP.")
-    if not is_utf8(output.name):  # metadata.yaml contains it
+class _SqliteWriter(Sqlite3Writer):
+    """Writes to its path, whatever characters the path has."""
+
+    def __init__(self, path: Path, compression: Any) -> None:
+        super().__init__(UriPath(path), compression)
+
+
+class _Writer(Writer):
+    STORAGE_PLUGINS: Mapping[Any, Any] = {**Writer.STORAGE_PLUGINS, StoragePlugin.SQLITE3: _SqliteWriter}
+
+
+def _check_name(output: Path) -> None:
+    """Raise OutputError if metadata.yaml cannot contain the name of the recording `output`."""
+    if not is_utf8(output.name):
+        name = in_one_line(output.name)
         raise OutputError(f"{name}: the name of a recording must be UTF-8: choose another --output.")
 
 

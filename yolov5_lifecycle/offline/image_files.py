@@ -31,8 +31,13 @@ class ImageFile:
 
     @property
     def identity(self) -> dict[str, str | int]:
-        """The keys that identify it in a line of JSON."""
+        """The key that identifies it in its source, and the value."""
         return {"file": str(self.path)}
+
+    @property
+    def stem(self) -> str:
+        """Its name without the suffix."""
+        return self.path.stem
 
     @property
     def stamp_s(self) -> None:
@@ -62,8 +67,13 @@ class VideoFrame:
 
     @property
     def identity(self) -> dict[str, str | int]:
-        """The keys that identify it in a line of JSON."""
+        """The key that identifies it in its source, and the value."""
         return {"frame": self.number}
+
+    @property
+    def stem(self) -> str:
+        """The name of files about it."""
+        return f"frame_{self.number:06}"
 
     def load(self) -> ColourImage:
         return self.image

@@ -27,7 +27,8 @@ from yolov5_lifecycle.offline.recording_limits import (
     check_index,
     unpacked_message,
 )
-from yolov5_lifecycle.offline.recordings import is_mcap, sqlite_problem
+from yolov5_lifecycle.offline.recordings import is_mcap
+from yolov5_lifecycle.offline.sqlite_path import UriPath
 from yolov5_lifecycle.printable import in_one_line
 
 _RAW = "sensor_msgs/msg/Image"
@@ -96,6 +97,24 @@ class RecordedMessage:
 
 class RecordedImage(RecordedMessage):
     """A recorded image message."""
+
+    @property
+    def identity(self) -> dict[str, str | int]:
+        """The key that identifies it in its recording, and the value: the stamp of its header."""
+        return {"stamp_ns": self._seconds * 10**9 + self._nanoseconds}
+
+    @property
+    def stem(self) -> str:
+        """The name of files about it: the stamp of its header."""
+        return f"{self._seconds}_{self._nanoseconds:09}"
+
+    @property
+    def _seconds(self) -> int:
+        return int(self.message.header.stamp.sec)
+
+    @property
+    def _nanoseconds(self) -> int:
+        return int(self.message.header.stamp.nanosec)
 
     def load(self) -> ColourImage:
         decode = compressed_image if self.type_name == _COMPRESSED else raw_image
@@ -200,14 +219,10 @@ class Recording:
 
 
 class _SqliteReader(Sqlite3Reader):
-    """Opens no other file than the one at its path; raises RecordingError."""
+    """Opens the file at its path, whatever characters the path has."""
 
-    def open(self) -> None:
-        if problem := sqlite_problem(self.path):
-            raise RecordingError(
-                f"{in_one_line(str(self.path))}: {problem}: rename the file or folder, or move it."
-            )
-        super().open()
+    def __init__(self, path: Any) -> None:
+        super().__init__(UriPath(path))
 
 
 class _McapReader(McapReader):

@@ -1,10 +1,9 @@
-"""The recordings that a command processes: given by path, by pattern, or as a folder of recordings."""
+"""The recordings and videos that a command processes: given by path, by pattern, or as a folder of them."""
 
 from __future__ import annotations
 
 import glob
 import os
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -17,16 +16,18 @@ from yolov5_lifecycle.sources.frames import SourceError
 
 METADATA = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3")
+_VIDEO_SUFFIXES = (
+    *(".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4"),
+    *(".mpeg", ".mpg", ".ogv", ".webm", ".wmv"),
+)
 _PACKED = ".zstd"
 _WILDCARDS = "*?["
 _MAX_TOLD = 5
-_SPECIAL_IN_URI = re.compile(r"^//(?!/)|[#?]|%[0-9A-Fa-f]{2}|[\ud800-\udfff]")
-"""What SQLite does not take literally in `file:PATH`: a host, fragment, query, escape, or invalid UTF-8."""
 
 
 @dataclass(frozen=True)
 class SourceRecording:
-    """A recording at an absolute `path`, and the name of its result."""
+    """A recording or video at an absolute `path`, and the name of its result."""
 
     name: str
     path: Path
@@ -37,6 +38,11 @@ def is_recording(path: Path) -> bool:
     if not path.is_dir():
         return path.suffix in _SUFFIXES
     return any(map(is_storage, entries(path)))
+
+
+def is_video(path: Path) -> bool:
+    """Whether `path` is a file with the name of a video."""
+    return path.suffix.lower() in _VIDEO_SUFFIXES and path.is_file()
 
 
 def is_storage(path: Path) -> bool:
@@ -50,19 +56,13 @@ def is_mcap(path: Path) -> bool:
     return any(".mcap" in file.suffixes for file in files)
 
 
-def sqlite_problem(path: object) -> str:
-    """Why rosbags cannot open an SQLite file at `path`, or "": it puts paths into a URI unescaped."""
-    found = _SPECIAL_IN_URI.search(str(path))
-    return f"an SQLite file cannot be opened with {found[0]!r} in its path" if found else ""
-
-
 def are_many(sources: Sequence[Path]) -> bool:
-    """Whether `sources` stand for many recordings: several paths, a pattern or a folder of recordings."""
+    """Whether `sources` stand for many recordings or videos: several paths, a pattern or a folder of them."""
     return len(sources) > 1 or any(_matches(source) or _has_recordings(source) for source in sources)
 
 
 def recordings_of(sources: Iterable[Path], output: Path) -> list[SourceRecording]:
-    """The recordings that `sources` stand for, each once, in order; none of those in the folder `output`.
+    """The recordings and videos that `sources` stand for, each once, in order; none in the folder `output`.
 
     Raises SourceError for a source without any, for two of the same name, and for a name that is reserved or
     not UTF-8.
@@ -88,12 +88,15 @@ def _expanded(source: Path, output: Path) -> list[Path]:
             f"{source}: all its recordings are in the folder of results {output}: choose another --output."
         )
     if not found:
-        raise SourceError(f"{source}: expected ros2 bag recordings, found no .mcap or .db3 file.")
+        raise SourceError(
+            f"{source}: expected ros2 bag recordings (.mcap, .db3) or videos ({', '.join(_VIDEO_SUFFIXES)}), "
+            "found none. A folder of images is a source of its own: give it alone, without --jobs and --ray."
+        )
     return others
 
 
 def _recordings_at(path: Path) -> Iterator[Path]:
-    """`path`, or the recordings in that folder."""
+    """`path`, or the recordings and videos in that folder."""
     if _has_recordings(path):
         yield from _children(path)
     elif _may_be_recording(path):
@@ -113,7 +116,7 @@ def _matches(path: Path) -> list[Path]:
 
 
 def _has_recordings(path: Path) -> bool:
-    """Whether `path` is a folder of recordings, and neither one itself nor a folder of images."""
+    """Whether `path` is a folder of recordings or videos, and neither a recording nor a folder of images."""
     if not path.is_dir() or (path / METADATA).exists():
         return False
     files = list(entries(path))
@@ -127,9 +130,9 @@ def _children(folder: Path) -> list[Path]:
 
 
 def _may_be_recording(path: Path) -> bool:
-    """Like `is_recording`; true for a folder that cannot be listed: reading it will report why."""
+    """Whether it looks like one; true for a folder that cannot be listed: reading it will report why."""
     try:
-        return is_storage(path) if path.is_file() else is_recording(path)
+        return is_video(path) or (is_storage(path) if path.is_file() else is_recording(path))
     except OSError:
         return True
 

@@ -31,6 +31,8 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         *("files/d.mcap", "files/e_0.mcap.zstd", "files/e_1.db3", "lost/one.mcap"),
         *("shots/0.png", "shots/raw/r.mcap", "found/a/a.mcap", "found/a/metadata.yaml"),
         *("summary.json/s.mcap", "dots/..mcap", "dots/a.mcap"),
+        *("films/f.mp4", "films/g.AVI", "films/notes.txt", "one film/h.mkv"),
+        *("mixed/m.mov", "mixed/bag/b.mcap", "pictures/p.jpg", "pictures/p.mp4"),
         *("checked/a.mcap", "checked/a.mcap.md5", "checked/b.db3", "checked/b.db3.part"),
     )
     for file in files:
@@ -55,6 +57,12 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         pytest.param(["files/*.mcap", "files/e_1.db3"], ["d", "e_1"], id="files"),
         pytest.param(["mon*"], ["a", "b"], id="pattern of a folder of them"),
         pytest.param(["[mf]o*"], ["a", "b"], id="results are no sources"),
+        pytest.param(["films"], ["f", "g"], id="folder of videos"),
+        pytest.param(["films/*"], ["f", "g"], id="pattern of videos"),
+        pytest.param(["one film"], ["h"], id="folder of one video"),
+        pytest.param(["mixed"], ["bag", "m"], id="folder of recordings and videos"),
+        pytest.param(["films", "monday/a", "one film/h.mkv"], ["f", "g", "a", "h"], id="videos and recordings"),
+        pytest.param(["pictures/*"], ["p"], id="pattern of pictures and videos"),
     ],
 )
 def test_sources_stand_for_recordings(sources: list[str], names: list[str], home: Path) -> None:
@@ -68,7 +76,7 @@ def test_sources_stand_for_recordings(sources: list[str], names: list[str], home
     [
         pytest.param(["sunday"], "sunday: file or folder not found", id="missing"),
         pytest.param(["sun*"], r"sun\*: file or folder not found", id="pattern of nothing"),
-        pytest.param(["shots/*.png"], r"png: expected ros2 bag recordings, found no", id="pattern of images"),
+        pytest.param(["shots/*.png"], r"png: expected ros2 bag recordings .* or videos", id="pattern of images"),
         pytest.param(
             ["monday/notes.txt", "files"], "notes.txt: expected ros2 bag recordings", id="no recording"
         ),
@@ -97,6 +105,12 @@ def test_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
         (["monday/a"], False),
         (["files/d.mcap"], False),
         (["lost"], False),
+        (["films/f.mp4"], False),
+        (["pictures"], False),
+        (["films"], True),
+        (["one film"], True),
+        (["films/*.mp4"], True),
+        (["mixed"], True),
         (["shots"], False),
         (["nothing"], False),
         (["sun*"], False),

@@ -12,6 +12,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.folder_listing import FolderTree
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.offline.batch.plan import Plan
 from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
@@ -75,7 +76,14 @@ def read_record(folder: Path) -> Record | None:
 
 def result_bytes(folder: Path) -> dict[str, int]:
     """Size of each file of the result in `folder`, without the record; raises OSError."""
-    return {path.name: path.lstat().st_size for path in sorted(folder.iterdir()) if path.name != RECORD_NAME}
+    return {path.name: _size(path) for path in sorted(folder.iterdir()) if path.name != RECORD_NAME}
+
+
+def _size(path: Path) -> int:
+    """Size of a file, or of all files below a folder such as that of crops."""
+    if path.is_dir() and not path.is_symlink():
+        return sum(file.lstat().st_size for file in FolderTree().files(path))
+    return path.lstat().st_size
 
 
 def finished_before(source: SourceRecording, plan: Plan) -> RecordingResult | None:

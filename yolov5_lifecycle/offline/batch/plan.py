@@ -36,6 +36,9 @@ class Plan(BaseModel):
     node: str
     images: bool
     masks: bool
+    suffix: str = ""
+    """The format of the results in FORMATS; "": recordings become recordings, and videos JSON lines."""
+    crops: bool = False
 
     @property
     def is_open(self) -> bool:
@@ -47,7 +50,10 @@ class Plan(BaseModel):
         """Digest of everything but model and recording that the results depend on."""
         settings = {name: value for name, value in self.settings.items() if name not in _PLACE_OF_WEIGHTS}
         options = {"topic": self.topic, "node": self.node, "images": self.images, "masks": self.masks}
-        # Without a calibration, the digest equals that of results from before calibrations were introduced.
+        # Without them, the digest equals that of results from before formats and crops were introduced.
+        further = {"suffix": self.suffix, "crops": self.crops}
+        options |= {name: value for name, value in further.items() if value}
+        # Likewise without a calibration.
         calibration = [self.calibration_sha256] if self.calibration_sha256 else []
         text = json.dumps([settings, options, *calibration], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -72,6 +78,8 @@ def plan_of(
     node: str,
     images: bool,
     masks: bool,
+    suffix: str = "",
+    crops: bool = False,
 ) -> Plan:
     """The plan for the model that `settings` select, as its file is now; raises WeightsError and OSError."""
     weights = Path(os.path.abspath(weights_path(settings)))  # noqa: PTH100
@@ -88,4 +96,6 @@ def plan_of(
         node=node,
         images=images,
         masks=masks,
+        suffix=suffix,
+        crops=crops,
     )

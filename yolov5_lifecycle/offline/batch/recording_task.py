@@ -21,14 +21,20 @@ from yolov5_lifecycle.offline.batch.finished import (
 )
 from yolov5_lifecycle.offline.batch.plan import Plan
 from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
-from yolov5_lifecycle.offline.detect_recording import write_detections
+from yolov5_lifecycle.offline.detect_files import write_files
 from yolov5_lifecycle.offline.detecting import Account, OfflineDetector
-from yolov5_lifecycle.offline.recording import RecordingError, open_recording
-from yolov5_lifecycle.offline.recordings import SourceRecording
+from yolov5_lifecycle.offline.export.exporting import Export
+from yolov5_lifecycle.offline.export.formats import JSON_LINES, may_have_masks
+from yolov5_lifecycle.offline.recordings import SourceRecording, is_video
 from yolov5_lifecycle.printable import in_lines, in_one_line
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
+from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
+_DETECTIONS = "detections"
+"""Name of the file or folder in a result that is not a recording, without its suffix."""
+CROPS = "crops"
+"""Name of the folder in a result for an image of each detection."""
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 OnImage = Callable[[int], object]
@@ -104,27 +110,29 @@ class RecordingTask:
             result = self._row(source, account, watch, time.monotonic() - begun_s)
             self._record(source.path, unfinished, result).write(unfinished)
             if file_stamps(source.path) != files:
-                raise RecordingError(
-                    f"{source.path}: it changed while it was read. Is it still being recorded?"
-                )
+                raise SourceError(f"{source.path}: it changed while it was read. Is it still being recorded?")
         return result
 
     def _detect(self, source: Path, unfinished: Path, watch: _Watch) -> Account:
-        plan = self._plan
+        plan, load = self._plan, lambda: self._detector(watch)
+        suffix = plan.suffix or (JSON_LINES if is_video(source) else "")
+        path = unfinished / f"{_DETECTIONS}{suffix}" if suffix else unfinished
+        export = Export(path, suffix, plan.masks, unfinished / CROPS if plan.crops else None)
+        if suffix:
+            unfinished.mkdir()
+        if is_video(source):
+            return write_files(source, export, annotated=None, load=load)
+        # Imported here: videos do not need rosbags.
+        from yolov5_lifecycle.offline.detect_recording import RecordingOptions, write_detections
+        from yolov5_lifecycle.offline.recording import open_recording
+
         with open_recording(source) as recording:
-            return write_detections(
-                recording,
-                unfinished,
-                topic=plan.topic,
-                node=plan.node,
-                images=plan.images,
-                masks=plan.masks,
-                load=lambda: self._detector(watch),
-            )
+            options = RecordingOptions(plan.topic, plan.node, plan.images)
+            return write_detections(recording, export, options, load)
 
     def _detector(self, watch: _Watch) -> OfflineDetector:
         """A detector with the same model and a tracker of its own."""
-        with_masks = self._plan.masks or self._plan.images
+        with_masks = (self._plan.masks and may_have_masks(self._plan.suffix)) or self._plan.images
         return OfflineDetector(
             self._settings, watch, with_masks=with_masks, prepare=lambda *_: self._prepared
         )

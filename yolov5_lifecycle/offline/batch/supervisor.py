@@ -17,7 +17,7 @@ from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
 from yolov5_lifecycle.offline.batch.summary import check_summary, write_summary
 from yolov5_lifecycle.offline.batch.workers import Died, Ended, Event, Progress, Ready, Refused, Workers
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.recordings import SourceRecording, is_mcap, is_recording, sqlite_problem
+from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
 from yolov5_lifecycle.printable import in_lines, is_utf8
 from yolov5_lifecycle.unfinished import hold, open_itself
 
@@ -93,10 +93,6 @@ def detect_recordings(
                 waiting.append(source)
             else:
                 tally.add(finished)
-        if (problem := sqlite_problem(plan.output)) and any(map(_is_sqlite, waiting)):
-            raise OutputError(
-                f"{plan.output}: {problem}: choose another --output, or convert the recordings to MCAP."
-            )
         check_summary(plan.output)
         if waiting:
             with closing(new_workers(len(waiting))) as workers:
@@ -136,12 +132,6 @@ def _output_folder(folder: Path) -> Iterator[None]:
                     folder.rmdir()
     finally:
         os.close(descriptor)
-
-
-def _is_sqlite(source: SourceRecording) -> bool:
-    with suppress(OSError):  # the worker will report why it cannot be listed
-        return not is_mcap(source.path)
-    return False
 
 
 class _Batch:

@@ -1,0 +1,87 @@
+"""Annotated images and videos as files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.atomic_file import OutputError
+from yolov5_lifecycle.images.encodings import encoded
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.offline.whole_video import is_whole_video
+from yolov5_lifecycle.printable import in_one_line, is_utf8
+
+_CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
+
+
+def write_image(path: Path, drawn: ColourImage) -> None:
+    """Write one image in the format given by the file extension; raises OutputError and OSError.
+
+    cv2.imwrite would ignore that the last bytes of a file cannot be written.
+    """
+    name = in_one_line(path.name)
+    if not is_utf8(path.suffix):  # OpenCV 5.0 crashes
+        raise OutputError(f"{name}: OpenCV cannot write this image: the extension is not UTF-8.")
+    try:
+        is_encoded, data = cv2.imencode(path.suffix, encoded(drawn, "bgr8"))
+    except cv2.error as error:
+        raise OutputError(f"{name}: OpenCV cannot write this image: {error.err}.") from None
+    if not is_encoded:
+        raise OutputError(f"{name}: OpenCV cannot write this image as {path.suffix}; choose .png or .jpg.")
+    path.write_bytes(data)
+
+
+class VideoOutput:
+    """A video file written frame by frame at `rate_hz`; each frame is resized to the size of the first.
+
+    Raises OutputError on construction for an unknown format and for a path that is not UTF-8.
+    """
+
+    def __init__(self, path: Path, rate_hz: float) -> None:
+        if path.suffix.lower() not in _CODECS:
+            raise OutputError(f"{path.name}: expected a video file name that ends in {' or '.join(_CODECS)}.")
+        if not is_utf8(str(path)):  # OpenCV 5.0 crashes
+            raise OutputError(
+                f"{in_one_line(path.name)}: the path of an annotated video must be UTF-8: "
+                "choose another --annotated."
+            )
+        self._path = path
+        self._rate_hz = rate_hz
+        self._writer: Any = None
+        self._size_hw = (0, 0)
+
+    def add(self, drawn: ColourImage) -> None:
+        """Append a frame; raises OutputError if this OpenCV cannot write the format."""
+        frame: NDArray[np.uint8] = encoded(drawn, "bgr8")
+        if self._writer is None:
+            self._writer = self._opened(drawn.size_hw)
+            self._size_hw = drawn.size_hw
+        if frame.shape[:2] != self._size_hw:  # OpenCV silently drops frames of another size
+            frame = np.asarray(cv2.resize(frame, self._size_hw[::-1], interpolation=cv2.INTER_AREA), np.uint8)
+        self._writer.write(np.ascontiguousarray(frame))
+
+    def finish(self) -> None:
+        """Complete the file; raises OutputError if it lacks its end, and OSError."""
+        self.close()
+        if self._writer is not None and not is_whole_video(self._path):
+            raise OutputError(
+                f"{self._path.name}: the video could not be written completely; is the disk full?"
+            )
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.release()
+
+    def _opened(self, size_hw: tuple[int, int]) -> Any:
+        codec = cv2.VideoWriter.fourcc(*_CODECS[self._path.suffix.lower()])
+        writer = cv2.VideoWriter(str(self._path), codec, self._rate_hz, size_hw[::-1])
+        if not writer.isOpened():
+            others = " or ".join(suffix for suffix in _CODECS if suffix != self._path.suffix.lower())
+            raise OutputError(
+                f"{self._path.name}: this OpenCV build cannot write this video format; try {others}."
+            )
+        return writer

@@ -1,0 +1,1 @@
+"""The formats in which `detect_bag` writes detections besides recordings."""
