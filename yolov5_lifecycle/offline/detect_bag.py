@@ -200,8 +200,11 @@ def _problem_with_sources(sources: Sequence[SourceRecording], arguments: argpars
     """Which arguments have no effect because all `sources` are videos, or ""."""
     if not all(is_video(source.path) for source in sources):
         return ""
-    useless = [f"--{name}" for name in ("topic", "images") if getattr(arguments, name)]
-    return f"{' and '.join(useless)} apply to recordings only, and these are videos" if useless else ""
+    return "; ".join(
+        f"--{name} applies to recordings only, and these are videos"
+        for name in ("topic", "images")
+        if getattr(arguments, name)
+    )
 
 
 def _conflicts_with_format(arguments: argparse.Namespace) -> list[str]:

@@ -153,8 +153,8 @@ def _check_names(found: Sequence[SourceRecording]) -> None:
     if same:
         told = "".join(f"\n  {', '.join(map(str, paths[:_MAX_TOLD]))}" for paths in same[:_MAX_TOLD])
         raise SourceError(
-            f"{len(same)} name(s) belong to several recordings, so their results would have the same name; "
-            f"use a separate run and --output for each, or rename them:{told}"
+            f"{len(same)} name(s) belong to several recordings or videos, so their results would have the "
+            f"same name; use a separate run and --output for each, or rename them:{told}"
         )
     for recording in found:
         is_reserved = recording.name.startswith("summary.") or not recording.name.strip(".")

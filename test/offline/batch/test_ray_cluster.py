@@ -14,7 +14,7 @@ import pytest
 from support.detected_offline import SET_MODEL, run
 from support.many_recordings import LONG, broken, messages, record_drives
 from support.ray_head import RayHead, ray_head
-from support.recorded_scene import COUNT
+from support.recorded_scene import COUNT, video
 
 from yolov5_lifecycle.atomic_file import has_unfinished_outputs
 from yolov5_lifecycle.offline.detect_bag import EXIT_SET_ASIDE
@@ -63,15 +63,19 @@ def test_a_cluster_gives_the_results_of_single_runs_and_then_skips_them(
 ) -> None:
     drives = record_drives(tmp_path / "drives", {"a": COUNT, "b": COUNT})
     broken(drives, "c")
+    video(drives / "film.avi")
     output = tmp_path / "found"
     code, told = ended(started(head, drives, output))
     assert code == EXIT_SET_ASIDE, told
-    assert states(output) == {"a": "done", "b": "done", "c": "set aside"}
+    assert states(output) == {"a": "done", "b": "done", "c": "set aside", "film": "done"}
+    lines = tmp_path / "film.jsonl"
+    assert run([str(drives / "film.avi"), "--output", str(lines), *SET_MODEL]) == 0
+    assert (output / "film" / "detections.jsonl").read_text() == lines.read_text()
     assert run([str(drives / "a"), "--output", str(tmp_path / "a"), *SET_MODEL]) == 0
     assert messages(output / "a") == messages(tmp_path / "a")
     code, told = ended(started(head, drives, output))
     assert code == EXIT_SET_ASIDE, told
-    assert states(output) == {"a": "skipped", "b": "skipped", "c": "set aside"}
+    assert states(output) == {"a": "skipped", "b": "skipped", "c": "set aside", "film": "skipped"}
 
 
 def test_a_killed_actor_loses_nothing(head: RayHead, tmp_path: Path) -> None:

@@ -61,7 +61,9 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         pytest.param(["films/*"], ["f", "g"], id="pattern of videos"),
         pytest.param(["one film"], ["h"], id="folder of one video"),
         pytest.param(["mixed"], ["bag", "m"], id="folder of recordings and videos"),
-        pytest.param(["films", "monday/a", "one film/h.mkv"], ["f", "g", "a", "h"], id="videos and recordings"),
+        pytest.param(
+            ["films", "monday/a", "one film/h.mkv"], ["f", "g", "a", "h"], id="videos and recordings"
+        ),
         pytest.param(["pictures/*"], ["p"], id="pattern of pictures and videos"),
     ],
 )
@@ -76,7 +78,9 @@ def test_sources_stand_for_recordings(sources: list[str], names: list[str], home
     [
         pytest.param(["sunday"], "sunday: file or folder not found", id="missing"),
         pytest.param(["sun*"], r"sun\*: file or folder not found", id="pattern of nothing"),
-        pytest.param(["shots/*.png"], r"png: expected ros2 bag recordings .* or videos", id="pattern of images"),
+        pytest.param(
+            ["shots/*.png"], r"png: expected ros2 bag recordings .* or videos", id="pattern of images"
+        ),
         pytest.param(
             ["monday/notes.txt", "files"], "notes.txt: expected ros2 bag recordings", id="no recording"
         ),

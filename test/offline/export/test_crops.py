@@ -1,0 +1,165 @@
+"""A JPEG of each detection: what it shows, how it is named, and how much is written at most."""
+
+from __future__ import annotations
+
+import errno
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+from support.detected_offline import SET_MODEL, run
+from support.many_recordings import messages
+from support.recorded_scene import COUNT, SIZE_HW, images, raw, record, video
+
+from yolov5_lifecycle.atomic_file import OutputError
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.offline.export import crops as module
+from yolov5_lifecycle.offline.export.crops import MIN_FREE_BYTES, Crops
+from yolov5_lifecycle.offline.export.detected_image import DetectedImage
+from yolov5_lifecycle.offline.image_files import ImageFile
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
+
+HEIGHT, WIDTH = SIZE_HW
+PLENTY = 1 << 40
+
+
+def detected(*boxes_xyxy: tuple[float, float, float, float], name: str = "a.png") -> DetectedImage:
+    """An image whose left half is red and whose right half is blue, with detections of the first class."""
+    pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    pixels[:, : WIDTH // 2, 0] = 255
+    pixels[:, WIDTH // 2 :, 2] = 255
+    count = len(boxes_xyxy)
+    found = Detections(
+        boxes_xyxy=np.array(boxes_xyxy, np.float32).reshape(count, 4),
+        scores=np.full(count, 0.5, np.float32),
+        class_ids=np.zeros(count, np.int64),
+    )
+    return DetectedImage(ImageFile(Path("/shots") / name), ColourImage(pixels, "rgb"), found)
+
+
+def crops(path: Path, class_name: str = "dog", free_bytes: int = PLENTY) -> Crops:
+    return Crops(path, [class_name], free_bytes=lambda _: free_bytes)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(str(file.relative_to(folder)) for file in folder.rglob("*.jpg"))
+
+
+@pytest.mark.parametrize(
+    ("box_xyxy", "size_hw"),
+    [
+        pytest.param((10.0, 20.0, 50.0, 40.0), (20, 40), id="whole pixels"),
+        pytest.param((10.4, 20.6, 49.2, 39.1), (20, 40), id="touched pixels"),
+        pytest.param((-30.0, -5.0, 12.0, 4.0), (4, 12), id="over the upper left"),
+        pytest.param(
+            (WIDTH - 5.0, HEIGHT - 7.0, WIDTH + 9.0, HEIGHT + 9.0), (7, 5), id="over the lower right"
+        ),
+        pytest.param((33.0, 44.0, 33.0, 44.0), (1, 1), id="a point"),
+        pytest.param((WIDTH + 3.0, 44.0, WIDTH + 9.0, 46.0), (2, 1), id="outside"),
+        pytest.param((0.0, 0.0, WIDTH, HEIGHT), SIZE_HW, id="the whole image"),
+    ],
+)
+def test_a_crop_has_the_pixels_of_its_box(
+    box_xyxy: tuple[float, float, float, float], size_hw: tuple[int, int], tmp_path: Path
+) -> None:
+    crops(tmp_path / "crops").add(detected(box_xyxy))
+    (file,) = (tmp_path / "crops" / "0_dog").iterdir()
+    assert cv2.imread(str(file)).shape[:2] == size_hw
+
+
+def test_the_colours_of_a_crop_are_those_of_the_image(tmp_path: Path) -> None:
+    crops(tmp_path / "crops").add(detected((0, 0, 40, 40), (WIDTH - 40, 0, WIDTH, 40)))
+    left, right = (cv2.imread(str(tmp_path / "crops" / "0_dog" / f"a_{row}.jpg")) for row in (0, 1))
+    assert (left.mean((0, 1)).argmax(), right.mean((0, 1)).argmax()) == (2, 0)  # BGR
+
+
+@pytest.mark.parametrize(
+    ("class_name", "folder"),
+    [
+        ("traffic light", "0_traffic_light"),
+        ("../../etc", "0_______etc"),
+        ("..", "0___"),
+        ("a/b\\c:d*e", "0_a_b_c_d_e"),
+        ("狗", "0_狗"),
+        ("x" * 300, f"0_{'x' * 40}"),
+        ("狗" * 300, f"0_{'狗' * 40}"),
+    ],
+)
+def test_any_class_name_makes_a_safe_folder(class_name: str, folder: str, tmp_path: Path) -> None:
+    crops(tmp_path / "crops", class_name).add(detected((0, 0, 9, 9)))
+    assert names(tmp_path) == [f"crops/{folder}/a_0.jpg"]
+
+
+@pytest.mark.parametrize("name", [f"{'n' * 251}.png", "\udcff.png", "-rf.png"], ids=["long", "bytes", "dash"])
+def test_any_image_name_makes_a_file(name: str, tmp_path: Path) -> None:
+    crops(tmp_path / "crops").add(detected((0, 0, 9, 9), name=name))
+    assert len(names(tmp_path)) == 1
+
+
+def test_two_images_of_one_name_are_refused(tmp_path: Path) -> None:
+    folder = crops(tmp_path / "crops")
+    folder.add(detected((0, 0, 9, 9), name="a.png"))
+    with pytest.raises(OutputError, match="a: two images have this name"):
+        folder.add(detected((0, 0, 9, 9), name="a.jpg"))
+
+
+def test_there_are_at_most_so_many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_CROPS", 2)
+    folder = crops(tmp_path / "crops")
+    folder.add(detected((0, 0, 9, 9)))
+    with pytest.raises(OutputError, match="more than 2 detections: raise confidence_threshold"):
+        folder.add(detected((0, 0, 9, 9), (9, 9, 20, 20), name="b.png"))
+    assert names(tmp_path) == ["crops/0_dog/a_0.jpg"]
+
+
+def test_a_disk_that_is_nearly_full_is_left_alone(tmp_path: Path) -> None:
+    folder = crops(tmp_path / "crops", free_bytes=MIN_FREE_BYTES - 1)
+    folder.add(detected())
+    with pytest.raises(OSError, match="less than 256 MiB are free") as error:
+        folder.add(detected((0, 0, 9, 9)))
+    assert error.value.errno == errno.ENOSPC
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("output", "folder"),
+    [("found.jsonl", "found_crops"), ("found", "found_crops"), ("found.yolo", "found_crops")],
+)
+def test_the_command_puts_them_beside_its_output(output: str, folder: str, tmp_path: Path) -> None:
+    source = images(tmp_path / "shots")
+    assert run([str(source), "--output", str(tmp_path / output), "--crops", *SET_MODEL]) == 0
+    assert run([str(source), "--output", str(tmp_path / "lines.jsonl"), *SET_MODEL]) == 0
+    lines = [json.loads(line) for line in (tmp_path / "lines.jsonl").read_text().splitlines()]
+    assert names(tmp_path / folder) == sorted(
+        f"{CLASS_NAMES.index(one['class_name'])}_{one['class_name']}/{Path(line['file']).stem}_{row}.jpg"
+        for line in lines
+        for row, one in enumerate(line["detections"])
+    )
+
+
+def test_crops_of_a_recording_lie_beside_the_recording(tmp_path: Path) -> None:
+    drive = record(tmp_path / "drive", [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
+    assert run([str(drive), "--output", str(tmp_path / "v1.2"), "--crops", *SET_MODEL]) == 0
+    assert messages(tmp_path / "v1.2")
+    stems = {name.partition("/")[2].rpartition("_")[0] for name in names(tmp_path / "v1.2_crops")}
+    assert stems == {f"170000000{number}_000000009" for number in range(COUNT)}
+
+
+def test_crops_of_a_video_are_named_after_its_frames(tmp_path: Path) -> None:
+    source = video(tmp_path / "drive.avi")
+    assert run([str(source), "--output", str(tmp_path / "found.csv"), "--crops", *SET_MODEL]) == 0
+    stems = {name.partition("/")[2].rpartition("_")[0] for name in names(tmp_path / "found_crops")}
+    assert stems == {f"frame_{number:06}" for number in range(COUNT)}
+
+
+def test_a_folder_that_exists_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = images(tmp_path / "shots")
+    shutil.copytree(source, tmp_path / "found_crops")
+    assert run([str(source), "--output", str(tmp_path / "found.csv"), "--crops", *SET_MODEL]) == 1
+    assert "found_crops exists and is not replaced" in capsys.readouterr().err
+    assert not (tmp_path / "found.csv").exists()

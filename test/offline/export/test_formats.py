@@ -1,0 +1,340 @@
+"""Exported detections: each format has those of the lines of JSON, whatever the source."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from pyarrow import parquet
+from pycocotools import mask
+from pycocotools.coco import COCO
+from rosbags.rosbag2 import StoragePlugin
+from support.detected_offline import SET_MODEL, prepare_once, run
+from support.recorded_scene import COUNT, SIZE_HW, images, raw, record, stamp_s, video
+from support.segmented_offline import SET_MODEL as SET_SEGMENTING
+from support.segmented_offline import segment
+
+from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
+from yolov5_lifecycle.evaluation.ground_truth import Problems
+from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
+from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.offline.export.formats import FORMATS
+from yolov5_lifecycle.offline.export.table import COLUMNS
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
+
+HEIGHT, WIDTH = SIZE_HW
+
+
+class Row(NamedTuple):
+    """A detection as a format has it: the image by its number in the source, and what else it can hold."""
+
+    image: int
+    class_name: str
+    score: float
+    box_xyxy: tuple[float, ...]
+
+
+def of_jsonl(path: Path) -> Iterator[Row]:
+    for number, line in enumerate(path.read_text().splitlines()):
+        for one in json.loads(line)["detections"]:
+            yield Row(number, one["class_name"], one["score"], tuple(one["box_xyxy"]))
+
+
+def of_coco(path: Path) -> Iterator[Row]:
+    content = json.loads(path.read_text())
+    names = {one["id"]: one["name"] for one in content["categories"]}
+    numbers = {one["id"]: number for number, one in enumerate(content["images"])}
+    for one in content["annotations"]:
+        x, y, width, height = one["bbox"]
+        corners = (x, y, x + width, y + height)
+        yield Row(numbers[one["image_id"]], names[one["category_id"]], one["score"], corners)
+
+
+def of_table(rows: Sequence[dict[str, Any]]) -> Iterator[Row]:
+    identity = next(iter(rows[0]))
+    numbers = {value: number for number, value in enumerate(dict.fromkeys(row[identity] for row in rows))}
+    for row in rows:
+        assert CLASS_NAMES[int(row["class_id"])] == row["class_name"]
+        box_xyxy = tuple(float(row[name]) for name in ("x_min", "y_min", "x_max", "y_max"))
+        yield Row(numbers[row[identity]], row["class_name"], float(row["score"]), box_xyxy)
+
+
+def of_csv(path: Path) -> Iterator[Row]:
+    return of_table(list(csv.DictReader(path.read_text().splitlines())))
+
+
+def of_parquet(path: Path) -> Iterator[Row]:
+    return of_table(parquet.read_table(path).to_pylist())
+
+
+def of_yolo(path: Path) -> Iterator[Row]:
+    names = yaml.safe_load((path / "data.yaml").read_text())["names"]
+    for number, file in enumerate(sorted((path / "labels").iterdir())):
+        for line in file.read_text().splitlines():
+            class_id, x, y, width, height = map(float, line.split())
+            box = (x - width / 2, y - height / 2, x + width / 2, y + height / 2)
+            corners = tuple(np.multiply(box, (WIDTH, HEIGHT, WIDTH, HEIGHT)).tolist())
+            yield Row(number, names[int(class_id)], np.nan, corners)
+
+
+READ = {".jsonl": of_jsonl, ".json": of_coco, ".csv": of_csv, ".parquet": of_parquet, ".yolo": of_yolo}
+
+
+def recording(path: Path) -> Path:
+    return record(path, [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
+
+
+SOURCES: dict[str, Callable[[Path], Path]] = {
+    "images": lambda folder: images(folder / "shots"),
+    "video": lambda folder: video(folder / "drive.avi"),
+    "recording": lambda folder: recording(folder / "drive"),
+}
+each_source = pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
+
+
+def test_every_format_is_read_here() -> None:
+    assert READ.keys() == FORMATS.keys()
+
+
+@each_source
+@pytest.mark.parametrize("suffix", READ)
+def test_a_format_has_the_detections_of_the_lines(
+    suffix: str, source: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    path, lines, output = source(tmp_path), tmp_path / "lines.jsonl", tmp_path / f"found{suffix}"
+    assert run([str(path), "--output", str(lines), *SET_MODEL]) == 0
+    assert run([str(path), "--output", str(output), *SET_MODEL]) == 0
+    expected, found = list(of_jsonl(lines)), list(READ[suffix](output))
+    assert len({row.image for row in expected}) == COUNT
+    assert [row[:2] for row in found] == [row[:2] for row in expected]
+    limits = (WIDTH, HEIGHT, WIDTH, HEIGHT)
+    for one, other in zip(found, expected, strict=True):
+        corners = np.clip(other.box_xyxy, 0, limits) if suffix == ".yolo" else other.box_xyxy
+        np.testing.assert_allclose(one.box_xyxy, corners, atol=1e-3)
+        assert np.isnan(one.score) or one.score == pytest.approx(other.score, abs=1e-6)
+    assert sorted(one.name for one in tmp_path.iterdir()) == sorted([path.name, lines.name, output.name])
+
+
+@pytest.mark.parametrize(
+    ("source", "identity", "values"),
+    [
+        pytest.param("images", "file", None, id="images"),
+        pytest.param("video", "frame", list(range(COUNT)), id="video"),
+        pytest.param(
+            "recording", "stamp_ns", [stamp_s(number) * 10**9 + 9 for number in range(COUNT)], id="recording"
+        ),
+    ],
+)
+def test_an_image_is_identified_in_every_format(
+    source: str, identity: str, values: list[int] | None, tmp_path: Path
+) -> None:
+    path = SOURCES[source](tmp_path)
+    wanted: list[object] = list(values or [str(path / f"{number}.png") for number in range(COUNT)])
+    for suffix in (".jsonl", ".csv", ".parquet"):
+        assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]) == 0
+    lines = [json.loads(line) for line in (tmp_path / "found.jsonl").read_text().splitlines()]
+    assert [line[identity] for line in lines] == wanted
+    header, *rows = csv.reader((tmp_path / "found.csv").read_text().splitlines())
+    assert header == [identity, *COLUMNS]
+    assert list(dict.fromkeys(row[0] for row in rows)) == list(map(str, wanted))
+    table = parquet.read_table(tmp_path / "found.parquet")
+    assert table.column_names == [identity, *COLUMNS]
+    assert list(dict.fromkeys(table[identity].to_pylist())) == wanted
+
+
+def test_tracks_have_their_ids_in_tables_and_coco(tmp_path: Path) -> None:
+    source = video(tmp_path / "drive.avi")
+    for suffix in (".jsonl", ".json", ".csv", ".parquet"):
+        words = ["--output", str(tmp_path / f"found{suffix}"), "--track", *SET_MODEL]
+        assert run([str(source), *words]) == 0
+    lines = (tmp_path / "found.jsonl").read_text().splitlines()
+    ids = [one["id"] for line in lines for one in json.loads(line)["detections"]]
+    assert any(ids)
+    content = json.loads((tmp_path / "found.json").read_text())
+    assert [one["track_id"] for one in content["annotations"]] == ids
+    rows = csv.DictReader((tmp_path / "found.csv").read_text().splitlines())
+    assert [row["id"] for row in rows] == ids
+    table = parquet.read_table(tmp_path / "found.parquet")
+    assert [one or "" for one in table["id"].to_pylist()] == ids
+
+
+def test_pycocotools_reads_the_file_and_its_masks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = images(tmp_path / "shots")
+    for suffix in (".json", ".jsonl"):
+        words = ["--output", str(tmp_path / f"found{suffix}"), *SET_SEGMENTING]
+        assert segment([str(source), *words]) == 0
+    coco = COCO(str(tmp_path / "found.json"))
+    assert [image["file_name"] for image in coco.loadImgs(coco.getImgIds())] == ["0.png", "1.png", "2.png"]
+    lines = (tmp_path / "found.jsonl").read_text().splitlines()
+    masks = [one["mask"] for line in lines for one in json.loads(line)["detections"]]
+    annotations = coco.loadAnns(coco.getAnnIds())
+    assert [one["segmentation"] for one in annotations] == masks
+    assert [one["area"] for one in annotations] == [mask.area(coco.annToRLE(one)) for one in annotations]
+    assert min(one["id"] for one in annotations) == 1
+
+
+@pytest.mark.parametrize("suffix", [".json", ".jsonl"])
+def test_without_masks_none_is_in_the_file(suffix: str, tmp_path: Path) -> None:
+    source, output = images(tmp_path / "shots"), tmp_path / f"found{suffix}"
+    assert segment([str(source), "--output", str(output), "--no-masks", *SET_SEGMENTING]) == 0
+    assert "counts" not in output.read_text()
+
+
+def test_yolo_text_becomes_a_data_set_beside_its_images(tmp_path: Path) -> None:
+    source, output = images(tmp_path / "shots"), tmp_path / "found.yolo"
+    cv2.imwrite(str(source / "empty.png"), np.zeros((48, 64, 3), np.uint8))
+    assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
+    assert (output / "labels" / "empty.txt").read_bytes() == b""
+    shutil.copytree(source, output / "images")
+    data = read_yolo_folder(output / "data.yaml", Problems(pytest.fail))
+    assert data.class_names == CLASS_NAMES
+    assert len(data.images) == COUNT + 1
+
+
+def test_an_output_without_suffix_has_lines(tmp_path: Path) -> None:
+    source, output = images(tmp_path / "shots"), tmp_path / "found"
+    assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
+    assert len(list(of_jsonl(output))) > COUNT
+
+
+def test_the_case_of_a_suffix_makes_no_difference(tmp_path: Path) -> None:
+    source, output = images(tmp_path / "shots"), tmp_path / "found.CSV"
+    assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
+    assert list(of_csv(output))
+
+
+@pytest.mark.parametrize("name", ["found.xlsx", "found.txt", "found.csv.gz"])
+def test_a_format_that_does_not_exist_is_refused_with_those_that_do(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = images(tmp_path / "shots")
+    assert main([str(source), "--output", str(tmp_path / name)], prepare=never) == 1
+    told = capsys.readouterr().err
+    assert f"{name}: expected a name that ends in .jsonl (JSON lines), .json (COCO), .csv (CSV), " in told
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def never(settings: Settings, sizes: object) -> PreparedModel:
+    raise AssertionError("the model is not needed to refuse this")
+
+
+def test_parquet_names_the_package_that_it_lacks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    source = images(tmp_path / "shots")
+    words = [str(source), "--output", str(tmp_path / "found.parquet")]
+    assert main(words, prepare=never) == 1
+    told = capsys.readouterr().err
+    assert ".parquet needs the package pyarrow: " in told
+    assert "-m pip install pyarrow" in told
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def interrupted() -> Prepare:
+    """The embedded model, which is interrupted at the second image."""
+    calls: list[object] = []
+
+    def prepare(settings: Settings, sizes: Any) -> PreparedModel:
+        prepared = prepare_once(settings, sizes)
+
+        class Interrupted:
+            def __getattr__(self, name: str) -> Any:
+                return getattr(prepared.detector, name)
+
+            def detect(self, image: Any, selection: Any) -> Any:
+                calls.append(image)
+                if len(calls) == 2:
+                    raise KeyboardInterrupt
+                return prepared.detector.detect(image, selection)
+
+        detector: Any = Interrupted()
+        return replace(prepared, detector=detector)
+
+    return prepare
+
+
+@each_source
+@pytest.mark.parametrize("suffix", ["", *READ])
+def test_an_interrupted_export_leaves_nothing(
+    suffix: str, source: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    path = source(tmp_path)
+    words = [str(path), "--output", str(tmp_path / f"found{suffix}"), "--crops", *SET_MODEL]
+    assert main(words, prepare=interrupted()) == 130
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_two_images_of_one_name_are_refused_in_yolo_text(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = images(tmp_path / "shots")
+    shutil.copy(source / "0.png", source / "0.bmp")
+    assert run([str(source), "--output", str(tmp_path / "found.yolo"), *SET_MODEL]) == 1
+    assert "0: two images have this name, but YOLO text has one file for each" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [source]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".json"])
+def test_a_file_name_that_is_no_text_is_escaped(suffix: str, tmp_path: Path) -> None:
+    source, output = images(tmp_path / "shots"), tmp_path / f"found{suffix}"
+    (source / "0.png").rename(source / "\udcff.png")
+    assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
+    assert len({row.image for row in READ[suffix](output)}) == COUNT
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        pytest.param(
+            ["drive.avi", "--images", "--topic", "/x", "--output", "x.yolo", "--track"],
+            [
+                "--topic applies to recordings only",
+                "--images applies to recordings only",
+                ".yolo has no ids of tracks",
+            ],
+            id="video",
+        ),
+        pytest.param(
+            ["drive", "--annotated", "x.mp4", "--images", "--output", "x.csv"],
+            ["--annotated does not apply to recordings", "--images needs a recording as output"],
+            id="recording",
+        ),
+        pytest.param(
+            ["shots", "--track", "--crops"],
+            ["shots has still images; tracking needs", "--crops needs --output"],
+            id="images",
+        ),
+        pytest.param(
+            ["drive", "drive.avi", "--annotated", "x", "--crops"],
+            ["give --output, the folder for the results", "--annotated applies to a single video"],
+            id="many",
+        ),
+    ],
+)
+def test_all_arguments_that_contradict_are_told_at_once(
+    words: list[str],
+    told: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for source in SOURCES.values():
+        source(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(words, prepare=never)
+    assert end.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert [text for text in told if text not in line] == []
