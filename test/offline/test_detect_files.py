@@ -99,7 +99,8 @@ def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytes
         pytest.param("notes.txt", [], "neither as an image nor as a video", id="a text"),
         pytest.param("missing", [], "file or folder not found", id="missing"),
         pytest.param("missing", ["--topic", "/x"], "file or folder not found", id="missing, with a topic"),
-        pytest.param("shots/0.png", ["--output", "notes.txt"], "exists and is not", id="lines exist"),
+        pytest.param("shots/0.png", ["--output", "lines.jsonl"], "exists and is not", id="lines exist"),
+        pytest.param("shots", ["--output", "x.txt"], "expected a name that ends in .jsonl", id="format"),
         pytest.param("shots", ["--annotated", "empty"], "exists and is not", id="drawings exist"),
         pytest.param(
             "shots/0.png", ["--annotated", "x.foo"], "x.foo: OpenCV cannot write", id="image suffix"
@@ -132,6 +133,7 @@ def test_an_error_with_files_says_why_and_leaves_nothing_behind(
     shutil.copy("drive.avi", "bad\udcff/0.avi")
     Path("empty").mkdir()
     Path("notes.txt").write_text("keep me")
+    Path("lines.jsonl").touch()
     before = sorted(tmp_path.rglob("*"))
     assert run([source, *SET_MODEL, *words]) == 1
     assert told in capsys.readouterr().err

@@ -86,9 +86,12 @@ class ParquetTable:
         self.close()
 
     def close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
-        self._file.close()
+        writer, self._writer = self._writer, None
+        try:
+            if writer is not None:
+                writer.close()
+        finally:
+            self._file.close()
 
     def _begin(self, found: DetectedImage) -> None:
         import pyarrow
