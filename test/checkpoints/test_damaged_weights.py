@@ -23,6 +23,7 @@ from yolov5_lifecycle.models.model import Model, WeightsError
 _FEW = settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
 )
+_PROTOCOLS = (2, 5)
 _PLACE = st.floats(0, 1, exclude_max=True)
 _SPLICES = st.lists(st.tuples(_PLACE, st.integers(0, 16), st.binary(max_size=16)), min_size=1, max_size=4)
 Splices = list[tuple[float, int, bytes]]
@@ -43,17 +44,20 @@ def test_a_damaged_checkpoint_is_refused_or_whole(splices: Splices) -> None:
 
 
 @_FEW
-@given(_SPLICES)
-def test_a_checkpoint_with_a_damaged_pickle_is_refused_or_whole(splices: Splices) -> None:
+@given(st.sampled_from(_PROTOCOLS), _SPLICES)
+def test_a_checkpoint_with_a_damaged_pickle_is_refused_or_whole(protocol: int, splices: Splices) -> None:
     check_weights(
-        read_checkpoint, hostile_archives.with_pickle(spliced(hostile_archives.valid_pickle(), splices))
+        read_checkpoint,
+        hostile_archives.with_pickle(spliced(hostile_archives.valid_pickle(protocol), splices)),
     )
 
 
 @_FEW
-@given(st.integers(0, 1 << 20), st.integers(0, 255))
-def test_a_checkpoint_with_one_other_byte_in_its_pickle_is_refused_or_whole(place: int, byte: int) -> None:
-    pickle = bytearray(hostile_archives.valid_pickle())
+@given(st.sampled_from(_PROTOCOLS), st.integers(0, 1 << 20), st.integers(0, 255))
+def test_a_checkpoint_with_one_other_byte_in_its_pickle_is_refused_or_whole(
+    protocol: int, place: int, byte: int
+) -> None:
+    pickle = bytearray(hostile_archives.valid_pickle(protocol))
     pickle[place % len(pickle)] = byte
     check_weights(read_checkpoint, hostile_archives.with_pickle(bytes(pickle)))
 
@@ -111,19 +115,22 @@ def test_a_safetensors_file_with_any_header_is_refused_or_whole(places: list[int
 
 
 @functools.cache
-def pickled_operations() -> list[bytes]:
+def pickled_operations(protocol: int) -> list[bytes]:
     """The checkpoint's pickle, cut between its operations."""
-    pickle = hostile_archives.valid_pickle()
+    pickle = hostile_archives.valid_pickle(protocol)
     starts = [place for *_, place in pickletools.genops(pickle) if place is not None]
     return [pickle[start:end] for start, end in itertools.pairwise([*starts, len(pickle)])]
 
 
 @settings(_FEW, max_examples=20)
-@given(st.lists(st.tuples(_PLACE, _PLACE, st.integers(0, 3)), min_size=1, max_size=4))
+@given(
+    st.sampled_from(_PROTOCOLS),
+    st.lists(st.tuples(_PLACE, _PLACE, st.integers(0, 3)), min_size=1, max_size=4),
+)
 def test_a_checkpoint_with_its_operations_in_another_order_is_refused_or_whole(
-    moves: list[tuple[float, float, int]],
+    protocol: int, moves: list[tuple[float, float, int]]
 ) -> None:
-    operations = list(pickled_operations())
+    operations = list(pickled_operations(protocol))
     for source, target, removed in moves:
         start = int(target * len(operations))
         operations[start : start + removed] = [operations[int(source * len(operations))]]

@@ -81,11 +81,11 @@ def foreign(name: str, **attributes: object) -> Any:
     return made
 
 
-def saved(checkpoint: object) -> bytes:
+def saved(checkpoint: object, protocol: int = 2) -> bytes:
     """`checkpoint` as torch.save writes it."""
     file = io.BytesIO()
     with _importable(_CLASSES):
-        torch.save(checkpoint, file)
+        torch.save(checkpoint, file, pickle_protocol=protocol)
     return file.getvalue()
 
 

@@ -17,8 +17,8 @@ _PICKLE = "archive/data.pkl"
 
 
 @functools.cache
-def valid() -> bytes:
-    return saved(stripped(official_model()))
+def valid(protocol: int = 2) -> bytes:
+    return saved(stripped(official_model()), protocol)
 
 
 def with_pickle(pickle: bytes, whole: bytes = b"") -> bytes:
@@ -34,9 +34,9 @@ def with_pickle(pickle: bytes, whole: bytes = b"") -> bytes:
 
 
 @functools.cache
-def valid_pickle() -> bytes:
+def valid_pickle(protocol: int = 2) -> bytes:
     """The data.pkl of the valid archive."""
-    return pickle_of(valid())
+    return pickle_of(valid(protocol))
 
 
 def pickle_of(data: bytes) -> bytes:

@@ -8,6 +8,7 @@ from support import pickle_assembler as asm
 from support.pickle_assembler import (
     archive,
     call,
+    get,
     instance,
     items,
     mapping,
@@ -100,12 +101,85 @@ GADGETS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         "'yolov5_lifecycle.process.memory.release_unused_memory'",
     ),
     "a name that looks like a layer": (lambda: gadget("models.yolo os", "system", SHELL), FOREIGN),
-    "protocol 4": (
-        lambda: archive(text("os") + text("system") + b"\x93" + items(SHELL) + asm.REDUCE, start=b"\x80\x04"),
-        "protocol",
+    "os.system in protocol 4": (
+        lambda: archive(asm.stacked_name("os", "system") + items(SHELL) + asm.REDUCE, start=asm.START_4),
+        "'os.system'",
     ),
-    "a name made of texts": (lambda: archive(text("os") + text("system") + b"\x93"), "STACK_GLOBAL"),
+    "os.system in protocol 5, in a frame": (
+        lambda: archive(
+            asm.frame(asm.stacked_name("os", "system") + items(SHELL) + asm.REDUCE), start=asm.START_5
+        ),
+        "'os.system'",
+    ),
+    "protocol 6": (lambda: archive(mapping({}), start=b"\x80\x06"), "of protocol 6, expected 2 to 5"),
+    "protocol 1": (lambda: archive(mapping({}), start=b"\x80\x01"), "of protocol 1, expected 2 to 5"),
+    "a name made of texts in protocol 2": (
+        lambda: archive(text("os") + text("system") + asm.STACK_GLOBAL),
+        "'os.system'",
+    ),
+    "a module from the memo, whose place was counted": (
+        lambda: archive(
+            asm.EMPTY_LIST
+            + asm.MARK
+            + (text("models.yolo") + asm.MEMOIZE + text("os") + asm.MEMOIZE)
+            + (get(1) + text("system") + asm.STACK_GLOBAL + items(SHELL) + asm.REDUCE)
+            + b"e"
+        ),
+        "'os.system'",
+    ),
+    "a method by its dotted name": (
+        lambda: archive(asm.stacked_name("models.yolo", "Detect.forward.__globals__")),
+        "expected a dict with the entry 'model'",
+    ),
+    "an attribute of what torch has": (
+        lambda: archive(asm.stacked_name("torch._utils", "_rebuild_tensor_v2.__globals__")),
+        "'torch._utils._rebuild_tensor_v2.__globals__'",
+    ),
+    "a name of bytes": (
+        lambda: archive(asm.short_bytes(b"os") + text("system") + asm.STACK_GLOBAL),
+        "a name that is not text",
+    ),
+    "a name of numbers": (
+        lambda: archive(number(1) + number(2) + asm.STACK_GLOBAL),
+        "a name that is not text",
+    ),
+    "a name of nothing": (lambda: archive(asm.STACK_GLOBAL), "is damaged"),
+    "a name after another one": (
+        lambda: archive(
+            asm.stacked_name("models.yolo", "Model") + text("system") + asm.STACK_GLOBAL, start=asm.START_4
+        ),
+        "a name that is not text",
+    ),
+    "data outside of the file": (lambda: archive(b"\x97", start=asm.START_5), "NEXT_BUFFER"),
+    "data outside of the file, to read only": (
+        lambda: archive(asm.byte_array(b"x") + b"\x98", start=asm.START_5),
+        "READONLY_BUFFER",
+    ),
+    "an object with named arguments": (
+        lambda: archive(name("models.yolo", "Model") + items() + b"}" + b"\x92", start=asm.START_4),
+        "NEWOBJ_EX",
+    ),
+    "a frozen set": (lambda: archive(asm.MARK + b"\x91", start=asm.START_4), "FROZENSET"),
     "INST of Python 1": (lambda: archive(b"(" + SHELL + b"ios\nsystem\n"), "INST"),
     "extension code": (lambda: archive(b"\x82\x01"), "EXT1"),
+    "a model after torch.compile": (
+        lambda: archive(
+            mapping({"model": name("torch._dynamo.eval_frame", "OptimizedModule")})
+            + mapping(
+                {"more": name("contextlib", "nullcontext"), "most": name("torch", "_TorchCompileWrapper")}
+            )
+        ),
+        "after torch.compile and names 'torch._dynamo.eval_frame.OptimizedModule', a part of the compiler",
+    ),
+    "something foreign beside torch.compile": (
+        lambda: archive(
+            asm.EMPTY_LIST
+            + name("torch._dynamo.eval_frame", "OptimizedModule")
+            + asm.APPEND
+            + name("os", "system")
+            + asm.APPEND
+        ),
+        "do not trust",
+    ),
     "persistent text": (lambda: archive(b"Pos.system\n"), "PERSID"),
 }

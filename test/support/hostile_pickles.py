@@ -100,6 +100,95 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         "refers to a storage",
     ),
     "a text doubled 40 times": (lambda: doubled(40), "calls '_codecs.encode'"),
+    "billion laughs as an item of a set in protocol 4": (
+        lambda: laughing(
+            lambda laughs: text("model") + asm.EMPTY_SET + asm.MARK + laughs + asm.ADDITEMS + asm.SETITEM
+        ),
+        "has a set of more than 64 items, or of others",
+    ),
+    "a set that is never full": (
+        lambda: archive(asm.EMPTY_SET + (asm.MARK + number(1) * 9 + asm.ADDITEMS) * 8),
+        "has a set of more than 64 items",
+    ),
+    "an item added to a list": (
+        lambda: archive(asm.EMPTY_LIST + asm.MARK + number(1) + asm.ADDITEMS),
+        "changes a list",
+    ),
+    "an item added to a model": (
+        lambda: archive(instance("models.yolo", "Model", {}) + asm.MARK + number(1) + asm.ADDITEMS),
+        "changes a object",
+    ),
+    "items without a mark": (lambda: archive(asm.EMPTY_SET + asm.ADDITEMS), "is damaged"),
+    "bytes as a key": (
+        lambda: archive(asm.EMPTY_DICT + asm.short_bytes(b"model") + number(1) + asm.SETITEM),
+        "keys that are neither",
+    ),
+    "an array of 16 EiB": (
+        lambda: archive(asm.byte_array(b"abc", claimed=(1 << 64) - 1), start=asm.START_5),
+        "cut short",
+    ),
+    "an array of 1 GiB": (
+        lambda: archive(asm.byte_array(b"abc", claimed=1 << 30), start=asm.START_5),
+        "cut short",
+    ),
+    "an array in the place of the checkpoint": (
+        lambda: archive(asm.byte_array(bytes(1000)), start=asm.START_5),
+        "expected a dict with the entry 'model', found a bytearray",
+    ),
+    "bytes in the place of the checkpoint": (
+        lambda: archive(asm.short_bytes(b"model"), start=asm.START_4),
+        "expected a dict with the entry 'model', found a bytes",
+    ),
+    "bytes cut short": (lambda: archive(b"B\xff\xff\xff\x7fabc", start=asm.START_4), "cut short"),
+    "a short text that is cut short": (lambda: archive(b"\x8c\xffabc", start=asm.START_4), "cut short"),
+    "a short text that is not UTF-8": (
+        lambda: archive(b"\x8c\x02\xff\xff", start=asm.START_4),
+        "contains an invalid string",
+    ),
+    "a text of 16 EiB": (
+        lambda: archive(b"\x8d" + b"\xff" * 8 + b"abc", start=asm.START_4),
+        "uses BINUNICODE8",
+    ),
+    "bytes of 16 EiB": (
+        lambda: archive(b"\x8e" + b"\xff" * 8 + b"abc", start=asm.START_4),
+        "uses BINBYTES8",
+    ),
+    "a frame of 16 EiB": (
+        lambda: archive(asm.frame(mapping({}), claimed=(1 << 64) - 1), start=asm.START_4),
+        "cut short",
+    ),
+    "a frame behind the end": (
+        lambda: archive(asm.frame(mapping({}), claimed=100), start=asm.START_4),
+        "cut short",
+    ),
+    "a frame in a frame": (
+        lambda: archive(asm.frame(asm.frame(mapping({})) + mapping({})), start=asm.START_4),
+        "cannot be read",
+    ),
+    "a frame that ends within a text": (
+        lambda: archive(asm.frame(text("models"), claimed=8), start=asm.START_4),
+        "cannot be read",
+    ),
+    "a memo of nothing": (lambda: archive(asm.MEMOIZE, start=asm.START_4), "is damaged"),
+    "a name of a million characters, often": (
+        lambda: archive(
+            asm.EMPTY_LIST
+            + put(0)
+            + (text("models." + "x" * 1_000_000) + put(1) + asm.APPEND)
+            + (text("y" * 1_000_000) + put(2) + asm.APPEND)
+            + (get(1) + get(2) + asm.STACK_GLOBAL + asm.APPEND) * 100_000
+        ),
+        "a name of more than 500 characters",
+    ),
+    "names without end": (
+        lambda: archive(
+            asm.EMPTY_LIST
+            + asm.MARK
+            + b"".join(name("models", f"{index:x}") for index in range(100_000))
+            + b"e"
+        ),
+        "names more than 1000 classes",
+    ),
     "a set made of a long list, often": (
         lambda: many(call(name("__builtin__", "set"), get(1)), 20_000),
         "calls '__builtin__.set'",

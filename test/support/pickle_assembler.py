@@ -8,10 +8,13 @@ import zipfile
 from collections.abc import Mapping, Sequence
 
 START = b"\x80\x02"
+START_4, START_5 = b"\x80\x04", b"\x80\x05"
 EMPTY_DICT, EMPTY_LIST, EMPTY_TUPLE = b"}", b"]", b")"
 MARK, TUPLE, APPEND, SETITEM, BUILD, NEWOBJ, REDUCE, PERSID, STOP = (
     b"(", b"t", b"a", b"s", b"b", b"\x81", b"R", b"Q", b".",
 )  # fmt: skip
+EMPTY_SET, ADDITEMS, STACK_GLOBAL, MEMOIZE = b"\x8f", b"\x90", b"\x93", b"\x94"
+"""Of protocol 4."""
 
 
 def name(module: str, attribute: str) -> bytes:
@@ -21,6 +24,29 @@ def name(module: str, attribute: str) -> bytes:
 def text(value: str) -> bytes:
     encoded = value.encode()
     return b"X" + struct.pack("<I", len(encoded)) + encoded
+
+
+def short_text(value: str) -> bytes:
+    """As protocol 4 writes it."""
+    encoded = value.encode()
+    return b"\x8c" + bytes([len(encoded)]) + encoded
+
+
+def stacked_name(module: str, attribute: str) -> bytes:
+    """A name as protocol 4 writes it."""
+    return short_text(module) + short_text(attribute) + STACK_GLOBAL
+
+
+def frame(content: bytes, claimed: int | None = None) -> bytes:
+    return b"\x95" + struct.pack("<Q", len(content) if claimed is None else claimed) + content
+
+
+def byte_array(content: bytes, claimed: int | None = None) -> bytes:
+    return b"\x96" + struct.pack("<Q", len(content) if claimed is None else claimed) + content
+
+
+def short_bytes(content: bytes) -> bytes:
+    return b"C" + bytes([len(content)]) + content
 
 
 def number(value: int) -> bytes:

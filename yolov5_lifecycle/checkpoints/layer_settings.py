@@ -44,6 +44,7 @@ _OTHER_CLASS_NAMES: Mapping[type[nn.Module], tuple[str, ...]] = MappingProxyType
     {
         DWConv: ("DWConv", "Conv"),  # until v5.0 it was a function that made the other class
         CrossCSP: ("C3",),
+        nn.BatchNorm2d: ("BatchNorm2d", "SyncBatchNorm"),  # trained with --sync-bn; the same but for training
         NonDynamicallyQuantizableLinear: ("NonDynamicallyQuantizableLinear", "_LinearWithBias"),
     }
 )

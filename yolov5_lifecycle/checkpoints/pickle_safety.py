@@ -6,7 +6,7 @@ key take forever to hash, and `_codecs.encode(data, "hex")` doubles its input.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Union
 
 from yolov5_lifecycle.checkpoints.pickle_opcodes import Operation, operations
@@ -17,26 +17,49 @@ from yolov5_lifecycle.checkpoints.pickled_names import (
     SETS,
     STORAGES,
     TENSOR_MAKERS,
+    TORCH_NAMES,
+    stubs_among,
 )
 from yolov5_lifecycle.models.model import WeightsError, first_line, shown
 
 MAX_CALLS = 100_000
 """yolov5n makes 4,000 calls, an x6 with its EMA and its optimizer about ten times as many."""
+MAX_NAME = 500
+"""Characters of the name of a class with its package, if the pickle makes it from texts."""
+MAX_NAMES = 1_000
+"""Different classes and functions; a training checkpoint names about 60."""
 _MAX_ITEMS = 64
 
 _SCALARS = ("NONE", "NEWFALSE", "NEWTRUE", "BININT", "BININT1", "BININT2", "BINFLOAT", "LONG1")
-_CONTAINERS = {"EMPTY_LIST": "list", "EMPTY_DICT": "dict"}
+_TEXTS = ("BINUNICODE", "SHORT_BINUNICODE", "SHORT_BINSTRING")
+_MADE = {
+    "EMPTY_LIST": "list",
+    "EMPTY_DICT": "dict",
+    "EMPTY_SET": "set",
+    "BYTEARRAY8": "bytearray",
+    **dict.fromkeys(("BINBYTES", "SHORT_BINBYTES"), "bytes"),
+}
 _TUPLES = {"EMPTY_TUPLE": 0, "TUPLE1": 1, "TUPLE2": 2, "TUPLE3": 3}
 
 
-def check_program(pickle: bytes, stubs: Iterable[str]) -> None:
-    """Raise WeightsError unless `pickle` only holds data; it may create objects of classes `stubs`."""
-    program = _Program(frozenset(stubs))
+def check_program(pickle: bytes) -> list[str]:
+    """The classes that `pickle` names besides those of torch; raises WeightsError unless it only holds data.
+
+    Names are told first: a foreign one is what its user must know.
+    """
+    program = _Program()
+    failure: WeightsError | None = None
     try:
         for operation in operations(pickle):
             program.step(operation)
     except LookupError as error:
-        raise WeightsError(f"its pickle is damaged ({first_line(error)})") from None
+        failure = WeightsError(f"its pickle is damaged ({first_line(error)})")
+    except WeightsError as error:
+        failure = error
+    stubs = stubs_among(program.names)
+    if failure is not None:
+        raise failure from None
+    return stubs
 
 
 class _Thing:
@@ -63,16 +86,24 @@ def _is_plain(value: _Value) -> bool:
 
 
 class _Program:
-    """The stack machine of pickle protocol 2, operating on kinds instead of values."""
+    """The stack machine of pickle protocols 2 to 5, operating on kinds instead of values.
 
-    def __init__(self, stubs: frozenset[str]) -> None:
-        self._stubs = stubs
+    `names` are the classes and functions named so far. All that torch does not define may make objects; the
+    caller refuses foreign ones.
+    """
+
+    def __init__(self) -> None:
+        self.names: set[str] = set()
         self._stack: list[_Value] = []
         self._below: list[list[_Value]] = []
         self._memo: dict[int, _Value] = {}
         self._calls = 0
         self._actions: Mapping[str, Callable[[], None]] = {
             "PROTO": lambda: None,
+            "FRAME": lambda: None,
+            "MEMOIZE": lambda: self._memorize(len(self._memo)),
+            "STACK_GLOBAL": self._name_on_stack,
+            "ADDITEMS": lambda: self._fill_set(self._pop_to_mark()),
             "MARK": self._mark,
             "TUPLE": lambda: self._push(tuple(self._pop_to_mark())),
             "APPEND": lambda: self._fill_list(self._pop(1)),
@@ -90,20 +121,38 @@ class _Program:
         name = operation.name
         if name in _SCALARS:
             self._push(_SCALAR)
-        elif name in ("BINUNICODE", "SHORT_BINSTRING"):
+        elif name in _TEXTS:
             self._push(operation.text)
         elif name == "GLOBAL":
-            self._push(_Thing(operation.text))
-        elif name in _CONTAINERS:
-            self._push(_Thing(_CONTAINERS[name]))
+            self._name(operation.text)
+        elif name in _MADE:
+            self._push(_Thing(_MADE[name]))
         elif name in _TUPLES:
             self._push(tuple(self._pop(_TUPLES[name])))
         elif name in ("BINPUT", "LONG_BINPUT"):
-            self._memo[operation.number] = self._stack[-1]
+            self._memorize(operation.number)
         elif name in ("BINGET", "LONG_BINGET"):
             self._push(self._memo[operation.number])
         else:
             self._actions[name]()
+
+    def _memorize(self, index: int) -> None:
+        self._memo[index] = self._stack[-1]
+
+    def _name_on_stack(self) -> None:
+        module, attribute = self._pop(2)
+        if not isinstance(module, str) or not isinstance(attribute, str):
+            raise WeightsError("its pickle has a name that is not text, which torch.save never does")
+        # Before they are joined: a few bytes name what is in the memo again, however long it is.
+        if len(module) + len(attribute) > MAX_NAME:
+            raise WeightsError(f"its pickle has a name of more than {MAX_NAME} characters: do not trust it")
+        self._name(f"{module}.{attribute}")
+
+    def _name(self, name: str) -> None:
+        self.names.add(name)
+        if len(self.names) > MAX_NAMES:
+            raise WeightsError(f"its pickle names more than {MAX_NAMES} classes: do not trust it")
+        self._push(_Thing(name))
 
     def _mark(self) -> None:
         self._below.append(self._stack)
@@ -138,9 +187,17 @@ class _Program:
             raise WeightsError("its pickle has a dict with keys that are neither text nor numbers")
         self._top("dict").fill(items)
 
+    def _fill_set(self, items: Sequence[_Value]) -> None:
+        top = self._top("set")
+        top.fill(items)
+        if not top.is_plain or top.size > _MAX_ITEMS:
+            raise WeightsError(
+                f"its pickle has a set of more than {_MAX_ITEMS} items, or of others than texts and numbers"
+            )
+
     def _new(self) -> None:
         cls, _ = self._called()
-        if cls not in self._stubs:
+        if not self._is_stub(cls):
             raise WeightsError(f"its pickle creates a {shown(cls)}, which torch.save never does")
         self._push(_Thing("object"))
 
@@ -162,9 +219,13 @@ class _Program:
             raise WeightsError("its pickle calls something that is not a function")
         return function.kind, arguments
 
+    def _is_stub(self, name: str) -> bool:
+        """Whether the value named so is a class that becomes a stub: no kind of value is named."""
+        return name in self.names and name not in TORCH_NAMES
+
     def _result(self, name: str, arguments: tuple[_Value, ...]) -> str | None:
         """The kind of object that a call returns; None if the call is forbidden."""
-        if name in self._stubs:
+        if self._is_stub(name):
             return "object"
         if name in TENSOR_MAKERS and len(arguments) <= 8:
             return "tensor"

@@ -29,6 +29,8 @@ _WRAPPERS: Mapping[str, str] = MappingProxyType(
 )
 """Wrappers of a model (for several GPUs, for inference) and the attribute that holds it."""
 _MAX_WRAPPERS = 4
+_ENTRIES = ("ema", "model")
+"""Of a checkpoint; the first that holds a model is read, as YOLOv5 does."""
 _PLACEHOLDER_ANCHORS_PX = tuple((float(2 * index), float(2 * index + 1)) for index in range(MAX_ANCHORS))
 """Anchors that YOLOv5 creates for `anchors: 3` in the yaml of P2, P34, P6 and P7 models."""
 
@@ -53,17 +55,31 @@ def _saved_module(checkpoint: object) -> Stub:
         return checkpoint
     if not isinstance(checkpoint, dict):
         raise WeightsError(f"expected a dict with the entry 'model', found {shown(checkpoint)}")
-    for key in ("ema", "model"):
-        if isinstance(module := checkpoint.get(key), Stub):
+    for key in _ENTRIES:
+        if isinstance(module := _averaged(checkpoint.get(key)), Stub):
             return module
-    states = [checkpoint, *(checkpoint.get(key) for key in ("ema", "model", "state_dict"))]
+    states = [checkpoint, *(checkpoint.get(key) for key in (*_ENTRIES, "state_dict"))]
     if any(isinstance(state, dict) and _holds_tensors(state) for state in states):
         raise WeightsError(
             "this is a bare state dict, without the model's yaml and class names: use the original .pt"
         )
-    raise WeightsError(
-        f"expected a YOLOv5 model under 'ema' or 'model', found {shown(checkpoint.get('model'))}"
-    )
+    raise WeightsError(_nothing_found(checkpoint))
+
+
+def _averaged(entry: object) -> object:
+    """The model in an entry; between v4.0 and v5.0 `ema` was a pair of model and number of updates."""
+    return entry[0] if isinstance(entry, tuple) and len(entry) == 2 else entry
+
+
+def _nothing_found(checkpoint: Mapping[object, object]) -> str:
+    present = [key for key in _ENTRIES if key in checkpoint]
+    found = [checkpoint[key] for key in present if checkpoint[key] is not None]
+    if found:
+        return f"expected a YOLOv5 model under 'ema' or 'model', found {shown(found[-1])}"
+    use = "use the best.pt or last.pt that the training wrote"
+    if present:
+        return f"it holds no model, because {' and '.join(map(repr, present))} is None: {use}"
+    return f"it holds no model, only {shown(list(checkpoint))}: {use}"
 
 
 def _holds_tensors(state: Mapping[object, object]) -> bool:
@@ -83,11 +99,19 @@ def head_path(modules: Mapping[str, Stub]) -> str:
     """The path of the head, the last layer."""
     layers = [path for path in modules if path.startswith("model.") and path.count(".") == 1]
     if not layers:
-        raise WeightsError(f"expected a YOLOv5 model, found a {shown(modules[''].kind)} without layers")
+        raise WeightsError(_without_layers(modules))
     path = layers[-1]
     if layer_kind(modules[path].kind, "the last layer") not in HEADS:
         raise WeightsError(f"the last layer is a {modules[path].kind}, expected {' or '.join(HEADS)}")
     return path
+
+
+def _without_layers(modules: Mapping[str, Stub]) -> str:
+    root = modules[""]
+    if root.kind == "Ensemble":
+        models = len(root.group("_modules"))
+        return f"it is an Ensemble of {models} models, and one model is expected: use the .pt of one of them"
+    return f"expected a YOLOv5 model, found a {shown(root.kind)} without layers"
 
 
 def own_yaml(root: Stub, modules: Mapping[str, Stub]) -> object:

@@ -23,7 +23,6 @@ from yolov5_lifecycle.checkpoints.pickled_model import (
     strides_of,
     without_nms,
 )
-from yolov5_lifecycle.checkpoints.pickled_names import stub_names
 from yolov5_lifecycle.checkpoints.stored_tensor import StoredTensor
 from yolov5_lifecycle.checkpoints.yaml_architecture import architecture_of
 from yolov5_lifecycle.models.architecture import AnchorsPx
@@ -56,8 +55,7 @@ def read_checkpoint(data: bytes) -> Model:
     """
     archive = read_archive(data)
     pickle = archive.record(PICKLE)
-    names = stub_names(pickle)
-    check_program(pickle, names)
+    names = check_program(pickle)
     modules = without_nms(modules_of(model_root(load_pickled(pickle, names))))
     tensors = dict(tensors_of(modules))
     _check_storages(tensors, archive)
