@@ -19,6 +19,7 @@ from yolov5_lifecycle.evaluation.data_description import read_description
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 from yolov5_lifecycle.offline.recording import Recording, RecordingError, open_recording
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError, read_parameter_file
 from yolov5_lifecycle.settings.parameter_yaml import MAX_SCALARS
@@ -55,7 +56,7 @@ def check_description(data: bytes) -> None:
         return
     names = description.class_names or ()
     assert len(names) <= MAX_CLASSES
-    assert all(0 < len(name) <= MAX_CLASS_NAME for name in names)
+    assert all(in_one_line(name) == name and 0 < len(name) <= MAX_CLASS_NAME for name in names)
 
 
 def check_image_list(data: bytes) -> None:
@@ -96,6 +97,7 @@ def parameter_file_seeds() -> Iterator[bytes]:
 def description_seeds() -> Iterator[bytes]:
     yield b"path: .\nval: [images/val, more.txt]\nnames: {0: cat, 1: dog}\n"
     yield b"train: a\nnames: [cat]\n"
+    yield b"val: a\nnames: {0: no, 2: 0x1f, 3: '1', 4: 1:30, 5: ~, 6: .5}\n"
 
 
 def image_list_seeds() -> Iterator[bytes]:

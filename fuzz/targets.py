@@ -24,10 +24,12 @@ from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.compressed import decode_compressed
 from yolov5_lifecycle.images.encodings import ENCODINGS, decode_raw
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError
+from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
 from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model, WeightsError
 from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 from yolov5_lifecycle.settings.class_thresholds import class_threshold
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError, assigned_value
@@ -42,6 +44,7 @@ region_anchor=foot
 min_box_size=8.0
 max_box_size=0.5"""
 """Settings whose strings are parsed."""
+_PROTOCOLS = (2, 4, 5)
 _RAW_IMAGE = struct.Struct("<BBHHI")
 """Index of the encoding, byte order, height, width and step; the pixels follow."""
 
@@ -101,6 +104,7 @@ def check_weights(read: Callable[[bytes], Model], data: bytes) -> None:
     network = Network(model.architecture).eval()
     network.load_state_dict(model.state_dict, strict=True)
     assert len(model.class_names) == model.architecture.classes
+    assert all(in_one_line(name) == name and 0 < len(name) <= MAX_NAME_LENGTH for name in model.class_names)
     assert all(bool(torch.isfinite(tensor).all()) for tensor in model.state_dict.values())
     architecture, side = model.architecture, size_multiple(model.architecture)
     features = network.features(torch.zeros(1, architecture.image_channels, side, side))
@@ -180,6 +184,12 @@ def _raw_images() -> Iterator[bytes]:
         yield fields + bytes([128]) * int(side * layout.rows * step)
 
 
+def _pickles() -> Iterator[bytes]:
+    """A small one in each protocol, and those of hostile networks."""
+    yield from map(hostile_archives.valid_pickle, _PROTOCOLS)
+    yield from _costly_pickles()
+
+
 def _family_pickles() -> Iterator[bytes]:
     for index, data in enumerate(_families()):
         yield bytes([index]) + hostile_archives.pickle_of(data)
@@ -208,7 +218,7 @@ def _defaults() -> bytes:
 TARGETS = {
     "compressed-images": Target(check_compressed_image, _compressed_images),
     "raw-images": Target(check_raw_image, _raw_images),
-    "checkpoints": Target(check_checkpoint, lambda: [hostile_archives.valid_pickle(), *_costly_pickles()]),
+    "checkpoints": Target(check_checkpoint, _pickles),
     "families": Target(check_family, _family_pickles),
     "safetensors": Target(check_safetensors, lambda: [_header(), *_costly_headers()]),
     "settings": Target(check_settings, lambda: [_defaults(), _FILTERS]),

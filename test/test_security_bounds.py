@@ -13,7 +13,7 @@ from support.colcon_workspace import REPOSITORY
 
 import soak.__main__ as soak
 from fuzz.targets import TARGETS
-from yolov5_lifecycle.models.model import MAX_NAME_LENGTH
+from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
 from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
 

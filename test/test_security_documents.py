@@ -16,7 +16,8 @@ from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES
 from yolov5_lifecycle.checkpoints.pickle_opcodes import MAX_OPERATIONS
 from yolov5_lifecycle.checkpoints.pickle_safety import MAX_CALLS
 from yolov5_lifecycle.checkpoints.safetensors_file import MAX_HEADER_BYTES
-from yolov5_lifecycle.models.model import MAX_CLASSES, MAX_NAME_LENGTH
+from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
+from yolov5_lifecycle.models.model import MAX_CLASSES
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 from yolov5_lifecycle.ros.parameters.proposal import MAX_REASON_LENGTH
 from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_SUGGESTIONS

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+
 MAX_LINE = 1_000
 """Maximum characters of untrusted text shown in a line."""
 MAX_TEXT = 10_000
 """Maximum characters of a message of several lines."""
 _INDENT = "  "
+_JOINERS = "\u200c\u200d"
+"""Zero-width (non-)joiners. Persian words, scripts of India and emoji families are wrong without them."""
+_LETTER = rf"[^\x00-\x7f{_JOINERS}]"
+_STRAY_JOINER = re.compile(f"(?<!{_LETTER})[{_JOINERS}]|[{_JOINERS}](?!{_LETTER})")
+"""One that has no such letter on each side: it joins nothing, but makes equal-looking texts differ."""
 
 
 def in_one_line(text: str, limit: int = MAX_LINE) -> str:
@@ -50,8 +58,24 @@ def is_utf8(text: str) -> bool:
 
 
 def printable(line: str) -> str:
-    """`line` with `?` for everything that is not printable, line breaks included."""
-    return line if line.isprintable() else "".join(c if c.isprintable() else "?" for c in line)
+    """`line` with `?` for everything that is not printable, line breaks included.
+
+    A zero-width joiner or non-joiner between two letters that are not ASCII is kept: it changes their shapes
+    only.
+    """
+    return _replaced(line, lambda _: "?")
+
+
+def escaped(line: str) -> str:
+    """Like `printable`, but with an escape such as `\\x1b` or `\\u202e`, which tells what was there."""
+    return _replaced(line, lambda c: c.encode("unicode_escape").decode())
+
+
+def _replaced(line: str, replacement: Callable[[str], str]) -> str:
+    if line.isprintable():
+        return line
+    kept = "".join(c if c.isprintable() or c in _JOINERS else replacement(c) for c in line)
+    return _STRAY_JOINER.sub(lambda found: replacement(found[0]), kept)
 
 
 def _cut(text: str, length: int, limit: int) -> str:

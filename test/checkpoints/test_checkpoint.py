@@ -8,14 +8,16 @@ import io
 import threading
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path, PosixPath
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from support.checkpoint_builder import SMALL, foreign, official_model, saved, stripped
+from support.checkpoint_builder import SMALL, foreign, layers_of, official_model, saved, stripped
 from support.random_model import CLASS_NAMES, TINY, random_network
+from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints import pt_file as checkpoint
 from yolov5_lifecycle.checkpoints.locate import load_weights
@@ -134,6 +136,84 @@ def test_equal_names_of_two_classes_are_kept() -> None:
     assert read(names=["item", "item", "other"]).class_names == ("item", "item", "other")
 
 
+def test_names_of_any_kind_become_text_at_their_index(tmp_path: Path) -> None:
+    family = "👩\u200d👩\u200d👧"
+    names = {0: 7, 1: False, 2: family, "3": "a\u00a0b\tc", 5: "\x1b[2J"}
+    model = read(dataclasses.replace(SMALL, classes=6), names=names)
+    assert model.class_names == ("7", "False", family, "a b c", "class 4", r"\x1b[2J")
+    write_safetensors(model, tmp_path / "again.safetensors")
+    assert read_safetensors((tmp_path / "again.safetensors").read_bytes()).class_names == model.class_names
+
+
+def synchronized(model: Any) -> Any:
+    """`model` as a training with --sync-bn leaves it."""
+    for module in vars(model)["_modules"].values():
+        synchronized(module)
+        if type(module) is torch.nn.BatchNorm2d:
+            module.__class__ = torch.nn.SyncBatchNorm  # type: ignore[assignment]  # with the same attributes
+            vars(module).update(process_group=None, ddp_gpu_size=None)
+    return model
+
+
+@pytest.mark.parametrize("kind", ["models.yolo.Model", "models.yolo.DetectionModel"])
+def test_a_model_trained_with_synchronized_normalisation_is_the_same(kind: str) -> None:
+    synchronous = read_checkpoint(saved(stripped(synchronized(official_model(kind=kind)))))
+    expected = read(kind=kind)
+    assert synchronous.architecture == expected.architecture
+    assert synchronous.state_dict.keys() == expected.state_dict.keys()
+    assert all(torch.equal(synchronous.state_dict[key], each) for key, each in expected.state_dict.items())
+
+
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [
+        pytest.param({"eps": 1e-5}, "model.0.bn.eps is 1e-05, expected 0.001", id="epsilon"),
+        pytest.param({"track_running_stats": False}, "track_running_stats is False", id="statistics"),
+    ],
+)
+def test_synchronized_normalisation_that_computes_something_else_is_refused(
+    attributes: dict[str, object], message: str
+) -> None:
+    model = synchronized(official_model())
+    vars(vars(layers_of(model)["0"])["_modules"]["bn"]).update(attributes)
+    with pytest.raises(WeightsError, match=message):
+        read_checkpoint(saved(stripped(model)))
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(lambda: stripped(official_model()), id="stripped"),
+        pytest.param(lambda: training_checkpoint(ema=official_model()), id="training"),
+        pytest.param(
+            lambda: stripped(official_model(kind="models.yolo.Model", before_v6=True)), id="before v6"
+        ),
+    ],
+)
+def test_every_protocol_of_pickle_gives_the_same_model(make: Callable[[], Any], protocol: int) -> None:
+    found, expected = (read_checkpoint(saved(make(), each)) for each in (protocol, 2))
+    assert (found.architecture, found.class_names) == (expected.architecture, expected.class_names)
+    assert found.state_dict.keys() == expected.state_dict.keys()
+    assert all(torch.equal(found.state_dict[key], each) for key, each in expected.state_dict.items())
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the compiler, when it is imported
+def test_a_model_that_torch_compiled_is_refused_with_the_remedy() -> None:
+    """What torch itself writes; a short list of its names is among the hostile files."""
+    compiled = torch.compile(torch.nn.Conv2d(3, 4, 1))
+    with pytest.raises(WeightsError, match=r"after torch\.compile, .* save `model._orig_mod` instead"):
+        read_checkpoint(saved({"model": compiled}))
+
+
+@pytest.mark.parametrize("protocol", [3, 4, 5])
+def test_a_segmentation_model_is_read_from_every_protocol(protocol: int) -> None:
+    model = official_model(SMALL_FAMILIES["segmentation"], kind="models.yolo.SegmentationModel")
+    found = read_checkpoint(saved(stripped(model), protocol))
+    assert found.architecture.mask_coefficients == 8
+
+
 def training_checkpoint(*, ema: Any) -> dict[str, Any]:
     """last.pt, before YOLOv5 strips it: optimizer, options, a fitness of numpy."""
     parameter = torch.nn.Parameter(torch.ones(3))
@@ -156,6 +236,13 @@ def training_checkpoint(*, ema: Any) -> dict[str, Any]:
 
 def test_of_a_training_checkpoint_the_averaged_model_is_read() -> None:
     model = read_checkpoint(saved(training_checkpoint(ema=official_model(seed=2, half=False))))
+    key = "model.0.conv.weight"
+    assert torch.equal(model.state_dict[key], random_network(2, SMALL).state_dict()[key])
+
+
+def test_the_averaged_model_may_be_a_pair_with_its_updates() -> None:
+    """As YOLOv5 wrote it between v4.0 and v5.0."""
+    model = read_checkpoint(saved(training_checkpoint(ema=(official_model(seed=2, half=False), 1234))))
     key = "model.0.conv.weight"
     assert torch.equal(model.state_dict[key], random_network(2, SMALL).state_dict()[key])
 

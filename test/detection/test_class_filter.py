@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from yolov5_lifecycle.detection.selection import MAX_EXPLAINED, ClassFilterError, class_ids, class_thresholds
+from yolov5_lifecycle.models.class_names import class_names_of
 
 NAMES = ("person", "bicycle", "traffic light", "3", "person")
 
@@ -23,6 +24,25 @@ NAMES = ("person", "bicycle", "traffic light", "3", "person")
 )
 def test_entries_select_classes(entries: list[str], ids: set[int] | None) -> None:
     assert class_ids(entries, NAMES) == (None if ids is None else frozenset(ids))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(7, id="number"),
+        pytest.param(True, id="truth value"),
+        pytest.param("", id="empty"),
+        pytest.param(" cat: a\u00a0cat ", id="blanks and colon"),
+        pytest.param("👩\u200d👧", id="emoji"),
+        pytest.param("c\u200dat\x1b", id="escapes"),
+    ],
+)
+def test_a_class_of_any_name_is_selected_by_what_is_shown_and_by_what_the_file_has(name: object) -> None:
+    names = class_names_of(["dog", name, "7 dogs"], 3, 3)
+    entries = [names[1], *([name] if isinstance(name, str) and name else [])]
+    for entry in entries:
+        assert class_ids([entry], names) == frozenset({1})
+        assert class_thresholds([f"{entry}: 0.5"], names) == ((1, 0.5),)
 
 
 @pytest.mark.parametrize(

@@ -167,6 +167,17 @@ def test_a_file_of_which_nothing_can_be_used_is_refused(content: object, reason:
         read(write(tmp_path, content))
 
 
+def test_names_of_categories_are_those_that_a_model_has(tmp_path: Path) -> None:
+    names = [7, "a\u00a0b", "\x1b", "", None, "x" * 201, []]
+    categories = [{"id": 10 + index, "name": name} for index, name in enumerate(names)]
+    records = [annotation(1, category_id=12)]
+    found, problems = read(write(tmp_path, coco([image(1)], records, categories)))
+    assert found.class_names == ("7", "a b", r"\x1b")
+    assert found.images[0].labels.boxes.class_ids.tolist() == [2]
+    assert len(problems) == 4
+    assert all(problem.startswith("unusable entries: categories: ") for problem in problems)
+
+
 def test_a_file_with_too_many_records_is_refused_before_it_is_parsed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from support.checkpoint_builder import SMALL
 from support.random_model import CLASS_NAMES, random_network
 
+from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
 from yolov5_lifecycle.models.model import (
-    MAX_NAME_LENGTH,
     WeightsError,
     blueprint,
     check_class_names,
@@ -64,19 +64,16 @@ def test_layers_that_make_no_network_are_refused(layer: object) -> None:
         pytest.param("cat", "expected names of 3 classes, found 'cat'", id="a text"),
         pytest.param([], "found 0 names", id="empty"),
         pytest.param(["a", "b"], "found 2 names", id="too few"),
-        pytest.param({0: "a", 1: "b", 3: "c"}, "numbered from 0 to 2", id="a number left out"),
-        pytest.param({"0": "a", "1": "b", "2": "c"}, "numbered from 0 to 2", id="numbers as text"),
-        pytest.param(["a", "b", None], "found None", id="no name"),
-        pytest.param(["a", "b", "c\nd"], r"found 'c\nd'", id="two lines"),
-        pytest.param(["a", "b", "\ud800"], r"found '\ud800'", id="half a character"),
-        pytest.param(["a", "b", "c" * (MAX_NAME_LENGTH + 1)], "of 1 to 200 printable", id="too long"),
-        pytest.param(["a", "b", ["c"]], "found ['c']", id="a list"),
+        pytest.param({0: "a", 1: "b", 3: "c"}, "numbered from 0 to 2, found 3", id="a number too large"),
+        pytest.param(["a", "b", "c" * (MAX_NAME_LENGTH + 1)], "201 characters, more than 200", id="too long"),
+        pytest.param(["a", "b", ["c"]], "strings or numbers, found a list", id="a list"),
     ],
 )
 def test_names_that_do_not_fit_are_refused(names: object, message: str) -> None:
     with pytest.raises(WeightsError) as refused:
         check_class_names(names, 3)
     assert message in str(refused.value)
+    assert str(refused.value).endswith(": set model.names and save the checkpoint again")
 
 
 @pytest.mark.parametrize("value", [True, 1.0, "1", None, 0, 9, torch.tensor(1)], ids=repr)

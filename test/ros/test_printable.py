@@ -27,20 +27,55 @@ from yolov5_lifecycle.settings.settings import SETTINGS
 ESCAPES = "\x1b[2J\x1b]0;title\x07\x9b31m\r\n[INFO] [1.0] [yolov5]: forged\u202egnp.\u2066\u200b\x00\x08\x7f"
 MARK = "hostile"
 HOSTILE = f"{MARK}{ESCAPES}"
+JOINERS = "\u200c\u200d"
 LONG = HOSTILE * 3_000
 
 
 @given(st.text(), st.integers(40, 80))
 def test_one_line_is_printable_and_bounded(text: str, limit: int) -> None:
     line = in_one_line(text, limit)
-    assert line.isprintable()
+    assert is_safe(line)
     assert len(line) <= limit
+
+
+def is_safe(line: str) -> bool:
+    """Whether all is printable, but for zero-width joiners between two letters that are not ASCII."""
+    padded = f" {line} "
+    return all(
+        here.isprintable()
+        or (here in JOINERS and all(c.isprintable() and not c.isascii() for c in (before, after)))
+        for before, here, after in zip(padded, padded[1:], padded[2:], strict=False)
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        pytest.param("👩\u200d👧", "👩\u200d👧", id="emoji"),
+        pytest.param("می\u200cشود", "می\u200cشود", id="Persian"),
+        pytest.param("c\u200dat", "c?at", id="between ASCII"),
+        pytest.param("é\u200c", "é?", id="at the end"),
+        pytest.param("\u200cé", "?é", id="at the beginning"),
+        pytest.param("é\u200d\u200dé", "é??é", id="two"),
+        pytest.param("é\u202e\u200dé", "é??é", id="beside another"),
+        pytest.param("é\u200bé", "é?é", id="another character without width"),
+    ],
+)
+def test_a_joiner_is_kept_where_it_joins(text: str, shown: str) -> None:
+    assert in_one_line(text) == shown
+
+
+@given(st.text(st.sampled_from("aé👩\u200c\u200d\u202e "), max_size=12))
+def test_nothing_hides_behind_a_joiner(text: str) -> None:
+    line = in_one_line(text)
+    assert is_safe(line)
+    assert in_one_line(line) == line
 
 
 @given(st.text(st.sampled_from("a \n\r\t\x1b\u2028\x0b\x85"), max_size=300), st.integers(40, 80))
 def test_later_lines_are_printable_indented_and_bounded(text: str, limit: int) -> None:
     lines = in_lines(text, limit).split("\n")
-    assert all(line.isprintable() for line in lines)
+    assert all(is_safe(line) for line in lines)
     assert all(line.startswith("  ") for line in lines[1:-1])
     assert len("\n".join(lines)) <= limit
 

@@ -139,5 +139,8 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "even window": (arguments(4, [64, 4]), "has the arguments [64, 4]"),
     "a million repeats": (architecture(layers=[[[-1], 1_000_000, "C3", [64]]]), "the number of layer 0"),
     "a million strides": (architecture(strides=[8] * 1_000_000), "equally many anchors"),
-    "class name with a line break": (metadata(class_names='["a", "b\\n", "c"]'), "printable characters"),
+    "class names that are lists": (
+        metadata(class_names='["a", [], "c"]'),
+        "found a list: convert the original",
+    ),
 }

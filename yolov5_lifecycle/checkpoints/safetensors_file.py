@@ -94,7 +94,9 @@ def read_safetensors(data: bytes) -> Model:
             "convert the original .pt with `convert IN.pt OUT.safetensors`"
         )
     architecture = _architecture(_json(metadata, "architecture"))
-    class_names = check_class_names(_json(metadata, "class_names"), architecture.classes)
+    class_names = check_class_names(
+        _json(metadata, "class_names"), architecture.classes, remedy="convert the original .pt again"
+    )
     check_fit(blueprint(architecture).state_dict(), _claimed(header))
     return checked_model(architecture, class_names, _tensors(data))
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.models.class_names import ClassNamesError, safe_name
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.class_thresholds import class_threshold
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem
@@ -118,10 +119,21 @@ def _ids_by_entry(entries: Sequence[str], class_names: Sequence[str]) -> dict[st
     ids_by_name: defaultdict[str, list[int]] = defaultdict(list)
     for class_id, name in enumerate(class_names):
         ids_by_name[name].append(class_id)
-    found = {entry: ids_by_name.get(entry) or _index(entry, len(class_names)) for entry in entries}
+    found = {
+        entry: ids_by_name.get(entry) or ids_by_name.get(_safe(entry)) or _index(entry, len(class_names))
+        for entry in entries
+    }
     if unknown := [entry for entry, ids in found.items() if not ids]:
         raise ClassFilterError(_explanation(unknown, class_names))
     return found
+
+
+def _safe(entry: str) -> str:
+    """The class name that the model has if the file has `entry`; "" if no class can have it."""
+    try:
+        return safe_name(entry)
+    except ClassNamesError:
+        return ""
 
 
 _MODEL_DEPENDENT: Mapping[str, Callable[[Sequence[str], Sequence[str]], object]] = {

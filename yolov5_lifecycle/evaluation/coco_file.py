@@ -7,7 +7,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
 from yolov5_lifecycle.evaluation.yolo_folder import absolute
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
-from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME
+from yolov5_lifecycle.models.class_names import ClassNamesError, class_names_of
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 MAX_BYTES = 256 << 20
@@ -54,7 +54,10 @@ def read_coco_file(
     """
     progress("reading the COCO file")
     content = _content(path)
-    categories = _categories(content["categories"], problems)
+    try:
+        categories = _categories(content["categories"], problems)
+    except ClassNamesError as error:
+        raise DataError(f"{path}: {error}.") from None
     images = _images(content["images"], problems)
     folder = absolute(root) if root else _folder(path, images)
     broken: set[int] = set()
@@ -71,7 +74,7 @@ def read_coco_file(
         found.append(LabelledPath(image_path, Labels(_boxes(objects[image_id]), size_hw=size_hw)))
     if not found or not any(len(image.labels.boxes) for image in found):
         raise DataError(f"{path}: no image has labels that can be used. {problems.summary}".strip())
-    return LabelledFolder(tuple(categories.names), tuple(found))
+    return LabelledFolder(categories.names, tuple(found))
 
 
 def _content(path: Path) -> Mapping[str, list[Any]]:
@@ -98,26 +101,35 @@ def _content(path: Path) -> Mapping[str, list[Any]]:
     return content
 
 
-class _Categories:
+class _Categories(NamedTuple):
     """Class names in the order of their ids in the file, and the class id of each category id."""
 
-    def __init__(self) -> None:
-        self.names: list[str] = []
-        self.ids: dict[int, int] = {}
+    names: tuple[str, ...]
+    ids: dict[int, int]
 
 
 def _categories(records: Sequence[Any], problems: Problems) -> _Categories:
-    categories = _Categories()
+    names: dict[int, object] = {}
     for record in records:
         match record:
-            case {"id": int(number), "name": str(name)} if 0 < len(name) <= MAX_CLASS_NAME:
-                if number not in categories.ids:
-                    categories.ids[number] = len(categories.names)
-                    categories.names.append(name)
-                    continue
+            case {"id": int(number), "name": name} if number not in names and _is_name(name):
+                names[number] = name
+                continue
         reason = f"expected a unique id and a name, found {_shown(record)}"
         problems.add("unusable entries", "categories", reason)
-    return categories
+    ids = {number: class_id for class_id, number in enumerate(names)}
+    return _Categories(class_names_of(list(names.values()), 0, MAX_CLASSES), ids)
+
+
+def _is_name(name: object) -> bool:
+    """Whether it is a name that a class can have; a class without one could not be told from others."""
+    if name is None or (isinstance(name, str) and not name.strip()):
+        return False
+    try:
+        class_names_of([name], 1, 1)
+    except ClassNamesError:
+        return False
+    return True
 
 
 def _images(records: Sequence[Any], problems: Problems) -> dict[int, tuple[str, tuple[int, int] | None]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import yaml
 
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
-from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME
+from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, ClassNamesError, class_names_of
 from yolov5_lifecycle.settings.parameter_yaml import (
     MAX_DEPTH,
     MAX_FILE_BYTES,
@@ -22,6 +22,22 @@ SPLITS = ("val", "test", "train")
 """The first of these that `data.yaml` has is evaluated."""
 _NO_PATH = ("", "~", "null", "Null", "NULL")
 """An entry without a value, as YAML writes it."""
+
+
+_RESOLVER = yaml.resolver.Resolver()
+_CONSTRUCTOR = yaml.constructor.SafeConstructor()
+_CONSTRUCTORS: Mapping[str, Callable[[yaml.ScalarNode], object]] = {
+    "tag:yaml.org,2002:bool": _CONSTRUCTOR.construct_yaml_bool,
+    "tag:yaml.org,2002:int": _CONSTRUCTOR.construct_yaml_int,
+    "tag:yaml.org,2002:float": _CONSTRUCTOR.construct_yaml_float,
+    "tag:yaml.org,2002:null": _CONSTRUCTOR.construct_yaml_null,
+}
+
+
+class _Plain(str):
+    """A text without quotes."""
+
+    __slots__ = ()
 
 
 @dataclass(frozen=True)
@@ -67,7 +83,7 @@ def _node(events: Iterator[yaml.Event], event: yaml.Event, depth: int) -> object
     if depth > MAX_DEPTH:
         raise ParameterYamlError(f"nested more than {MAX_DEPTH} deep")
     if isinstance(event, yaml.ScalarEvent):
-        return event.value
+        return _Plain(event.value) if event.implicit[0] else event.value
     if isinstance(event, yaml.SequenceStartEvent):
         return [_node(events, item, depth + 1) for item in _until(events, yaml.SequenceEndEvent)]
     keys = _until(events, yaml.MappingEndEvent)
@@ -92,17 +108,25 @@ def _texts(value: object) -> tuple[str, ...]:
 
 
 def _class_names(names: object) -> tuple[str, ...] | None:
-    """Class names of a list, or of a mapping from the ids 0, 1, ..."""
-    if isinstance(names, dict):
-        if names.keys() != {str(number) for number in range(len(names))}:
-            raise ValueError(f"names must have the ids 0 to {len(names) - 1}, each once")
-        names = [names[str(number)] for number in range(len(names))]
+    """Class names of a list, or of a mapping from the ids 0, 1, ..., as a checkpoint of them would have."""
     if not names:
         return None
-    if not isinstance(names, list):
-        raise ValueError("names must be a list of class names, or a mapping from 0, 1, ... to them")
-    if not all(isinstance(name, str) and name for name in names):
-        raise ValueError("names must be texts")
-    if len(names) > MAX_CLASSES or any(len(name) > MAX_CLASS_NAME for name in names):
-        raise ValueError(f"expected at most {MAX_CLASSES} names of at most {MAX_CLASS_NAME} characters")
-    return tuple(names)
+    if isinstance(names, dict):
+        return class_names_of({key: _loaded(name) for key, name in names.items()}, 0, MAX_CLASSES)
+    if isinstance(names, list):
+        return class_names_of(list(map(_loaded, names)), 0, MAX_CLASSES)
+    raise ClassNamesError("names must be a list of class names, or a mapping from 0, 1, ... to them")
+
+
+def _loaded(name: object) -> object:
+    """What YOLOv5 gets for a name: YAML 1.1 reads some that are not quoted as numbers and truth values."""
+    if not isinstance(name, _Plain) or len(name) > MAX_NAME_LENGTH:
+        return name
+    tag = _RESOLVER.resolve(yaml.ScalarNode, name, (True, False))  # type: ignore[no-untyped-call]
+    construct = _CONSTRUCTORS.get(tag)
+    if construct is None:
+        return name
+    try:
+        return construct(yaml.ScalarNode("", name))
+    except ValueError:  # such as 0b_, a number without digits
+        return name

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from yolov5_lifecycle.models.architecture import Architecture
+from yolov5_lifecycle.models.class_names import ClassNamesError, class_names_of
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
 
 MAX_CLASSES = 10_000
-MAX_NAME_LENGTH = 200
 _MAX_SHOWN = 60
 
 
@@ -69,21 +69,14 @@ def blueprint(architecture: Architecture) -> Network:
         raise WeightsError(f"no network can be built from its layers: {first_line(error)}") from None
 
 
-def check_class_names(names: object, classes: int) -> tuple[str, ...]:
-    """Class names from a list or a dict by index; raises WeightsError unless there are `classes` names."""
-    if isinstance(names, dict):
-        if any(index not in names for index in range(len(names))):
-            raise WeightsError(f"expected class names numbered from 0 to {len(names) - 1}, found other keys")
-        names = [names[index] for index in range(len(names))]
-    if not isinstance(names, (list, tuple)) or len(names) != classes:
-        found = f"{len(names)} names" if isinstance(names, (list, tuple)) else shown(names)
-        raise WeightsError(f"expected names of {classes} classes, found {found}")
-    for name in names:
-        if not isinstance(name, str) or not 1 <= len(name) <= MAX_NAME_LENGTH or not name.isprintable():
-            raise WeightsError(
-                f"expected class names of 1 to {MAX_NAME_LENGTH} printable characters, found {shown(name)}"
-            )
-    return tuple(names)
+def check_class_names(
+    names: object, classes: int, *, remedy: str = "set model.names and save the checkpoint again"
+) -> tuple[str, ...]:
+    """The names of `classes` classes, as `class_names_of` gives them; raises WeightsError with the remedy."""
+    try:
+        return class_names_of(names, classes, classes)
+    except ClassNamesError as error:
+        raise WeightsError(f"{error}: {remedy}") from None
 
 
 def checked_integer(value: object, what: str, least: int, most: int) -> int:

@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from yolov5_lifecycle.models.model import MAX_CLASSES, MAX_NAME_LENGTH
-from yolov5_lifecycle.printable import MAX_TEXT, is_utf8
+from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
+from yolov5_lifecycle.models.model import MAX_CLASSES
+from yolov5_lifecycle.printable import MAX_TEXT, is_utf8, printable
 
 State = Literal["done", "skipped", "set aside"]
 
@@ -23,7 +24,7 @@ def _utf8(text: str) -> str:
 
 
 def _printable(text: str) -> str:
-    if not text.isprintable():
+    if printable(text) != text:
         raise ValueError("expected printable characters, as in the class names of a model")
     return text
 

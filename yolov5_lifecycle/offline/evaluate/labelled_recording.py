@@ -26,6 +26,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     keep_silent,
 )
 from yolov5_lifecycle.images.image import ImageError
+from yolov5_lifecycle.models.class_names import ClassNamesError, safe_name
 from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
 from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData
 from yolov5_lifecycle.offline.recording import (
@@ -34,7 +35,6 @@ from yolov5_lifecycle.offline.recording import (
     Recording,
     open_recording,
 )
-from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
 _LABEL_INFO = "vision_msgs/msg/LabelInfo"
@@ -120,9 +120,11 @@ def _class_names(class_map: Any) -> dict[int, str]:
 
 
 def _class_name(name: str) -> str:
-    if len(name) > MAX_CLASS_NAME:
-        raise LabelError(f"found a class name of {len(name)} characters, more than {MAX_CLASS_NAME}")
-    return name
+    """The name as a model would have it; raises LabelError."""
+    try:
+        return safe_name(name)
+    except ClassNamesError as error:
+        raise LabelError(str(error)) from None
 
 
 def _labels(
@@ -170,9 +172,10 @@ def _boxes(detections: Any, class_ids: dict[str, int], *, may_add: bool) -> Boxe
         corners.append(_corners(detection.bbox))
         if not len(detection.results):
             raise LabelError("a detection has no class")
-        name = max(detection.results, key=lambda result: result.hypothesis.score).hypothesis.class_id
+        best = max(detection.results, key=lambda result: result.hypothesis.score)
+        name = _class_name(best.hypothesis.class_id)
         if may_add and len(class_ids) < MAX_CLASSES:
-            class_ids.setdefault(_class_name(name), len(class_ids))
+            class_ids.setdefault(name, len(class_ids))
         if name not in class_ids:
             raise LabelError(f"the class '{name[:40]}' is not in its label_info")
         ids.append(class_ids[name])

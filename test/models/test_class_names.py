@@ -1,0 +1,112 @@
+"""Class names of any kind become text that is safe to show, and keep their index."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from yolov5_lifecycle.models.class_names import (
+    MAX_NAME_LENGTH,
+    ClassNamesError,
+    class_names_of,
+    safe_name,
+)
+from yolov5_lifecycle.printable import in_one_line
+
+MOST = 50
+FAMILY = "👩\u200d👩\u200d👧\u200d👦"
+PERSIAN = "می\u200cشود"
+NAMES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.just("1")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        pytest.param(7, "7", id="integer"),
+        pytest.param(4006381333931, "4006381333931", id="article number"),
+        pytest.param(-1.5, "-1.5", id="decimal number"),
+        pytest.param(True, "True", id="yes of YAML"),
+        pytest.param(False, "False", id="no of YAML"),
+        pytest.param(None, "class 1", id="nothing"),
+        pytest.param("", "class 1", id="empty"),
+        pytest.param(" \t\u00a0", "class 1", id="blanks only"),
+        pytest.param("traffic\u00a0light", "traffic light", id="no-break space"),
+        pytest.param("traffic\tlight", "traffic light", id="tab"),
+        pytest.param(" traffic\r\n light\u3000", "traffic light", id="line break and blanks around"),
+        pytest.param(FAMILY, FAMILY, id="family of emoji"),
+        pytest.param("👨🏽\u200d🚀 🏳️\u200d🌈", "👨🏽\u200d🚀 🏳️\u200d🌈", id="emoji of several signs"),
+        pytest.param(PERSIAN, PERSIAN, id="Persian"),
+        pytest.param("क\u094d\u200dष", "क\u094d\u200dष", id="Hindi"),
+        pytest.param("自行车", "自行车", id="Chinese"),
+        pytest.param("c\u200dat", r"c\u200dat", id="joiner that joins nothing"),
+        pytest.param("é\u200d\u200dé", r"é\u200d\u200dé", id="two joiners"),
+        pytest.param("é\u200d", r"é\u200d", id="joiner at the end"),
+        pytest.param("\u202ecat", r"\u202ecat", id="written from right to left"),
+        pytest.param("é\u202e\u200dé", r"é\u202e\u200dé", id="joiner beside what is escaped"),
+        pytest.param("\ufeffcat", r"\ufeffcat", id="byte order mark"),
+        pytest.param("\x1b[31mcat\x07", r"\x1b[31mcat\x07", id="colours of a terminal"),
+        pytest.param("\x00", r"\x00", id="null"),
+        pytest.param("\ud800", r"\ud800", id="half a character"),
+        pytest.param("\U000e0001", r"\U000e0001", id="tag"),
+        pytest.param(r"a\x1bb", r"a\x1bb", id="backslash"),
+    ],
+)
+def test_a_name_is_text_that_is_safe_to_show(name: object, text: str) -> None:
+    assert class_names_of(["cat", name, "dog"], 3, 3) == ("cat", text, "dog")
+    assert in_one_line(text) == text
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        pytest.param(["item", "item"], ("item", "item"), id="equal in the file"),
+        pytest.param([1, "1"], ("1 (class 0)", "1"), id="number and text"),
+        pytest.param(["1", 1], ("1", "1 (class 1)"), id="text and number"),
+        pytest.param([True, "True"], ("True (class 0)", "True"), id="truth value and text"),
+        pytest.param([1, 1], ("1", "1 (class 1)"), id="numbers"),
+        pytest.param(["a b", "a\tb", "a\u00a0b"], ("a b", "a b (class 1)", "a b (class 2)"), id="blanks"),
+        pytest.param(["\x1b", r"\x1b"], (r"\x1b (class 0)", r"\x1b"), id="escape and backslash"),
+        pytest.param(["", "class 0"], ("class 0 (class 0)", "class 0"), id="nothing and its name"),
+        pytest.param([1, "1", "1 (class 0)"], ("1 (class 0) (class 0)", "1", "1 (class 0)"), id="its number"),
+    ],
+)
+def test_a_changed_name_equals_no_other(names: list[object], expected: tuple[str, ...]) -> None:
+    assert class_names_of(names, len(names), len(names)) == expected
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        pytest.param({2: "cow", 0: "cat"}, ("cat", "class 1", "cow"), id="gap"),
+        pytest.param({0: "cat"}, ("cat", "class 1", "class 2"), id="end missing"),
+        pytest.param({}, ("class 0", "class 1", "class 2"), id="none"),
+        pytest.param({"0": "cat", "2": "cow", "1": "dog"}, ("cat", "dog", "cow"), id="texts"),
+        pytest.param({0: "cat", "1": "dog", "02": "cow"}, ("cat", "dog", "cow"), id="both"),
+    ],
+)
+def test_names_by_index_keep_their_index(names: dict[object, object], expected: tuple[str, ...]) -> None:
+    assert class_names_of(names, 3, 3) == expected
+
+
+def test_without_a_number_of_classes_the_largest_index_counts() -> None:
+    assert class_names_of({0: "cat", 2: "cow"}, 0, MOST) == ("cat", "class 1", "cow")
+    assert class_names_of({}, 0, MOST) == ()
+
+
+@given(st.lists(NAMES, max_size=8))
+def test_names_are_safe_and_safe_ones_are_left_alone(names: list[object]) -> None:
+    try:
+        texts = class_names_of(names, 0, MOST)
+    except ClassNamesError:
+        return
+    assert all(in_one_line(text) == text and 0 < len(text) <= MAX_NAME_LENGTH for text in texts)
+    assert len(texts) == len(names)
+    assert class_names_of(list(texts), 0, MOST) == texts
+    changed = [text for text, name in zip(texts, names, strict=True) if text != name]
+    assert all(texts.count(text) == 1 for text in changed)
+
+
+def test_a_very_long_name_is_refused_before_it_is_worked_on() -> None:
+    with pytest.raises(ClassNamesError, match="a class name of 4000000 characters, more than 200"):
+        safe_name(" \x1b" * 2_000_000)
