@@ -203,7 +203,7 @@ def test_every_protocol_of_pickle_gives_the_same_model(make: Callable[[], Any], 
 def test_a_model_that_torch_compiled_is_refused_with_the_remedy() -> None:
     """What torch itself writes; a short list of its names is among the hostile files."""
     compiled = torch.compile(torch.nn.Conv2d(3, 4, 1))
-    with pytest.raises(WeightsError, match=r"after torch\.compile, .* save `model._orig_mod` instead"):
+    with pytest.raises(WeightsError, match=r"after torch\.compile and .* save `model._orig_mod` instead"):
         read_checkpoint(saved({"model": compiled}))
 
 

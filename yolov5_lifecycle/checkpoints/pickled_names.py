@@ -75,8 +75,8 @@ def stubs_among(names: Collection[str]) -> list[str]:
     foreign = sorted(name for name in names if not _is_known(name))
     if foreign and all(name.startswith(_OF_COMPILER) for name in foreign):
         raise WeightsError(
-            f"it was saved after torch.compile and names {shown(foreign[-1])}, a part of the compiler, which is "
-            "never run here: where the model was compiled, save `model._orig_mod` instead"
+            f"it was saved after torch.compile and names {shown(foreign[-1])}, a part of the compiler, "
+            "which is never run here: where the model was compiled, save `model._orig_mod` instead"
         )
     if foreign:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
