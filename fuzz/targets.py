@@ -11,6 +11,7 @@ from functools import cache, partial
 import numpy as np
 import torch
 from support import hostile_archives, hostile_costs, hostile_safetensors
+from support import pickle_assembler as asm
 from support.checkpoint_builder import official_model, saved, stripped
 from support.compressed_files import KINDS, compressed
 from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
@@ -185,8 +186,12 @@ def _raw_images() -> Iterator[bytes]:
 
 
 def _pickles() -> Iterator[bytes]:
-    """A small one in each protocol, and those of hostile networks."""
+    """A small model in each protocol, the other operations of protocol 5, and hostile networks."""
     yield from map(hostile_archives.valid_pickle, _PROTOCOLS)
+    model = asm.stacked_name("models.yolo", "Model") + asm.MEMOIZE + asm.EMPTY_TUPLE + asm.NEWOBJ
+    numbers = asm.EMPTY_SET + asm.MARK + asm.number(1) + asm.ADDITEMS
+    values = model + numbers + asm.byte_array(b"abc") + asm.short_bytes(b"abc") + asm.get(0)
+    yield asm.START_5 + asm.frame(asm.MARK + values + asm.TUPLE) + asm.STOP
     yield from _costly_pickles()
 
 

@@ -10,6 +10,8 @@ import tarfile
 import zipfile
 from collections.abc import Callable, Mapping
 
+import torch
+
 from support.checkpoint_builder import official_model, saved, stripped
 from support.pickle_assembler import archive, mapping
 
@@ -43,6 +45,13 @@ def pickle_of(data: bytes) -> bytes:
     """The data.pkl of an archive."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         return archive.read(_PICKLE)
+
+
+def before_zip(protocol: int) -> bytes:
+    """As torch.save still writes it if it is told so."""
+    file = io.BytesIO()
+    torch.save([1], file, pickle_protocol=protocol, _use_new_zipfile_serialization=False)
+    return file.getvalue()
 
 
 def tar() -> bytes:
@@ -145,7 +154,8 @@ FOREIGN_FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "Git LFS pointer": (lambda: b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
     "bare pickle": (lambda: b"\x80\x02cos\nsystem\n(X\x04\x00\x00\x00truetR.", "a bare pickle"),
     "pickle of protocol 0": (lambda: b"cos\nsystem\n(S'true'\ntR.", "begins with b'cos\\n'"),
-    "torch before 1.6": (lambda: b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.", "torch before 1.6"),
+    "torch before 1.6": (lambda: before_zip(2), "in the format of torch before 1.6; save it again"),
+    "torch before 1.6 in protocol 5": (lambda: before_zip(5), "in the format of torch before 1.6"),
     "tar of old torch": (tar, "a tar archive"),
     "ONNX": (lambda: b"\x08\x07\x12\x07pytorch", "ONNX"),
     "gzip": (lambda: b"\x1f\x8b\x08\x00", "a gzip file"),

@@ -13,9 +13,10 @@ MAX_PICKLE_BYTES = 4 << 20
 
 PICKLE = "data.pkl"
 _DIRECTORY_ENTRY = b"PK\x01\x02"
+_BEFORE_ZIP = b"\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19"
+"""How the first pickle of the format of torch before 1.6 begins, in any protocol."""
 _FOREIGN_FILES = {
     b"version https://git-lfs": "a Git LFS pointer; run `git lfs pull`",
-    b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19": "a checkpoint saved by torch before 1.6; save it again",
     b"\x80": "a bare pickle, which could run any code; do not trust it",
     b"\x08": "what looks like an ONNX model; use the .pt that it was exported from",
     b"\x1f\x8b": "a gzip file; unpack it first",
@@ -86,6 +87,8 @@ def _foreign(data: bytes) -> str:
         return "the file is all zeros: copy or download it again"
     if data[:512].lstrip().lower().startswith((b"<!doctype", b"<html", b"<?xml")):
         return "found an HTML page: the download went wrong"
+    if data.startswith(b"\x80") and _BEFORE_ZIP in data[:32]:
+        return "found a checkpoint in the format of torch before 1.6; save it again with a newer torch"
     for signature, kind in _FOREIGN_FILES.items():
         if data.startswith(signature):
             return f"found {kind}"
