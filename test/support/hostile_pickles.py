@@ -198,6 +198,11 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         "calls 'collections.OrderedDict'",
     ),
     "a million lists": (lambda: archive(asm.EMPTY_LIST * 1_100_000), "more than 1000000 operations"),
+    "a million sets": (lambda: archive(asm.EMPTY_SET * 990_000), "creates more than 100000 objects"),
+    "a memo of a million entries": (
+        lambda: archive(asm.EMPTY_LIST + asm.MEMOIZE * 990_000, start=asm.START_4),
+        "refers to more than 500000 of its values",
+    ),
     "too many objects": (
         lambda: archive(
             asm.EMPTY_LIST

@@ -7,7 +7,7 @@ key take forever to hash, and `_codecs.encode(data, "hex")` doubles its input.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Union
+from typing import ClassVar, Union
 
 from yolov5_lifecycle.checkpoints.pickle_opcodes import Operation, operations
 from yolov5_lifecycle.checkpoints.pickled_names import (
@@ -29,13 +29,14 @@ MAX_NAME = 500
 MAX_NAMES = 1_000
 """Different classes and functions; a training checkpoint names about 60."""
 _MAX_ITEMS = 64
+_MAX_MEMO = 500_000
+"""Values kept for reuse, half of MAX_OPERATIONS: since protocol 4 each costs the file one byte."""
 
 _SCALARS = ("NONE", "NEWFALSE", "NEWTRUE", "BININT", "BININT1", "BININT2", "BINFLOAT", "LONG1")
 _TEXTS = ("BINUNICODE", "SHORT_BINUNICODE", "SHORT_BINSTRING")
 _MADE = {
     "EMPTY_LIST": "list",
     "EMPTY_DICT": "dict",
-    "EMPTY_SET": "set",
     "BYTEARRAY8": "bytearray",
     **dict.fromkeys(("BINBYTES", "SHORT_BINBYTES"), "bytes"),
 }
@@ -98,24 +99,6 @@ class _Program:
         self._below: list[list[_Value]] = []
         self._memo: dict[int, _Value] = {}
         self._calls = 0
-        self._actions: Mapping[str, Callable[[], None]] = {
-            "PROTO": lambda: None,
-            "FRAME": lambda: None,
-            "MEMOIZE": lambda: self._memorize(len(self._memo)),
-            "STACK_GLOBAL": self._name_on_stack,
-            "ADDITEMS": lambda: self._fill_set(self._pop_to_mark()),
-            "MARK": self._mark,
-            "TUPLE": lambda: self._push(tuple(self._pop_to_mark())),
-            "APPEND": lambda: self._fill_list(self._pop(1)),
-            "APPENDS": lambda: self._fill_list(self._pop_to_mark()),
-            "SETITEM": lambda: self._fill_dict(self._pop(2)),
-            "SETITEMS": lambda: self._fill_dict(self._pop_to_mark()),
-            "NEWOBJ": self._new,
-            "REDUCE": self._call,
-            "BUILD": self._build,
-            "BINPERSID": self._storage,
-            "STOP": lambda: self._pop(1).clear(),
-        }
 
     def step(self, operation: Operation) -> None:
         name = operation.name
@@ -134,10 +117,12 @@ class _Program:
         elif name in ("BINGET", "LONG_BINGET"):
             self._push(self._memo[operation.number])
         else:
-            self._actions[name]()
+            self._ACTIONS[name](self)
 
     def _memorize(self, index: int) -> None:
         self._memo[index] = self._stack[-1]
+        if len(self._memo) > _MAX_MEMO:
+            raise WeightsError(f"its pickle refers to more than {_MAX_MEMO} of its values")
 
     def _name_on_stack(self) -> None:
         module, attribute = self._pop(2)
@@ -187,6 +172,10 @@ class _Program:
             raise WeightsError("its pickle has a dict with keys that are neither text nor numbers")
         self._top("dict").fill(items)
 
+    def _new_set(self) -> None:
+        self._count()  # an empty set takes four times as much memory as an empty list
+        self._push(_Thing("set"))
+
     def _fill_set(self, items: Sequence[_Value]) -> None:
         top = self._top("set")
         top.fill(items)
@@ -210,10 +199,13 @@ class _Program:
             )
         self._push(_Thing(kind))
 
-    def _called(self) -> tuple[str, tuple[_Value, ...]]:
+    def _count(self) -> None:
         self._calls += 1
         if self._calls > MAX_CALLS:
             raise WeightsError(f"its pickle creates more than {MAX_CALLS} objects")
+
+    def _called(self) -> tuple[str, tuple[_Value, ...]]:
+        self._count()
         function, arguments = self._pop(2)
         if not isinstance(function, _Thing) or not isinstance(arguments, tuple):
             raise WeightsError("its pickle calls something that is not a function")
@@ -251,6 +243,27 @@ class _Program:
         if not isinstance(pid, tuple) or len(pid) != 5 or not _is_storage(*pid):
             raise WeightsError("its pickle refers to a storage in a way that torch.save never does")
         self._push(_Thing("storage"))
+
+    _ACTIONS: ClassVar[Mapping[str, Callable[[_Program], None]]] = {
+        "PROTO": lambda _: None,
+        "FRAME": lambda _: None,
+        "MEMOIZE": lambda self: self._memorize(len(self._memo)),
+        "STACK_GLOBAL": _name_on_stack,
+        "EMPTY_SET": _new_set,
+        "ADDITEMS": lambda self: self._fill_set(self._pop_to_mark()),
+        "MARK": _mark,
+        "TUPLE": lambda self: self._push(tuple(self._pop_to_mark())),
+        "APPEND": lambda self: self._fill_list(self._pop(1)),
+        "APPENDS": lambda self: self._fill_list(self._pop_to_mark()),
+        "SETITEM": lambda self: self._fill_dict(self._pop(2)),
+        "SETITEMS": lambda self: self._fill_dict(self._pop_to_mark()),
+        "NEWOBJ": _new,
+        "REDUCE": _call,
+        "BUILD": _build,
+        "BINPERSID": _storage,
+        "STOP": lambda self: self._pop(1).clear(),
+    }
+    """What the other operations do. Bound methods of an object in itself would keep its memo alive."""
 
 
 def _kind(value: _Value) -> str:
