@@ -18,7 +18,7 @@ _BEFORE_ZIP = b"\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19"
 _FOREIGN_FILES = {
     b"version https://git-lfs": "a Git LFS pointer; run `git lfs pull`",
     b"\x80": "a bare pickle, which could run any code; do not trust it",
-    b"\x08": "what looks like an ONNX model; use the .pt that it was exported from",
+    b"\x08": "what looks like an ONNX model; give it a name that ends in .onnx",
     b"\x1f\x8b": "a gzip file; unpack it first",
     b"Rar!": "a RAR archive; unpack it first",
     b"7z\xbc\xaf": "a 7-Zip archive; unpack it first",
@@ -105,7 +105,10 @@ def _check_records(records: list[zipfile.ZipInfo], file_bytes: int) -> str:
     if len(sizes) != len(records):
         raise WeightsError("the archive has two records of one name")
     if any(name.endswith("/constants.pkl") for name in sizes):  # first: torch.jit compresses some records
-        raise WeightsError("this is a TorchScript archive: use the .pt that it was exported from")
+        raise WeightsError(
+            "this is a TorchScript archive, which holds a program: use the .pt that it was exported from, or "
+            "an .onnx that YOLOv5 exported from that"
+        )
     for record in records:
         _check_record(record)
     if sum(sizes.values()) > file_bytes:

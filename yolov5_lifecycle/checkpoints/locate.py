@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
 from yolov5_lifecycle.models.model import Model, UncheckedError, WeightsError, shown
@@ -22,10 +23,10 @@ _READERS: dict[str, Callable[[bytes], Model]] = {
     ".safetensors": read_safetensors,
     ".pt": read_checkpoint,
     ".pth": read_checkpoint,
+    ".onnx": read_onnx,
 }
 _EXPORTS = {
-    ".onnx": "an ONNX export",
-    ".torchscript": "a TorchScript export",
+    ".torchscript": "a TorchScript export, which holds a program",
     ".engine": "a TensorRT export",
     ".trt": "a TensorRT export",
     ".tflite": "a TensorFlow Lite export",
@@ -145,7 +146,8 @@ def _reader(path: Path) -> Callable[[bytes], Model]:
     suffix = path.suffix.lower()
     if suffix in _EXPORTS:
         raise WeightsError(
-            f"a file that ends in {suffix} is {_EXPORTS[suffix]}: use the .pt that it was exported from"
+            f"a file that ends in {suffix} is {_EXPORTS[suffix]}: use the .pt that it was exported from, or "
+            "an .onnx that YOLOv5 exported from that"
         )
     reader = _READERS.get(suffix)
     if reader is None:

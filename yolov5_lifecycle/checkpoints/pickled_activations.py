@@ -22,22 +22,24 @@ def as_pickled(architecture: Architecture, modules: Mapping[str, Stub]) -> Archi
     The modules are known by their paths in the network. Raises WeightsError for an unsupported activation.
     """
     network = blueprint(architecture)
-    made = {path: module for path, module in network.named_modules() if path.endswith(".act")}
-    pickled = {path: _name(path, modules[path]) for path in made if path in modules}
-    chosen = [name for path, name in pickled.items() if isinstance(made[path], nn.SiLU)]
+    paths = [path for path, _ in network.named_modules() if path.endswith(".act") and path in modules]
+    architecture = with_activations(architecture, {path: _name(path, modules[path]) for path in paths})
+    convolutions = [path for path, module in network.named_modules() if isinstance(module, Conv)]
+    is_fused = bool(convolutions) and not any(f"{path}.bn" in modules for path in convolutions)
+    return dataclasses.replace(architecture, is_fused=is_fused)
+
+
+def with_activations(architecture: Architecture, names: Mapping[str, str]) -> Architecture:
+    """`architecture` with activations by the paths of their modules in the network."""
+    made = {path: module for path, module in blueprint(architecture).named_modules() if path in names}
+    chosen = [names[path] for path, module in made.items() if isinstance(module, nn.SiLU)]
     usual = Counter(chosen).most_common(1)[0][0] if chosen else architecture.activation
     others = tuple(
-        (path, name)
-        for path, name in pickled.items()
-        if name != (usual if isinstance(made[path], nn.SiLU) else "Identity")
+        (path, names[path])
+        for path, module in made.items()
+        if names[path] != (usual if isinstance(module, nn.SiLU) else "Identity")
     )
-    convolutions = [path for path, module in network.named_modules() if isinstance(module, Conv)]
-    return dataclasses.replace(
-        architecture,
-        activation=usual,
-        other_activations=others,
-        is_fused=bool(convolutions) and not any(f"{path}.bn" in modules for path in convolutions),
-    )
+    return dataclasses.replace(architecture, activation=usual, other_activations=others)
 
 
 def _name(path: str, module: Stub) -> str:

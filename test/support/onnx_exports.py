@@ -1,0 +1,157 @@
+"""ONNX exports as YOLOv5's versions write them, of our own networks: names, operations and metadata."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import io
+import warnings
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import onnx
+import torch
+from torch import Tensor, nn
+
+from support.random_model import CLASS_NAMES, random_network
+from yolov5_lifecycle.models.architecture import Architecture
+from yolov5_lifecycle.models.convolutions import Conv
+from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.head import Segment
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.models.pooling import SPP
+
+Era = Literal["v6.0", "v7.0", "raw", "raw with boxes"]
+
+
+class _Export(Network):
+    """A fused network that computes boxes in the operations of an era of YOLOv5."""
+
+    def __init__(self, network: Network, era: Era, *, is_dynamic: bool) -> None:
+        super().__init__(network.architecture)
+        self.load_state_dict(network.state_dict())
+        self.era, self.is_dynamic = era, is_dynamic
+        self.eval()
+        for module in self.modules():
+            if isinstance(module, Conv):
+                module.fold()
+            if isinstance(module, SPP):
+                module.forward = functools.partial(_pyramid, module)  # type: ignore[method-assign]
+
+    def forward(self, pixels: Tensor) -> Any:
+        features = self.features(pixels)
+        head, rows, raw = self.head, [], []
+        for number, level in enumerate(features):
+            batch, _, ny, nx = level.shape
+            outputs = head.m[number](level).view(batch, head.anchors_per_cell, head.outputs, ny, nx)
+            cells = outputs.permute(0, 1, 3, 4, 2).contiguous()
+            raw.append(cells)
+            decoded = self._early(cells, number) if self.era == "v6.0" else self._late(cells, number)
+            rows.append(decoded.view(batch, -1, head.outputs))
+        if self.era == "raw":
+            return tuple(raw)
+        found = torch.cat(rows, 1)
+        if isinstance(head, Segment):
+            return found, head.proto(features[0])
+        return (found, *raw) if self.era == "raw with boxes" else found
+
+    def _early(self, cells: Tensor, number: int) -> Tensor:
+        """Columns as slices, half a cell taken off."""
+        stride, anchors = self.head.strides[number], self._anchors(number)
+        likely = cells.sigmoid()
+        place = (likely[..., 0:2] * 2 - 0.5 + self._grid(cells, 0.0)) * stride
+        size = (likely[..., 2:4] * 2) ** 2 * anchors
+        return torch.cat((place, size, likely[..., 4:]), -1)
+
+    def _late(self, cells: Tensor, number: int) -> Tensor:
+        """Columns as parts, half a cell in the grid; for masks each part is activated on its own."""
+        stride, anchors, masks = self.head.strides[number], self._anchors(number), self.head.coefficients
+        scores = self.head.outputs - 4 - masks
+        if masks:
+            place, size, likely, mask = cells.split((2, 2, scores, masks), 4)
+            place = (place.sigmoid() * 2 + self._grid(cells, 0.5)) * stride
+            size = (size.sigmoid() * 2) ** 2 * anchors
+            return torch.cat((place, size, likely.sigmoid(), mask), 4)
+        place, size, likely = cells.sigmoid().split((2, 2, scores), 4)
+        place = (place * 2 + self._grid(cells, 0.5)) * stride
+        return torch.cat((place, (size * 2) ** 2 * anchors, likely), 4)
+
+    def _anchors(self, number: int) -> Tensor:
+        anchors = self.head.anchors[number] * self.head.strides[number]
+        return anchors.detach().view(1, -1, 1, 1, 2)
+
+    def _grid(self, cells: Tensor, shift: float) -> Tensor:
+        ny, nx = cells.shape[2:4]
+        if not self.is_dynamic:  # made once and kept, so that it is a constant of the graph
+            ny, nx = int(ny), int(nx)
+        rows, columns = torch.arange(ny, dtype=cells.dtype), torch.arange(nx, dtype=cells.dtype)
+        grid_y, grid_x = torch.meshgrid(rows, columns, indexing="ij")
+        return torch.stack((grid_x, grid_y), 2).expand(1, self.head.anchors_per_cell, ny, nx, 2) - shift
+
+
+def _pyramid(module: SPP, features: Tensor) -> Tensor:
+    narrow = module.cv1(features)
+    merged: Tensor = module.cv2(torch.cat([narrow, *(pool(narrow) for pool in module.m)], 1))
+    return merged
+
+
+def exported(
+    network: Network,
+    era: Era = "v7.0",
+    *,
+    opset: int = 14,
+    is_dynamic: bool = False,
+    is_half: bool = False,
+    names: object = CLASS_NAMES,
+    metadata: Mapping[str, str] | None = None,
+) -> bytes:
+    """The export of `network`, in evaluation mode, with `names` as class names; None leaves metadata out."""
+    export = _Export(network, era, is_dynamic=is_dynamic)
+    architecture = network.architecture
+    side = 2 * size_multiple(architecture)
+    pixels = torch.zeros(1, architecture.image_channels, side, side)
+    if is_half:
+        export, pixels = export.half(), pixels.half()
+    file = io.BytesIO()
+    axes = {"images": {0: "batch", 2: "height", 3: "width"}} if is_dynamic else None
+    with warnings.catch_warnings(), torch.no_grad():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            export, (pixels,), file, dynamo=False, opset_version=opset, input_names=["images"],
+            dynamic_axes=axes,
+        )  # fmt: skip
+    model = onnx.load_from_string(file.getvalue())
+    if names is not None:
+        listed = dict(enumerate(names)) if isinstance(names, tuple) else names
+        told = {"stride": str(max(architecture.strides)), "names": str(listed)}
+        onnx.helper.set_model_props(model, told | dict(metadata or {}))
+    serialized: bytes = model.SerializeToString()
+    return serialized
+
+
+@functools.cache
+def valid(architecture: Architecture) -> bytes:
+    """An export of a random network."""
+    return exported(random_network(0, architecture))
+
+
+def with_graph(data: bytes, change: Any) -> bytes:
+    """The file after `change` of its model."""
+    model = onnx.load_from_string(data)
+    change(model)
+    serialized: bytes = model.SerializeToString()
+    return serialized
+
+
+def fused(architecture: Architecture) -> Architecture:
+    return dataclasses.replace(architecture, is_fused=True)
+
+
+def folded(network: Network) -> Network:
+    for module in network.modules():
+        if isinstance(module, Conv):
+            module.fold()
+    return network
+
+
+__all__ = ["exported", "folded", "fused", "nn", "valid", "with_graph"]

@@ -1,0 +1,322 @@
+"""The layers of an exported network, from the names and shapes of its weights and from what reads what."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from yolov5_lifecycle.checkpoints.graph_steps import GraphSteps, is_activation
+from yolov5_lifecycle.checkpoints.network_steps import PIXELS, Step
+from yolov5_lifecycle.checkpoints.onnx_graph import MAX_NODES, Node
+from yolov5_lifecycle.checkpoints.yaml_architecture import MAX_LAYERS
+from yolov5_lifecycle.models.model import WeightsError, shown
+
+_WEIGHT = re.compile(r"(?:model\.){1,4}(\d{1,3})\.([\w.]{1,150})\.weight")
+_NODE = re.compile(r"/(?:model/)*model\.(\d{1,3})/([\w./]{1,150})/Conv")
+MAX_VALUES = 4_000
+"""Values that are computed in a layer; 100 bottlenecks compute 700."""
+_WITHOUT_WEIGHTS = ("concat", "upsample", "max-pool", "pad")
+Row = list[Any]
+"""[sources, repeats, kind, arguments], as in a model's yaml."""
+
+
+@dataclass(frozen=True)
+class Convolution:
+    """A convolution of the graph: the value that it reads, and the one that its activation makes."""
+
+    step: Step
+    shape: tuple[int, ...]
+    made: str
+
+    @property
+    def reads(self) -> str:
+        value: str = self.step.inputs[0]
+        return value
+
+    @property
+    def channels_out(self) -> int:
+        return self.shape[0]
+
+    @property
+    def kernel_hw(self) -> tuple[int, ...]:
+        return self.shape[2:]
+
+
+Parts = Mapping[str, Convolution]
+"""The convolutions of a layer by their paths in it."""
+
+
+@dataclass
+class ExportedLayer:
+    """A layer: its row without sources, the values that it reads and the one that it makes."""
+
+    kind: str
+    arguments: list[Any]
+    reads: tuple[str, ...]
+    made: str
+    repeats: int = 1
+
+
+@dataclass
+class ExportedLayers:
+    """Rows of a yaml whose channels and repeats are those of the graph, before any multiple."""
+
+    rows: list[Row] = field(default_factory=list)
+    head: Mapping[str, Convolution] = field(default_factory=dict)
+    """The convolutions of the last layer, by their paths in it."""
+    image_channels: int = 3
+
+
+def exported_layers(steps: GraphSteps) -> ExportedLayers:
+    """The layers before the head, and the convolutions of the head. Raises WeightsError."""
+    parts = _parts(steps)
+    if not parts:
+        raise WeightsError(
+            "its weights have no names such as model.0.conv.weight, so the layers are unknown: export the "
+            "model again, without an optimizer that renames them, or use the .pt"
+        )
+    last = max(parts)
+    if last > MAX_LAYERS:
+        raise WeightsError(f"expected 1 to {MAX_LAYERS} layers, found the layer {last}")
+    head = parts.pop(last)
+    levels = [part.reads for path, part in head.items() if re.fullmatch(r"m\.\d", path)]
+    layers = {index: _layer(steps, found, index) for index, found in sorted(parts.items())}
+    _add_others(steps, layers, last, levels)
+    found = ExportedLayers(head=head, image_channels=_image_channels(parts.get(0, {})))
+    makers = {layer.made: index for index, layer in layers.items()}
+    for index, layer in sorted(layers.items()):
+        numbers = _sources(layer.reads, makers, index, steps)
+        sources = [-1 if number == index - 1 else number for number in numbers]
+        found.rows.append([sources, layer.repeats, layer.kind, layer.arguments])
+    found.rows.append([_sources(tuple(levels), makers, last, steps), 1, "head", []])
+    return found
+
+
+def _parts(steps: GraphSteps) -> dict[int, dict[str, Convolution]]:
+    """The convolutions of each layer."""
+    parts: dict[int, dict[str, Convolution]] = {}
+    for node in steps.graph.nodes:
+        step = steps.of(node.outputs[0]) if node.outputs else Step("")
+        if step.kind == "conv" and (place := _place(node)):
+            index, path = place
+            array = steps.graph.arrays[step.tensors[0]]
+            if path in parts.setdefault(index, {}) or len(array.shape) != 4:
+                raise WeightsError(f"expected one convolution named model.{index}.{path}, of four dimensions")
+            parts[index][path] = Convolution(step, array.shape, _activated(steps, node.outputs[0]))
+    return parts
+
+
+def _place(node: Node) -> tuple[int, str] | None:
+    """Layer and path in it, from the name of the weights, or of the node where torch has renamed those."""
+    if named := _WEIGHT.fullmatch(node.inputs[1]):
+        return int(named[1]), named[2]
+    if not (named := _NODE.fullmatch(node.name)):
+        return None
+    path: list[str] = []
+    for part in named[2].split("/"):  # such as m, then m.0
+        if path and part.startswith(f"{path[-1]}."):
+            path.pop()
+        path.append(part)
+    return int(named[1]), ".".join(path)
+
+
+def _activated(steps: GraphSteps, value: str) -> str:
+    """What an activation makes of `value`; `value` itself if none reads it."""
+    for node in steps.graph.readers.get(value, []):
+        for made in (node, *(steps.graph.readers.get(output, [None])[0] for output in node.outputs)):
+            if made and made.outputs:
+                step = steps.of(made.outputs[0])
+                if is_activation(step) and step.inputs == (value,):
+                    return made.outputs[0]
+    return value
+
+
+def _layer(steps: GraphSteps, parts: Parts, index: int) -> ExportedLayer:
+    repeated = {path.partition(".")[0] for path in parts}
+    if all(number.isdecimal() for number in repeated):
+        return _sequence(steps, parts, index)
+    for needed, make in _KINDS.items():
+        if needed <= parts.keys() and (layer := make(steps, parts)):
+            return layer
+    raise WeightsError(
+        f"layer {index} has the weights {shown(sorted(parts))}: exports of such a layer are not read; "
+        "use the .pt"
+    )
+
+
+def _sequence(steps: GraphSteps, parts: Parts, index: int) -> ExportedLayer:
+    """A layer that is repeated as a whole."""
+    blocks: dict[str, dict[str, Convolution]] = {}
+    for path, part in parts.items():
+        number, _, rest = path.partition(".")
+        blocks.setdefault(number, {})[rest] = part
+    layers = [_layer(steps, blocks[number], index) for number in sorted(blocks, key=int)]
+    first = layers[0]
+    return ExportedLayer(first.kind, first.arguments, first.reads, layers[-1].made, len(layers))
+
+
+def _conv(steps: GraphSteps, parts: Parts) -> ExportedLayer | None:
+    conv = parts["conv"]
+    stride, padding, dilation, groups = conv.step.settings
+    sides = [*conv.kernel_hw, *stride, *padding, *dilation]
+    if len(sides) != 10 or sides != [sides[0]] * 2 + [sides[2]] * 2 + [sides[4]] * 4 + [sides[8]] * 2:
+        return None
+    arguments = [conv.channels_out, sides[0], sides[2], sides[4], groups, sides[8]]
+    return ExportedLayer("Conv", arguments, (conv.reads,), conv.made)
+
+
+def _focus(steps: GraphSteps, parts: Parts) -> ExportedLayer:
+    conv = parts["conv.conv"]
+    return ExportedLayer("Focus", [conv.channels_out, conv.kernel_hw[0]], (steps.graph.pixels,), conv.made)
+
+
+def _c3(steps: GraphSteps, parts: Parts) -> ExportedLayer | None:
+    return _partial(steps, parts, "cv3.conv", "C3", "C3x")
+
+
+def _cross_stage(steps: GraphSteps, parts: Parts) -> ExportedLayer | None:
+    return _partial(steps, parts, "cv4.conv", "BottleneckCSP", "CrossCSP")
+
+
+def _partial(steps: GraphSteps, parts: Parts, last: str, kind: str, crossed: str) -> ExportedLayer | None:
+    inner = [path for path in parts if path.startswith("m.")]
+    count = sum(path.endswith(".cv1.conv") for path in inner)
+    if "m.0.cv1.conv" not in parts or "m.0.cv2.conv" not in parts or len(inner) != 2 * count:
+        return None
+    first, second, channels = parts["m.0.cv1.conv"], parts["m.0.cv2.conv"], parts[last].channels_out
+    arguments = [
+        channels,
+        _adds(steps, first.reads, second.made) is not None,
+        second.step.settings[-1],
+        _expansion(parts["cv1.conv"].channels_out, channels),
+    ]
+    kind = kind if first.kernel_hw == (1, 1) else crossed
+    return ExportedLayer(kind, arguments, (parts["cv1.conv"].reads,), parts[last].made, count)
+
+
+def _expansion(hidden: int, channels: int) -> float:
+    """One of which the whole part of the product with `channels` is `hidden`."""
+    return 0.5 if hidden == channels // 2 else (hidden + 0.25) / channels
+
+
+def _adds(steps: GraphSteps, before: str, after: str) -> str | None:
+    """The sum of two values."""
+    for node in steps.graph.readers.get(after, []):
+        step = steps.of(node.outputs[0]) if node.outputs else Step("")
+        if step.kind == "add" and step.inputs == (before, after):
+            return node.outputs[0]
+    return None
+
+
+def _pyramid_or_bottleneck(steps: GraphSteps, parts: Parts) -> ExportedLayer | None:
+    first, second = parts["cv1.conv"], parts["cv2.conv"]
+    if len(parts) != 2:
+        return None
+    joined = steps.of(second.reads)
+    if joined.kind == "concat" and joined.inputs[0] == first.made:
+        return _pyramid(steps, first, second, joined)
+    if second.reads != first.made or first.kernel_hw != (1, 1):
+        return None
+    added = _adds(steps, first.reads, second.made)
+    arguments = [
+        second.channels_out,
+        added is not None,
+        second.step.settings[-1],
+        _expansion(first.channels_out, second.channels_out),
+    ]
+    return ExportedLayer("Bottleneck", arguments, (first.reads,), added or second.made)
+
+
+def _pyramid(
+    steps: GraphSteps, first: Convolution, second: Convolution, joined: Step
+) -> ExportedLayer | None:
+    pools = [steps.of(value) for value in joined.inputs[1:]]
+    if any(pool.kind != "max-pool" for pool in pools):
+        return None
+    windows = [pool.settings[0] for pool in pools]
+    producer = steps.graph.producers[joined.inputs[-1]]
+    is_chain = len(windows) == 3 and producer.inputs[0] == joined.inputs[-2]
+    kind, argument = ("SPPF", windows[0]) if is_chain else ("SPP", windows)
+    return ExportedLayer(kind, [second.channels_out, argument], (first.reads,), second.made)
+
+
+_KINDS: Mapping[frozenset[str], Callable[[GraphSteps, Parts], ExportedLayer | None]] = MappingProxyType(
+    {
+        frozenset({"conv"}): _conv,
+        frozenset({"conv.conv"}): _focus,
+        frozenset({"cv1.conv", "cv2.conv", "cv3.conv"}): _c3,
+        frozenset({"cv1.conv", "cv2", "cv3", "cv4.conv"}): _cross_stage,
+        frozenset({"cv1.conv", "cv2.conv"}): _pyramid_or_bottleneck,
+    }
+)
+"""By the convolutions that a layer of the kind has."""
+
+
+def _image_channels(first: Parts) -> int:
+    """Channels of the images, which Focus makes four times as many."""
+    if "conv.conv" in first:
+        return first["conv.conv"].shape[1] // 4
+    part = next(iter(first.values()), None)
+    return part.shape[1] * part.step.settings[-1] if part else 3
+
+
+def _add_others(steps: GraphSteps, layers: dict[int, ExportedLayer], last: int, levels: list[str]) -> None:
+    """Add the layers without weights: they have the numbers that are left, in order of execution."""
+    inside: set[str] = set()
+    for layer in layers.values():
+        inside.update(_between(steps, layer.reads, layer.made))
+    needed = set(_between(steps, (), *levels, limit=MAX_NODES))
+    order = {output: place for place, node in enumerate(steps.graph.nodes) for output in node.outputs}
+    others = [
+        value
+        for value in sorted(needed - inside, key=lambda value: order.get(value, -1))
+        if steps.of(value).kind in _WITHOUT_WEIGHTS
+    ]
+    numbers = [index for index in range(last) if index not in layers]
+    if len(numbers) != len(others):
+        raise WeightsError(
+            f"{len(numbers)} layers have no weights, but the graph has {len(others)} operations for them: "
+            "exports of such a model are not read; use the .pt"
+        )
+    for index, value in zip(numbers, others, strict=True):
+        layers[index] = _without_weights(steps.of(value), value)
+
+
+def _between(
+    steps: GraphSteps, first: tuple[str, ...], *values: str, limit: int = MAX_VALUES
+) -> Iterator[str]:
+    """`values` and what they are made of, without what `first` is made of."""
+    seen, waiting = set(first), list(values)
+    while waiting:
+        value = waiting.pop()
+        if value in seen:
+            continue
+        if len(seen) > limit:
+            raise WeightsError(f"{shown(value)} is computed from more than {limit} values")
+        seen.add(value)
+        yield value
+        waiting.extend(steps.of(value).inputs)
+
+
+def _without_weights(step: Step, value: str) -> ExportedLayer:
+    if step.kind == "max-pool":
+        return ExportedLayer("MaxPool2d", list(step.settings), step.inputs, value)
+    if step.kind == "pad":
+        return ExportedLayer("ZeroPad2d", [list(step.settings[0])], step.inputs, value)
+    if step.kind == "upsample":
+        return ExportedLayer("Upsample", [None, 2, "nearest"], step.inputs, value)
+    return ExportedLayer("Concat", [1], step.inputs, value)
+
+
+def _sources(values: tuple[str, ...], makers: Mapping[str, int], index: int, steps: GraphSteps) -> list[int]:
+    """The numbers of the layers that make `values`; -1 are the pixels."""
+    sources = []
+    for value in values:
+        is_first = index == 0 and steps.of(value).kind == PIXELS
+        if not is_first and makers.get(value, index) >= index:
+            raise WeightsError(f"layer {index} reads {shown(value)}, which no layer before it makes")
+        sources.append(-1 if is_first else makers[value])
+    return sources
