@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import io
 import warnings
-from collections.abc import Mapping
 from typing import Any, Literal
 
 import onnx
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from support.random_model import CLASS_NAMES, random_network
+from support.checkpoint_builder import SMALL
+from support.random_model import random_network
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.convolutions import Conv
 from yolov5_lifecycle.models.geometry import size_multiple
@@ -57,10 +56,9 @@ class _Export(Network):
 
     def _early(self, cells: Tensor, number: int) -> Tensor:
         """Columns as slices, half a cell taken off."""
-        stride, anchors = self.head.strides[number], self._anchors(number)
         likely = cells.sigmoid()
-        place = (likely[..., 0:2] * 2 - 0.5 + self._grid(cells, 0.0)) * stride
-        size = (likely[..., 2:4] * 2) ** 2 * anchors
+        place = (likely[..., 0:2] * 2 - 0.5 + self._grid(cells, 0.0)) * self.head.strides[number]
+        size = (likely[..., 2:4] * 2) ** 2 * self._anchors(number)
         return torch.cat((place, size, likely[..., 4:]), -1)
 
     def _late(self, cells: Tensor, number: int) -> Tensor:
@@ -99,59 +97,44 @@ def exported(
     network: Network,
     era: Era = "v7.0",
     *,
-    opset: int = 14,
+    opset: int = 12,
     is_dynamic: bool = False,
     is_half: bool = False,
-    names: object = CLASS_NAMES,
-    metadata: Mapping[str, str] | None = None,
+    has_metadata: bool = True,
 ) -> bytes:
-    """The export of `network`, in evaluation mode, with `names` as class names; None leaves metadata out."""
-    export = _Export(network, era, is_dynamic=is_dynamic)
+    """The export of `network`, in evaluation mode; its classes are `class 0`, `class 1` and so on."""
     architecture = network.architecture
+    export = _Export(network, era, is_dynamic=is_dynamic)
     side = 2 * size_multiple(architecture)
     pixels = torch.zeros(1, architecture.image_channels, side, side)
     if is_half:
         export, pixels = export.half(), pixels.half()
-    file = io.BytesIO()
+    file: Any = io.BytesIO()
     axes = {"images": {0: "batch", 2: "height", 3: "width"}} if is_dynamic else None
     with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("ignore")  # the exporter is the one of YOLOv5's time
         torch.onnx.export(
             export, (pixels,), file, dynamo=False, opset_version=opset, input_names=["images"],
             dynamic_axes=axes,
         )  # fmt: skip
     model = onnx.load_from_string(file.getvalue())
-    if names is not None:
-        listed = dict(enumerate(names)) if isinstance(names, tuple) else names
-        told = {"stride": str(max(architecture.strides)), "names": str(listed)}
-        onnx.helper.set_model_props(model, told | dict(metadata or {}))
-    serialized: bytes = model.SerializeToString()
-    return serialized
+    if has_metadata:
+        names = {index: f"class {index}" for index in range(architecture.classes)}
+        onnx.helper.set_model_props(model, {"stride": str(max(architecture.strides)), "names": str(names)})
+    return serialized(model)
 
 
 @functools.cache
-def valid(architecture: Architecture) -> bytes:
+def valid(architecture: Architecture = SMALL, **options: Any) -> bytes:
     """An export of a random network."""
-    return exported(random_network(0, architecture))
+    return exported(random_network(0, architecture), **options)
 
 
-def with_graph(data: bytes, change: Any) -> bytes:
-    """The file after `change` of its model."""
-    model = onnx.load_from_string(data)
-    change(model)
-    serialized: bytes = model.SerializeToString()
-    return serialized
+def model_of(data: bytes) -> onnx.ModelProto:
+    """The model in a file, to be changed."""
+    return onnx.load_from_string(data)
 
 
-def fused(architecture: Architecture) -> Architecture:
-    return dataclasses.replace(architecture, is_fused=True)
-
-
-def folded(network: Network) -> Network:
-    for module in network.modules():
-        if isinstance(module, Conv):
-            module.fold()
-    return network
-
-
-__all__ = ["exported", "folded", "fused", "nn", "valid", "with_graph"]
+def serialized(model: onnx.ModelProto) -> bytes:
+    data: bytes = model.SerializeToString()
+    return data

@@ -150,8 +150,17 @@ def _size(node: Node, inputs: list[Any]) -> Sizes:
     return Sizes()
 
 
-def _integers(array: NDArray[Any]) -> tuple[int | None, ...] | None:
-    return tuple(array.ravel().tolist()) if array.size <= _MAX_SIZES and array.dtype.kind == "i" else None
+def _integers(found: object) -> tuple[int | None, ...] | None:
+    """The numbers of a small array of integers."""
+    if not isinstance(found, np.ndarray) or found.size > _MAX_SIZES or found.dtype.kind != "i":
+        return None
+    return tuple(found.ravel().tolist())
+
+
+def _single(found: object) -> int:
+    """The only number of an array of integers; raises ValueError if there are more."""
+    (number,) = _integers(found) or ()
+    return number or 0
 
 
 def _reshaped(node: Node, inputs: list[Any]) -> Sequence[Known]:
@@ -251,11 +260,10 @@ def _cut(level: Level, first: int, end: int) -> Level:
 
 
 def _sliced(node: Node, inputs: list[Any]) -> Sequence[Known]:
-    _, starts, ends, axes, *strides = inputs
     level = _level(inputs[0])
-    first, end, axis = (int(array.item()) for array in (starts, ends, axes))
+    first, end, axis, *strides = map(_single, inputs[1:])
     width = level.columns[-1].end - level.columns[0].first
-    if level.layout != "cells" or axis not in (4, -1) or any(array.item() != 1 for array in strides):
+    if level.layout != "cells" or axis not in (4, -1) or strides not in ([], [1]):
         return []
     return [_cut(level, first, min(end if end >= 0 else end + width, width))] if first >= 0 else []
 

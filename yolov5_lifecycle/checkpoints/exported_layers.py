@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from yolov5_lifecycle.checkpoints.graph_steps import GraphSteps, is_activation
+from yolov5_lifecycle.checkpoints.graph_steps import GraphSteps, described, is_activation
 from yolov5_lifecycle.checkpoints.network_steps import PIXELS, Step
 from yolov5_lifecycle.checkpoints.onnx_graph import MAX_NODES, Node
 from yolov5_lifecycle.checkpoints.yaml_architecture import MAX_LAYERS
@@ -317,6 +317,9 @@ def _sources(values: tuple[str, ...], makers: Mapping[str, int], index: int, ste
     for value in values:
         is_first = index == 0 and steps.of(value).kind == PIXELS
         if not is_first and makers.get(value, index) >= index:
-            raise WeightsError(f"layer {index} reads {shown(value)}, which no layer before it makes")
+            raise WeightsError(
+                f"layer {index} reads {shown(value)}, made by {described(steps.of(value))}, which is no "
+                "layer of YOLOv5 before it: use the .pt, or export that again"
+            )
         sources.append(-1 if is_first else makers[value])
     return sources

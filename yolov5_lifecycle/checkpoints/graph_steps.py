@@ -9,6 +9,7 @@ from types import MappingProxyType
 from yolov5_lifecycle.checkpoints.network_steps import PIXELS, Step, pooled, sliced
 from yolov5_lifecycle.checkpoints.onnx_graph import Graph, Node
 from yolov5_lifecycle.models.activations import leaky_relu
+from yolov5_lifecycle.models.model import shown
 
 FOREIGN = "foreign"
 _MAX_NUMBERS = 64
@@ -63,6 +64,9 @@ def _foreign(steps: GraphSteps, node: Node) -> Step:
 def _conv(steps: GraphSteps, node: Node) -> Step | None:
     values, *tensors = node.inputs
     if node.attributes.get("auto_pad", "NOTSET") != "NOTSET" or not all(map(steps.is_array, tensors)):
+        return None
+    kernel = steps.graph.arrays[tensors[0]].shape[2:]
+    if node.integers("kernel_shape", kernel) != kernel:
         return None
     settings = [node.integers(name, default) for name, default in _CONV_DEFAULTS.items()]
     return Step("conv", (*settings, node.attributes.get("group", 1)), (values,), tuple(filter(None, tensors)))
@@ -209,3 +213,10 @@ ACTIVATION_KINDS = ("SiLU", "Hardswish", "ReLU")
 
 def is_activation(step: Step) -> bool:
     return step.kind in ACTIVATION_KINDS or step.kind.startswith("LeakyReLU(")
+
+
+def described(step: Step) -> str:
+    """Such as "a conv of 'model.0.conv.weight'", for messages."""
+    if step.kind == FOREIGN:
+        return f"an operation {shown(step.settings[0])}"
+    return f"a {step.kind}" + (f" of {shown(step.tensors[0])}" if step.tensors else "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from yolov5_lifecycle.checkpoints.graph_steps import FOREIGN, GraphSteps, is_activation
+from yolov5_lifecycle.checkpoints.graph_steps import GraphSteps, described, is_activation
 from yolov5_lifecycle.checkpoints.network_steps import ACTIVATION, Step, same_settings
 from yolov5_lifecycle.models.model import WeightsError, shown
 
@@ -28,7 +28,7 @@ class MatchedGraph:
                 self._seen[id(step)] = made
                 waiting.extend(self._compare_one(step, made))
             elif self._seen[id(step)] != made:
-                raise WeightsError(f"the graph computes {_described(step)} twice, in different ways")
+                raise WeightsError(f"the graph computes {described(step)} twice, in different ways")
 
     def _compare_one(self, expected: Step, value: str) -> list[tuple[Step, str]]:
         """The inputs of `expected`, each with the value that it has to be."""
@@ -44,15 +44,8 @@ class MatchedGraph:
             len(expected.tensors),
         ) or not same_settings(found.settings, expected.settings):
             raise WeightsError(
-                f"the graph is no export of YOLOv5: {shown(value)} is made by {_described(found)}, expected "
-                f"{_described(expected)}; use the .pt, or export that again"
+                f"the graph is no export of YOLOv5: {shown(value)} is made by {described(found)}, expected "
+                f"{described(expected)}; use the .pt, or export that again"
             )
         self.arrays.update(zip(expected.tensors, found.tensors, strict=True))
         return list(zip(expected.inputs, found.inputs, strict=True))
-
-
-def _described(step: Step) -> str:
-    """Such as "a conv of 'model.0.conv.weight'"."""
-    if step.kind == FOREIGN:
-        return f"an operation {shown(step.settings[0])}"
-    return f"a {step.kind}" + (f" of {shown(step.tensors[0])}" if step.tensors else "")

@@ -102,6 +102,8 @@ def read_graph(data: bytes) -> Graph:
     metadata: dict[str, str] = {}
     opset, message = 0, None
     for number, value in reader.fields(memoryview(data)):
+        if number == 7 and message is not None:
+            raise damaged("two graphs")
         if number == 7:
             message = nested(value)
         elif number == 8:
