@@ -10,7 +10,7 @@ from functools import cache, partial
 
 import numpy as np
 import torch
-from support import hostile_archives, hostile_costs, hostile_safetensors
+from support import hostile_archives, hostile_costs, hostile_onnx, hostile_safetensors
 from support import pickle_assembler as asm
 from support.checkpoint_builder import official_model, saved, stripped
 from support.compressed_files import KINDS, compressed
@@ -19,6 +19,7 @@ from support.small_families import EVERY_SMALL
 
 from fuzz import data_files, depth_stream, described_files, tracked_images
 from fuzz.refusals import taken
+from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
 from yolov5_lifecycle.detection.selection import model_problems, selection
@@ -139,6 +140,11 @@ def check_safetensors(data: bytes) -> None:
     check_weights(read_safetensors, hostile_safetensors.glued(data, tensors))
 
 
+def check_export(data: bytes) -> None:
+    """Check `data` as the graph of an otherwise valid ONNX file, without its weights."""
+    check_weights(read_onnx, hostile_onnx.glued(data))
+
+
 def check_settings(data: bytes) -> None:
     """Expect that lines of NAME=VALUE give settings that are stable when revalidated, or problems."""
     lines = data.decode(errors="replace").split("\n")
@@ -226,6 +232,7 @@ TARGETS = {
     "checkpoints": Target(check_checkpoint, _pickles),
     "families": Target(check_family, _family_pickles),
     "safetensors": Target(check_safetensors, lambda: [_header(), *_costly_headers()]),
+    "exports": Target(check_export, lambda: [hostile_onnx.graph_without_weights()]),
     "settings": Target(check_settings, lambda: [_defaults(), _FILTERS]),
     "labels": Target(data_files.check_labels, data_files.label_seeds),
     "coco-files": Target(data_files.check_coco_file, data_files.coco_seeds),

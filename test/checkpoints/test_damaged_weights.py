@@ -13,9 +13,11 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support import hostile_archives, hostile_safetensors
+from support import hostile_archives, hostile_onnx, hostile_safetensors
+from support.onnx_exports import valid as valid_export
 
 from fuzz.targets import check_weights
+from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
 from yolov5_lifecycle.models.model import Model, WeightsError
@@ -78,6 +80,20 @@ def test_a_safetensors_file_with_one_other_byte_in_its_header_is_refused_or_whol
     check_weights(read_safetensors, bytes(data))
 
 
+@_FEW
+@given(_SPLICES)
+def test_a_damaged_export_is_refused_or_whole(splices: Splices) -> None:
+    check_weights(read_onnx, spliced(valid_export(), splices))
+
+
+@_FEW
+@given(st.integers(0, 1 << 20), st.integers(0, 255))
+def test_an_export_with_one_other_byte_in_its_graph_is_refused_or_whole(place: int, byte: int) -> None:
+    graph = bytearray(hostile_onnx.graph_without_weights())
+    graph[place % len(graph)] = byte
+    check_weights(read_onnx, hostile_onnx.glued(bytes(graph)))
+
+
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=4),
     lambda below: st.lists(below, max_size=3) | st.dictionaries(st.text(max_size=4), below, max_size=3),
@@ -137,7 +153,7 @@ def test_a_checkpoint_with_its_operations_in_another_order_is_refused_or_whole(
     check_weights(read_checkpoint, hostile_archives.with_pickle(b"".join(operations)))
 
 
-@pytest.mark.parametrize("read", [read_checkpoint, read_safetensors])
+@pytest.mark.parametrize("read", [read_checkpoint, read_safetensors, read_onnx])
 @settings(max_examples=40, derandomize=True)
 @given(data=st.binary(max_size=64))
 def test_random_bytes_are_refused(read: Callable[[bytes], Model], data: bytes) -> None:
@@ -151,3 +167,5 @@ def test_a_file_cut_after_a_few_bytes_is_refused(size: int) -> None:
         read_checkpoint(hostile_archives.valid()[:size])
     with pytest.raises(WeightsError):
         read_safetensors(hostile_safetensors.valid()[:size])
+    with pytest.raises(WeightsError):
+        read_onnx(valid_export()[:size])

@@ -36,7 +36,7 @@ def test_what_is_wrong_is_refused_in_every_family(family: str, tmp_path: Path) -
         name: (functools.partial(of_family, SMALL_FAMILIES[family], make), told)
         for name, (make, told) in MODELS.items()
     }
-    found = read_all(tmp_path, lambda folder: write_tables(folder, table, {}))
+    found = read_all(tmp_path, lambda folder: write_tables(folder, {".pt": table}))
     assert found.keys() == MODELS.keys()
     for name, answer in found.items():
         assert answer.is_refused, (name, answer)

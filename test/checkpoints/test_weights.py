@@ -179,9 +179,12 @@ def _too_large(path: Path) -> None:
         pytest.param("a.pt", Path.touch, "the file is empty", id="empty pt"),
         pytest.param("a.pth", Path.touch, "the file is empty", id="empty pth"),
         pytest.param("a.safetensors", Path.touch, "found 0 bytes", id="empty safetensors"),
-        pytest.param("a.onnx", Path.touch, "ends in .onnx is an ONNX export: use the .pt", id="export"),
-        pytest.param("a.txt", Path.touch, "ends in .safetensors, .pt, .pth, found '.txt'", id="suffix"),
-        pytest.param("a", Path.touch, "ends in .safetensors, .pt, .pth, found ''", id="no suffix"),
+        pytest.param("a.onnx", Path.touch, "no ONNX model (it has no graph)", id="empty onnx"),
+        pytest.param("a.engine", Path.touch, "is a TensorRT export: use the .pt", id="export"),
+        pytest.param(
+            "a.txt", Path.touch, "ends in .safetensors, .pt, .pth, .onnx, found '.txt'", id="suffix"
+        ),
+        pytest.param("a", Path.touch, "ends in .safetensors, .pt, .pth, .onnx, found ''", id="no suffix"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_refused(

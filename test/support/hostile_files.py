@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-from support import hostile_costs
+from support import hostile_costs, hostile_onnx
 from support.colcon_workspace import REPOSITORY, SUPPORT
 from support.hostile_archives import ARCHIVES, FOREIGN_FILES, valid
 from support.hostile_gadgets import GADGETS, MARKER
@@ -34,7 +34,8 @@ CHECKPOINTS: Table = {
 SAFETENSORS: Table = {
     f"safetensors: {name}": case for name, case in {**FILES, **hostile_costs.SAFETENSORS}.items()
 }
-TOLD = {name: told for name, (_, told) in chain(CHECKPOINTS.items(), SAFETENSORS.items())} | {
+EXPORTS: Table = {f"onnx: {name}": case for name, case in hostile_onnx.FILES.items()}
+TOLD = {name: told for name, (_, told) in {**CHECKPOINTS, **SAFETENSORS, **EXPORTS}.items()} | {
     f"special: {name}": told for name, (_, told) in SPECIAL.items()
 }
 
@@ -54,17 +55,20 @@ class Answer(NamedTuple):
 
 def write_all(folder: Path) -> dict[str, str]:
     """All files, and which case each file name stands for."""
-    cases = write_tables(folder, CHECKPOINTS, SAFETENSORS)
+    cases = write_tables(folder, {".pt": CHECKPOINTS, ".safetensors": SAFETENSORS, ".onnx": EXPORTS})
     for index, (name, (make_at, _)) in enumerate(SPECIAL.items(), start=len(cases)):
         cases[make_at(folder, f"{index:03}").name] = f"special: {name}"
     return cases
 
 
-def write_tables(folder: Path, checkpoints: Table, safetensors: Table) -> dict[str, str]:
-    """The files of two tables, and which case each file name stands for."""
+def write_tables(folder: Path, tables: Mapping[str, Table]) -> dict[str, str]:
+    """The files of tables by the end of their names, and which case each file name stands for."""
     cases = {}
-    for index, (name, (make, _)) in enumerate(chain(checkpoints.items(), safetensors.items())):
-        file = folder / f"{index:03}{'.pt' if name in checkpoints else '.safetensors'}"
+    files = chain.from_iterable(
+        ((suffix, case) for case in table.items()) for suffix, table in tables.items()
+    )
+    for index, (suffix, (name, (make, _))) in enumerate(files):
+        file = folder / f"{index:03}{suffix}"
         file.write_bytes(make())
         cases[file.name] = name
     return cases

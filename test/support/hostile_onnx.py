@@ -249,8 +249,8 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "an array of negative size": (dimensions(-1), "has the shape [-1]"),
     "an array of 40 dimensions": (dimensions(*[1] * 40), "dimensions: no weights of YOLOv5"),
     "an array of another shape": (
-        changed(lambda model: replace_array(model, _WEIGHT, np.zeros((8, 3, 6, 5), np.float32))),
-        "layer 0 has the weights",
+        changed(lambda model: replace_array(model, _WEIGHT, np.zeros((9, 3, 6, 6), np.float32))),
+        "the tensor model.0.conv.bias has the shape (8,), expected (9,)",
     ),
     "integer weights": (
         changed(lambda model: replace_array(model, _WEIGHT, np.zeros((8, 3, 6, 6), np.int32))),

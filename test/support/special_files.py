@@ -63,8 +63,11 @@ SPECIAL: Mapping[str, tuple[Callable[[Path, str], Path], str]] = {
     "link to nothing": (link_to("/nonexistent"), "there is no such file"),
     "link to itself": (link_to_itself, "symbolic links"),
     "3 GiB": (sparse, "3221225472 bytes"),
-    "ONNX by name": (suffix(".onnx"), "an ONNX export: use the .pt"),
-    "TorchScript by name": (suffix(".torchscript"), "a TorchScript export: use the .pt"),
+    "ONNX by name": (suffix(".onnx"), "no ONNX model"),
+    "TorchScript by name": (
+        suffix(".torchscript"),
+        "a TorchScript export, which holds a program: use the .pt",
+    ),
     "TensorRT by name": (suffix(".ENGINE"), "a TensorRT export: use the .pt"),
     "no suffix": (suffix(""), "found ''"),
     "odd suffix": (suffix(".pt2"), "found '.pt2'"),

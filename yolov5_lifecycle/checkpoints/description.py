@@ -36,6 +36,8 @@ class Description:
                 facts.extend(_of_pickle(pickled_facts(data)))
             elif path.suffix.lower() == ".safetensors":
                 facts.append(("written by", "convert"))
+            elif path.suffix.lower() == ".onnx":
+                facts.append(("written by", "an export to ONNX"))
         try:
             weights = load_weights(path)
         except WeightsError as refusal:
@@ -85,14 +87,18 @@ def _of_model(model: Model) -> Iterator[tuple[str, str]]:
 def _size(architecture: Architecture) -> str:
     """The official size with the same multiples and number of levels."""
     for size, official in SIZES.items():
-        multiples = (official.depth_multiple, official.width_multiple, len(official.strides))
-        if multiples == (
-            architecture.depth_multiple,
-            architecture.width_multiple,
-            len(architecture.strides),
-        ):
+        if _scale(official) == _scale(architecture):
             return f", those of size {size}"
     return ""
+
+
+def _scale(architecture: Architecture) -> tuple[float, ...]:
+    return (
+        architecture.depth_multiple,
+        architecture.width_multiple,
+        architecture.channel_multiple,
+        len(architecture.strides),
+    )
 
 
 def _lines(label: str, value: str) -> str:

@@ -25,7 +25,7 @@ MAX_ELEMENTS = 1 << 24
 """In all arrays that are combined; for images of 4096x4096 pixels they have about 12,000,000."""
 _MAX_SIZES = 16
 """In a shape."""
-_UNKNOWN: NDArray[Any] = np.array(np.nan)
+_UNKNOWN: NDArray[Any] = np.array(np.nan, np.float32)
 """What depends on the size of the images, such as the cells of a grid."""
 
 
@@ -37,8 +37,8 @@ class Columns:
     end: int
     is_logistic: bool = False
     power: int = 1
-    scale: NDArray[Any] = field(default_factory=lambda: np.array(1.0))
-    offset: NDArray[Any] = field(default_factory=lambda: np.array(0.0))
+    scale: NDArray[Any] = field(default_factory=lambda: np.array(1, np.float32))
+    offset: NDArray[Any] = field(default_factory=lambda: np.array(0, np.float32))
 
     @property
     def is_plain(self) -> bool:

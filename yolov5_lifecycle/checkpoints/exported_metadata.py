@@ -15,7 +15,7 @@ _ITEM = re.compile(rf"\s*(?:({_KEY})\s*:\s*)?({_VALUE})\s*(,|$)")
 
 
 def exported_names(metadata: Mapping[str, str], classes: int) -> object:
-    """The list or dict of class names; `class0` and so on if there is none, as before v6.1.
+    """The list or dict of class names; `class0` and so on if there is none, as before v6.2.
 
     Raises WeightsError if the entry is something else.
     """

@@ -1,4 +1,4 @@
-"""Command `convert IN.pt OUT.safetensors`: convert a YOLOv5 checkpoint to a file that holds only data.
+"""Command `convert IN.pt OUT.safetensors`: convert a checkpoint or an ONNX export to a file of data only.
 
 `convert --describe FILE` shows what a file contains.
 """

@@ -82,7 +82,7 @@ def _append(url: str, unfinished: Path, stall_s: float, progress: Progress) -> N
 
 def listing(folder: Path) -> str:
     """The weights files in `folder`, one per line with its size; unfinished downloads are marked."""
-    files = sorted(path for suffix in (".pt", ".safetensors") for path in folder.glob(f"*{suffix}"))
+    files = sorted(path for suffix in (".pt", ".safetensors", ".onnx") for path in folder.glob(f"*{suffix}"))
     if not files:
         return f"no weights in {folder}; `fetch_weights n --dir {folder}` downloads the smallest.\n"
     return "".join(

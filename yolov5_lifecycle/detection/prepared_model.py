@@ -188,7 +188,7 @@ def load_model(
     max_box_size: float = 0.0,
     agnostic_nms: bool = False,
 ) -> Detector:
-    """Load a weights file (.pt or .safetensors) and warm the network up: a detector to call with images.
+    """Load weights (.pt, .safetensors or .onnx) and warm the network up: a detector to call with images.
 
     The arguments are the node's parameters of the same names, with their defaults and rules. `weights` may
     begin with ~ or package://PACKAGE. Sets no environment variable, unlike the commands; docs/performance.md

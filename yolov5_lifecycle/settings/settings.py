@@ -36,7 +36,7 @@ class Settings(BaseModel):
     weights: Annotated[str, Change.RELOAD] = Field(
         "",
         max_length=4096,
-        description="Weights file (.pt or .safetensors): a path, ~ or package://PACKAGE/PATH. "
+        description="Weights file (.pt, .safetensors or .onnx): a path, ~ or package://PACKAGE/PATH. "
         "Empty: weights_dir/yolov5<model_size>.safetensors, else .pt.",
     )
     weights_dir: Annotated[str, Change.RELOAD] = Field(
