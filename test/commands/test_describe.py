@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from support.checkpoint_builder import foreign, layers_of, official_model, saved, stripped
+from support.onnx_exports import valid
 from support.small_families import EVERY_SMALL, SMALL_FAMILIES
 from support.wrong_models import MODELS, fuse_all
 from torch import nn
@@ -16,6 +17,7 @@ from torch import nn
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.commands.convert import main
+from yolov5_lifecycle.models.architecture import SIZES
 
 SCREEN_LINES, SCREEN_COLUMNS = 24, 110
 
@@ -119,6 +121,18 @@ def test_a_model_that_segments_is_told_with_its_masks(
     assert facts["written by"] == "YOLOv5 v7.0"
     assert facts["layers"].endswith("1 Segment")
     assert facts["masks"] == "8 prototypes, computed in 8 channels"
+
+
+def test_an_export_is_told_with_the_multiples_of_its_size(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "best.onnx").write_bytes(valid(SIZES["n"]))
+    (tmp_path / "small.onnx").write_bytes(valid())
+    facts = described(tmp_path / "best.onnx", capsys)
+    assert facts["written by"] == "an export to ONNX"
+    assert facts["multiples"] == "depth 0.33, width 0.25, those of size n"
+    assert facts["usable"] == "yes"
+    assert described(tmp_path / "small.onnx", capsys)["multiples"] == "depth 1, width 1"
 
 
 def test_a_trained_model_is_told_with_its_date(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -219,10 +219,12 @@ def test_the_list_shows_what_is_there(
     assert capsys.readouterr().out.startswith(f"no weights in {folder}; `fetch_weights n")
     folder.mkdir(parents=True)
     (folder / "yolov5n.pt").write_bytes(bytes(3_900_000))
+    (folder / "best.onnx").touch()
     unfinished(folder).touch()
     (folder / "notes.txt").touch()
     assert main(["--list", "--dir", str(folder)]) == 0
     assert capsys.readouterr().out.splitlines() == [
+        f"     0.0 MB  {folder}/best.onnx",
         f"     0.0 MB  {unfinished(folder)}  (unfinished: fetch it again)",
         f"     3.9 MB  {folder}/yolov5n.pt",
     ]

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.checkpoints.exported_head import Columns, Level, followed
+from yolov5_lifecycle.checkpoints.exported_formulas import Columns, Level
+from yolov5_lifecycle.checkpoints.exported_head import followed
 from yolov5_lifecycle.checkpoints.onnx_graph import Graph
 from yolov5_lifecycle.checkpoints.yaml_architecture import MAX_ANCHORS, MAX_LEVELS, MAX_STRIDE
 from yolov5_lifecycle.models.architecture import AnchorsPx

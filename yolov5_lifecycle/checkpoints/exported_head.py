@@ -10,13 +10,22 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, Union
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.checkpoints.exported_formulas import (
+    Columns,
+    Known,
+    Level,
+    Sizes,
+    cut,
+    is_number,
+    numbers_of,
+)
 from yolov5_lifecycle.checkpoints.onnx_graph import Graph, Node
 from yolov5_lifecycle.checkpoints.stored_array import StoredArray
 from yolov5_lifecycle.models.model import WeightsError
@@ -27,49 +36,6 @@ _MAX_SIZES = 16
 """In a shape."""
 _UNKNOWN: NDArray[Any] = np.array(np.nan, np.float32)
 """What depends on the size of the images, such as the cells of a grid."""
-
-
-@dataclass(frozen=True, eq=False)
-class Columns:
-    """Columns `first` to `end` of predictions: scale * value ** power + offset."""
-
-    first: int
-    end: int
-    is_logistic: bool = False
-    power: int = 1
-    scale: NDArray[Any] = field(default_factory=lambda: np.array(1, np.float32))
-    offset: NDArray[Any] = field(default_factory=lambda: np.array(0, np.float32))
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether the value is as the convolution or the logistic function gives it."""
-        return self.power == 1 and _is(self.scale, 1) and _is(self.offset, 0)
-
-
-@dataclass(frozen=True)
-class Level:
-    """The predictions of a level of the head in one of its layouts.
-
-    `layout` is "conv", (B, na * no, ny, nx), "split", (B, na, no, ny, nx), "cells", (B, na, ny, nx, no), or
-    "rows", (B, N, no). Until it is split, the columns are not known.
-    """
-
-    number: int
-    layout: str = "conv"
-    anchors: int = 0
-    columns: tuple[Columns, ...] = ()
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Integers, None where they depend on the size of the images; no `values` if even their number does."""
-
-    values: tuple[int | None, ...] | None = None
-
-
-Rows = tuple[Level, ...]
-"""Levels one after the other, (B, N, no)."""
-Known = Union[Level, Rows, Sizes, NDArray[Any]]  # noqa: UP007 - for 3.10
 
 
 def followed(graph: Graph, levels: Sequence[str]) -> dict[str, Known]:
@@ -119,10 +85,6 @@ def _read(found: Any) -> Any:
         raise ValueError("an array of more cells than an image has")
     numbers = found.numbers()
     return numbers.astype(np.float32) if numbers.dtype.kind == "f" else numbers
-
-
-def _is(numbers: NDArray[Any], expected: float) -> bool:
-    return numbers.size == 1 and bool(numbers.item() == expected)
 
 
 def _level(found: object) -> Level:
@@ -199,19 +161,11 @@ def _combined(change: Callable[[Columns, NDArray[Any]], Columns | None]) -> Call
         numbers = _UNKNOWN if isinstance(operand, Sizes) else operand
         if not isinstance(level, Level) or level.layout != "cells" or not isinstance(numbers, np.ndarray):
             return []
-        changed = [change(part, _of(numbers, part, level.columns)) for part in level.columns]
+        changed = [change(part, numbers_of(numbers, part, level.columns)) for part in level.columns]
         columns = tuple(part for part in changed if part is not None)
         return [replace(level, columns=columns)] if len(columns) == len(changed) else []
 
     return combine
-
-
-def _of(numbers: NDArray[Any], part: Columns, columns: tuple[Columns, ...]) -> NDArray[Any]:
-    """The numbers for `part` of `columns`."""
-    first, width = columns[0].first, columns[-1].end - columns[0].first
-    if numbers.ndim and numbers.shape[-1] == width:
-        return numbers[..., part.first - first : part.end - first]
-    return numbers
 
 
 def _bounded(*arrays: NDArray[Any]) -> None:
@@ -234,7 +188,7 @@ def _multiplied(part: Columns, numbers: NDArray[Any]) -> Columns:
 
 
 def _raised(part: Columns, numbers: NDArray[Any]) -> Columns | None:
-    is_square = _is(numbers, 2) and part.power == 1 and part.is_logistic and _is(part.offset, 0)
+    is_square = is_number(numbers, 2) and part.power == 1 and part.is_logistic and is_number(part.offset, 0)
     return replace(part, power=2, scale=part.scale**2) if is_square else None
 
 
@@ -244,28 +198,13 @@ def _product(node: Node, inputs: list[Any]) -> Sequence[Known]:
     return _combined(_multiplied)(node, inputs)
 
 
-def _cut(level: Level, first: int, end: int) -> Level:
-    """Columns `first` to `end` of those of `level`, counted from its first one."""
-    begin = level.columns[0].first
-    columns = []
-    for part in level.columns:
-        low, high = max(part.first, begin + first), min(part.end, begin + end)
-        if low < high:
-            narrow = replace(part, first=low, end=high)
-            whole = (part,)
-            columns.append(
-                replace(narrow, scale=_of(part.scale, narrow, whole), offset=_of(part.offset, narrow, whole))
-            )
-    return replace(level, columns=tuple(columns))
-
-
 def _sliced(node: Node, inputs: list[Any]) -> Sequence[Known]:
     level = _level(inputs[0])
     first, end, axis, *strides = map(_single, inputs[1:])
     width = level.columns[-1].end - level.columns[0].first
     if level.layout != "cells" or axis not in (4, -1) or strides not in ([], [1]):
         return []
-    return [_cut(level, first, min(end if end >= 0 else end + width, width))] if first >= 0 else []
+    return [cut(level, first, min(end if end >= 0 else end + width, width))] if first >= 0 else []
 
 
 def _divided(node: Node, inputs: list[Any]) -> Sequence[Known]:
@@ -276,7 +215,7 @@ def _divided(node: Node, inputs: list[Any]) -> Sequence[Known]:
     ends = list(itertools.accumulate(found))
     if len(ends) != len(node.outputs) or ends[-1] != level.columns[-1].end - level.columns[0].first:
         return []
-    return [_cut(level, end - width, end) for end, width in zip(ends, found, strict=True)]
+    return [cut(level, end - width, end) for end, width in zip(ends, found, strict=True)]
 
 
 def _whole(values: tuple[int | None, ...] | None) -> tuple[int, ...]:

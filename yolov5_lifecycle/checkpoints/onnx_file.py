@@ -10,14 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from yolov5_lifecycle.checkpoints.exported_blocks import Convolution, Parts
 from yolov5_lifecycle.checkpoints.exported_boxes import ExportedBoxes, exported_boxes
-from yolov5_lifecycle.checkpoints.exported_layers import (
-    Convolution,
-    ExportedLayers,
-    Parts,
-    Row,
-    exported_layers,
-)
+from yolov5_lifecycle.checkpoints.exported_layers import ExportedLayers, Row, exported_layers
 from yolov5_lifecycle.checkpoints.exported_metadata import check_stride, exported_names
 from yolov5_lifecycle.checkpoints.graph_steps import GraphSteps
 from yolov5_lifecycle.checkpoints.matched_graph import MatchedGraph
