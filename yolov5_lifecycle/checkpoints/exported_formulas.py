@@ -30,8 +30,8 @@ class Columns:
 class Level:
     """The predictions of a level of the head in one of its layouts.
 
-    `layout` is "conv", (B, na * no, ny, nx), "split", (B, na, no, ny, nx), or "cells", (B, na, ny, nx, no), for
-    na anchors and no columns. Until it is split, the columns are not known.
+    `layout` is "conv", (B, na * no, ny, nx), "split", (B, na, no, ny, nx), or "cells", (B, na, ny, nx, no).
+    It has na anchors and no columns. Until it is split, the columns are not known.
     """
 
     number: int
