@@ -11,7 +11,7 @@ from soak.faulty_detector import GREYS
 from soak.finding import Finding, none_wrong, number_of, problem
 from soak.sender import Sender
 from soak.subject import Subject, subject
-from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
@@ -123,7 +123,7 @@ def _hang(subject: Subject, sender: Sender) -> float:
     begun_s = time.monotonic()
     assert subject.transition("deactivate")
     held_s = time.monotonic() - begun_s
-    assert "its thread was abandoned" in subject.status()["last problem"]
+    assert "abandons the thread" in subject.status()["last problem"]
     assert int(subject.status()["frames failed"]) == failed + 1
     return held_s
 

@@ -17,7 +17,7 @@ import yaml
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from support.detector_process import NODE
 
-from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.settings.parameter_file import file_values
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings, validated
 

@@ -41,7 +41,7 @@ from yolov5_lifecycle.images.encodings import ENCODINGS
 from yolov5_lifecycle.offline.detect_bag_arguments import command_parser
 from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
-from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.parameters.values import coerced
 from yolov5_lifecycle.ros.topics import published, subscribed
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAME, validated

@@ -155,7 +155,7 @@ def test_a_size_of_batch_that_fails_is_left_out_with_a_warning(caplog: pytest.Lo
 
     runtime.on_batch = fail_from_four
     assert list(measure_batches_ms(runtime, [2, 4], frames_hw=[VGA], max_s=math.inf)) == [1, 2]
-    assert "A batch size is skipped: out of memory" in caplog.text
+    assert "A batch size was not measured, because it failed: out of memory" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -138,7 +138,7 @@ def test_images_of_a_batch_that_fails_are_run_alone_and_there_are_no_more_batche
     assert [len(result) for result in results if isinstance(result, Detections)] == [1, 1]
     assert detector.batch_sizes == ()
     assert detector.batches.reason == "none: a batch of 2 failed: out of memory"
-    assert "Images are no longer run in batches: out of memory" in caplog.text
+    assert "No more batches until the model is loaded again, because one failed: out of memory" in caplog.text
 
 
 def test_a_runtime_that_fails_altogether_gives_each_image_its_error_and_keeps_its_batches() -> None:

@@ -20,10 +20,10 @@ from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.observer import PATIENCE_S, Observer, RemoteLifecycleNode
-from yolov5_lifecycle.ros.detector.process import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 
-TOO_MANY_ABANDONED = "1 inference threads hang and keep their memory, more than 0: this process ends"
-DEVICE_LOST = "the device is lost, so this process exits: DeviceLostError: the GPU fell off the bus"
+TOO_MANY_ABANDONED = "exiting (code 4): 1 inference threads hang, the limit is 0"
+DEVICE_LOST = "exiting (code 3) because the device is lost: DeviceLostError: the GPU fell off the bus"
 SCRIPT = SUPPORT / "scripted_detector.py"
 
 

@@ -196,7 +196,7 @@ def test_auto_loads_what_was_chosen_and_says_why() -> None:
 def test_a_runtime_that_cannot_be_loaded_is_left_out_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     figures_ms = measure_ms(random_model(), ["torch", "tensorrt"], precision="fp32", frame_hw=(64, 64))
     assert list(figures_ms) == ["torch"]
-    assert "'tensorrt' is skipped: Runtime must be one of auto, torch" in caplog.text
+    assert "'tensorrt' was not measured, because it failed: Runtime must be one of auto, torch" in caplog.text
 
 
 def test_figures_are_read_as_they_were_written(tmp_path: Path) -> None:

@@ -134,7 +134,7 @@ def test_what_is_larger_than_all_that_may_be_kept_is_not_kept(
     store.keep(ONE, b"x" * 50)
     store.keep(TWO, b"x" * 100)
     assert [file.name for file in tmp_path.iterdir()] == [ONE]
-    assert "not cached: 100 bytes are too many" in caplog.text
+    assert "not cached: its 100 bytes exceed the limit" in caplog.text
 
 
 def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
@@ -224,7 +224,7 @@ def test_a_compiled_model_that_cannot_be_run_is_recompiled(
     with caplog.at_level(logging.INFO):
         for _ in range(2):
             np.testing.assert_array_equal(predictions(random_model(1), runtime_name), expected)
-    assert caplog.text.count("it is recompiled: ") == 1
+    assert caplog.text.count("because the cached one cannot be loaded: ") == 1
 
 
 def test_a_machine_without_a_place_for_files_compiles_every_time(

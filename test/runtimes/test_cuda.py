@@ -129,7 +129,7 @@ assert torch.cuda.current_stream() == torch.cuda.default_stream()
         [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
     )
     assert told.returncode == 0, told.stderr
-    assert told.stderr.count("runs without a CUDA graph, as it could not be captured: ") == 1
+    assert told.stderr.count("runs without a CUDA graph, because capturing one failed: ") == 1
 
 
 @needs_cuda

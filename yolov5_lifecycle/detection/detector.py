@@ -129,7 +129,7 @@ class Detector:
         results = self._detect_alone(images, selections)
         if any(isinstance(result, Detections) for result in results):
             self.batches = Batches((), f"none: a batch of {len(images)} failed: {problem}")
-            _log.warning("Images are no longer run in batches: %s", problem)
+            _log.warning("No more batches until the model is loaded again, because one failed: %s", problem)
         return results
 
     def network_hw(self, size_hw: tuple[int, int]) -> tuple[int, int]:

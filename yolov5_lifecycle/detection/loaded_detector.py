@@ -100,7 +100,7 @@ def _loaded(
     loaded.close()
     if precision == "int8":
         raise CalibrationError(f"this calibration is not usable: {problem}")
-    _log.warning("int8 is not used: the calibration is not usable: %s", problem)
+    _log.warning("Running in fp32 instead of int8, because the calibration is not usable: %s", problem)
     used = used.without_int8(f"the calibration is not usable: {problem}")
     return used, load(used.runtime.runtime, precision="fp32")
 

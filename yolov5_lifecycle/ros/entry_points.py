@@ -60,7 +60,6 @@ def _refuse_python(command: str, error: ImportError) -> NoReturn:
     """Exit with code 1 after reporting the failed import, the Python used and the Python required."""
     complain(
         command,
-        f"{import_problem(error)}. The node runs with the Python that built it: see README.md, "
-        "'In a colcon workspace'.",
+        f"{import_problem(error)}. The node runs with the Python that built it: see docs/colcon.md.",
     )
     sys.exit(EXIT_UNABLE)

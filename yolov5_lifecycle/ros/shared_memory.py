@@ -48,8 +48,8 @@ def shared_memory_problems(
     if found >= needed:
         return []
     return [
-        f"{folder} has {found >> 10} KiB free and Fast DDS needs {needed >> 10} KiB for this process: "
-        f"it will use only UDP, which loses large images. {_remedy(folder)}"
+        f"{folder} has {found >> 10} KiB free and Fast DDS needs {needed >> 10} KiB for this process, "
+        f"so Fast DDS uses only UDP, which loses large images. {_remedy(folder)}"
     ]
 
 

@@ -86,7 +86,7 @@ class CompiledStore:
     def keep(self, key: str, content: bytes) -> None:
         """Cache `content` under `key`; a failure is only logged."""
         if _DIGEST_BYTES + len(content) > self._max_bytes:
-            _log.warning("The compiled model is not cached: %d bytes are too many", len(content))
+            _log.warning("The compiled model is not cached: its %d bytes exceed the limit", len(content))
             return
         try:
             write_cache(self._folder / key, hashlib.sha256(content).digest(), content)

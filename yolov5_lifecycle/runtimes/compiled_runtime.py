@@ -216,7 +216,7 @@ class Compiler:
             try:
                 return self._engine.restore(kept)
             except self._engine.errors as error:
-                _log.warning("A cached compiled model cannot be loaded; it is recompiled: %s", error)
+                _log.warning("Compiling the model again, because the cached one cannot be loaded: %s", error)
         with self._fusing:
             fuse(self._network)
         run, content = self._engine.build(graph())

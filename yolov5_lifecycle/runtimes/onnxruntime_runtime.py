@@ -50,7 +50,7 @@ def _build(graph: bytes) -> tuple[Run, bytes]:
             return _session(graph, str(file)), file.read_bytes()
     except (OSError, *_ERRORS) as error:
         run = _session(graph)  # raises if the graph is the cause
-        _log.warning("The compiled model is not cached, as no temporary file could be written: %s", error)
+        _log.warning("The compiled model is not cached, because no temporary file can be written: %s", error)
         return run, b""
 
 

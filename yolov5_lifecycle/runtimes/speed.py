@@ -114,7 +114,7 @@ def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uin
     except (InferenceError, RuntimeAbsentError) as error:
         if name == "torch":
             raise
-        _log.warning("Runtime '%s' is skipped: %s", name, error)
+        _log.warning("Runtime '%s' was not measured, because it failed: %s", name, error)
         return None
     return runtime
 
@@ -135,7 +135,7 @@ def _is_warm(batches: Sequence[Run]) -> bool:
     except DeviceLostError:
         raise
     except InferenceError as error:
-        _log.warning("A batch size is skipped: %s", error)
+        _log.warning("A batch size was not measured, because it failed: %s", error)
         return False
     return True
 

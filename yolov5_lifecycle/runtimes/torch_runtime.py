@@ -192,7 +192,7 @@ def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: tor
         return RecordedNetwork(eager, (*shape, network.architecture.image_channels), device)
     except RuntimeError as error:
         problem = _first_line(error.__context__ or error)  # the latter may only mention an earlier error
-    _log.warning("The network runs without a CUDA graph, as it could not be captured: %s", problem)
+    _log.warning("The network runs without a CUDA graph, because capturing one failed: %s", problem)
     return eager
 
 

@@ -55,7 +55,7 @@ def test_only_a_detector_that_detects_is_green(page: ConsolePage) -> None:
 def test_an_empty_image_for_a_long_time_is_not_green(page: ConsolePage) -> None:
     page.wait_for_image()
     page.enter("confidence_threshold", "1")
-    page.wait_for_text(".reason", "nothing scored above")
+    page.wait_for_text(".reason", "No detection in")
     wait_for_condition(page, "note", "note", "note")
 
 
@@ -107,7 +107,7 @@ def test_without_the_console_no_detector_is_shown_as_current(browser: Chrome) ->
 
 STATUSES = {
     "detecting": (DiagnosticStatus.OK, "detecting", "active", "ok"),
-    "remark": (DiagnosticStatus.OK, "nothing scored above ...", "active", "note"),
+    "remark": (DiagnosticStatus.OK, "No detection in ...", "active", "note"),
     "inactive": (DiagnosticStatus.OK, "inactive: activate the node to detect", "inactive", "idle"),
     "older-than-the-state": (DiagnosticStatus.OK, "detecting", "inactive", "idle"),
     "unconfigured": (DiagnosticStatus.OK, "unconfigured: configure ...", "unconfigured", "idle"),

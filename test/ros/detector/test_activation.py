@@ -75,7 +75,7 @@ def test_cleanup_wins_over_an_activate_whose_model_cannot_be_loaded(
     prepare.gate.set()
     served.wait_for(activation.done, "activate")
     assert not activation.result().success
-    served.wait_for_log("activate canceled: another transition was requested")
+    served.wait_for_log("activate canceled because another transition arrived")
     assert "/no/such.pt" not in served.status().message
 
 
@@ -143,4 +143,4 @@ def test_a_device_that_is_lost_while_a_model_loads_ends_the_node(
     answered = served.transition("activate") if state == "inactive" else served.set(image_size=320)[0]
     assert not answered
     assert served.node.device_lost
-    served.wait_for_log("the device is lost, so this process exits: torch failed on cuda:0")
+    served.wait_for_log("exiting (code 3) because the device is lost: torch failed on cuda:0")

@@ -167,7 +167,7 @@ def test_a_network_that_cannot_be_prepared_again_deactivates_the_node_with_the_r
     served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to hang")
     assert served.set(cameras=["rear"]) == (True, "")
     served.wait_for(lambda: served.state() == "inactive", "the node to deactivate itself")
-    told = "deactivated after a frame that hangs, as no other network can be prepared: no memory"
+    told = "deactivated after a hanging frame, because no other network can be prepared: no memory"
     assert served.status().message == told
     release.set()
 

@@ -17,7 +17,7 @@ from support.segmented_scene import SIZE_HW, MasksSubscriber, SegmentingModel
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
 
 from soak import slow_detector
-from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
+from yolov5_lifecycle.ros.detector.session import ABANDONED
 
 STEPS: dict[str, tuple[Any, str]] = {**slow_detector.STEPS, "inference": (ScriptedRuntime, "__call__")}
 QUICK = ("drawing", "publishing")
@@ -107,7 +107,7 @@ def test_while_a_frame_hangs_services_answer_and_deactivate_proceeds(step: Hangi
     assert not deactivated.done(), "the node answered only after it waited for the frame"
     served.wait_for(deactivated.done, "the answer to deactivate")
     assert deactivated.result().success
-    served.wait_for_log(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
+    served.wait_for_log(ABANDONED)
     assert served.counts()["pending"] == 0
     step.end()
     assert served.transition("activate")

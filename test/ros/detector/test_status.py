@@ -116,21 +116,26 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
         ),
         pytest.param(
             BLIND,
-            "nothing scored above confidence_threshold 0.9 in the last 152 frames, the best 0.61: if "
-            "objects were visible, lower it or clear classes",
+            "No detection in 152 frames: best score 0.61, confidence_threshold 0.9. Lower the threshold, or "
+            "clear classes",
             id="below-threshold",
         ),
         pytest.param(
             _with_camera(empty=dataclasses.replace(BLIND_RUN, has_class_thresholds=True)),
-            "nothing scored above confidence_threshold 0.9 or its class_thresholds in the last 152 frames, "
-            "the best 0.61: if objects were visible, lower them or clear classes",
+            "No detection in 152 frames: best score 0.61, confidence_threshold 0.9 and class_thresholds. "
+            "Lower the thresholds, or clear classes",
             id="below-thresholds-of-classes",
         ),
         pytest.param(
+            _with_camera(empty=dataclasses.replace(BLIND_RUN, best_missed=0.0)),
+            "No detection in 152 frames: no score above 0.05. Check the images, image_size and weights, or "
+            "clear classes",
+            id="nothing-above-noise",
+        ),
+        pytest.param(
             _with_camera(empty=dataclasses.replace(BLIND_RUN, best_filtered=0.956)),
-            "everything found in the last 152 frames, the best 0.96, is outside regions, in ignore_regions, "
-            "smaller than min_box_size or larger than max_box_size: if it should count, "
-            "change these settings",
+            "Objects are found (best 0.96), but all are filtered out: check regions, ignore_regions, "
+            "min_box_size, max_box_size",
             id="all-filtered",
         ),
         pytest.param(
@@ -185,7 +190,7 @@ def test_the_values_hold_every_count_and_the_configuration() -> None:
 
 def test_scores_that_are_mere_noise_are_not_reported() -> None:
     noise = _with_camera(empty=dataclasses.replace(BLIND_RUN, best_missed=0.0))
-    assert "152 frames, nothing even above 0.05: if objects were visible" in noise.of_node.remark
+    assert "152 frames: no score above 0.05. Check the images" in noise.of_node.remark
 
 
 def test_a_reason_is_logged_once_a_minute_whatever_its_numbers(ros_domain: int) -> None:
@@ -205,7 +210,7 @@ def test_a_reason_is_logged_once_a_minute_whatever_its_numbers(ros_domain: int) 
         for now_s, seen in [*looks, (70.0, last)]:  # noqa: B007 - the diagnostics look at both
             diagnostics.publish()
         observer.wait_for(lambda: any("no publisher of images" in text for text in logged), "the last reason")
-    words = ("for 5 s", "nothing scored", "for 8 s", "for 9 s", "no publisher of images")
+    words = ("for 5 s", "No detection in", "for 8 s", "for 9 s", "no publisher of images")
     assert len(logged) == len(words)
     assert all(word in text for word, text in zip(words, logged, strict=True))
 

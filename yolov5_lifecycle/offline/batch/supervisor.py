@@ -69,7 +69,7 @@ class BatchWatch(Protocol):
         """Called for other events that the user should know."""
 
     def progress(self, tally: Tally) -> None:
-        """Called now and then."""
+        """Called about once a second with the totals so far."""
 
 
 def detect_recordings(

@@ -67,8 +67,8 @@ class CameraStatus:
             return ""
         if self.busy_s > SLOW_S:
             return (
-                f"inference of one image takes more than {SLOW_S:g} s: the model is too slow for this "
-                "machine, or it hangs; deactivate the node, then activate it again"
+                f"inference of one image takes more than {SLOW_S:g} s. If inference hangs, deactivate and "
+                "activate the node; if the model is too slow, use a smaller image_size or model"
             )
         if self.topic.publishers == 0:
             return _missing(self.topic) if self.topic.missing_s > DISCOVERY_S else ""
@@ -140,16 +140,18 @@ def _emptiness(empty: EmptyRun) -> str:
         return ""
     if empty.best_filtered:
         return (
-            f"everything found in the last {empty.frames} frames, the best {empty.best_filtered:.2g}, is "
-            "outside regions, in ignore_regions, smaller than min_box_size or larger than max_box_size: if "
-            "it should count, change these settings"
+            f"Objects are found (best {empty.best_filtered:.2g}), but all are filtered out: check regions, "
+            "ignore_regions, min_box_size, max_box_size"
         )
-    missed = empty.best_missed
-    best = f"the best {missed:.2g}" if missed else f"nothing even above {WORTH_TELLING:g}"
-    also, it = (" or its class_thresholds", "them") if empty.has_class_thresholds else ("", "it")
+    if not empty.best_missed:
+        return (
+            f"No detection in {empty.frames} frames: no score above {WORTH_TELLING:g}. Check the images, "
+            "image_size and weights, or clear classes"
+        )
+    also, plural = (" and class_thresholds", "s") if empty.has_class_thresholds else ("", "")
     return (
-        f"nothing scored above confidence_threshold {empty.threshold:g}{also} in the last {empty.frames} "
-        f"frames, {best}: if objects were visible, lower {it} or clear classes"
+        f"No detection in {empty.frames} frames: best score {empty.best_missed:.2g}, confidence_threshold "
+        f"{empty.threshold:g}{also}. Lower the threshold{plural}, or clear classes"
     )
 
 
@@ -179,14 +181,15 @@ def _has_many_lost(recent: RecentImages) -> bool:
 def _losses(recent: RecentImages) -> str:
     lost = (
         f"{recent.lost} of {recent.received + recent.lost} images were lost between the camera and this node "
-        f"in the last {recent.window_s:.0f} s: "
+        f"in the last {recent.window_s:.0f} s"
     )
     if recent.max_bytes <= DEFAULT_SEGMENT_BYTES:
         return (
-            lost + "the machine or the link is overloaded; lower the camera's rate or send compressed images"
+            f"{lost}, because the machine or the link is overloaded. Lower the camera's rate, or send "
+            "compressed images"
         )
-    return lost + (
-        f"images of {recent.max_bytes / 1e6:.1f} MB do not fit into the shared memory that Fast DDS reserves "
-        "by default. Start the camera's process with the profile config/shm.xml, if it runs on this machine "
-        "without it; else send compressed images, or lower the rate"
+    return (
+        f"{lost}; images of {recent.max_bytes / 1e6:.1f} MB do not fit into the default shared memory of "
+        "Fast DDS. If the camera runs on this machine, start the camera with the profile config/shm.xml; "
+        "otherwise send compressed images, or lower the camera's rate"
     )

@@ -18,7 +18,7 @@ from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.outputs import label_info_publisher
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
-from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, Detection
+from yolov5_lifecycle.ros.detector.session import ABANDONED, REST_TIMEOUT_S, Detection
 from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.topics import impossible_names
@@ -93,7 +93,7 @@ class ManagedResources:
             self._loading_for = None
         if preparation is None or label_info is None:
             self._node.get_logger().warning(
-                "activate canceled: another transition was requested while the model was loading"
+                "activate canceled because another transition arrived while the model was loading"
             )
             return False
         self.detection = self._new_detection(label_info, preparation)
@@ -141,7 +141,7 @@ class ManagedResources:
     def _close(self, camera: Camera) -> None:
         log = self._node.get_logger()
         if not camera.close(REST_TIMEOUT_S):
-            log.error(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
+            log.error(ABANDONED)
             self._on_abandoned()
             self._renew_kept()
         log.info(f"camera {camera.name or '(without a name)'} removed: {camera.balance()}")
@@ -159,14 +159,14 @@ class ManagedResources:
         """
         kept = detection.preparation
         self._node.get_logger().warning(
-            "the network is prepared again, because the abandoned thread keeps it; frames wait meanwhile"
+            "preparing another network, because the abandoned thread keeps the present one; frames wait"
         )
         twin = await self.loader.twin(detection.model)
         is_running = self.detection is detection and detection.preparation is kept
         is_wanted = is_running and self._worker.keeps(kept.result().detector)
         if (error := twin.exception()) is not None:
             if is_wanted:
-                await self._on_too_many(f"a frame that hangs, as no other network can be prepared: {error}")
+                await self._on_too_many(f"a hanging frame, because no other network can be prepared: {error}")
         elif is_wanted:
             detection.apply(self._parameters.settings(), twin)
             # Before the last camera had another network, the thread may have ended and a frame begun.

@@ -12,10 +12,11 @@ from yolov5_lifecycle.detection.prepared_model import Prepare, check_place, prep
 from yolov5_lifecycle.printable import in_lines, in_one_line
 from yolov5_lifecycle.ros.detector.bond import Bond, check_bond
 from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics
+from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
-from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
+from yolov5_lifecycle.ros.detector.session import ABANDONED
 from yolov5_lifecycle.ros.detector.transitions import (
     FAILURE,
     SUCCESS,
@@ -219,15 +220,15 @@ class DetectorNode(PrintableNode, LifecycleNode):
     def _stop_detecting(self) -> None:
         self._bond.stop()
         if not self._resources.deactivate():
-            self.report(f"inference did not end within {REST_TIMEOUT_S:g} s: its thread was abandoned")
+            self.report(ABANDONED)
             self._bound_abandoned_threads()
 
     def _bound_abandoned_threads(self) -> None:
         count = self._resources.abandoned_threads()
         if count > self._max_abandoned_threads:
             self.report(
-                f"{count} inference threads hang and keep their memory, more than "
-                f"{self._max_abandoned_threads}: this process ends"
+                f"exiting (code {EXIT_ABANDONED_THREADS}): {count} inference threads hang, the limit is "
+                f"{self._max_abandoned_threads}"
             )
             self._diagnostics.publish()
             self.too_many_abandoned = True
@@ -252,7 +253,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
             if self.state_label == before:
                 return getattr(self, f"trigger_{label}")() is SUCCESS
         self.get_logger().warning(
-            f"{label} canceled: another transition was requested while a frame was in progress"
+            f"{label} canceled because another transition arrived while a frame was in progress"
         )
         return False
 
@@ -261,6 +262,6 @@ class DetectorNode(PrintableNode, LifecycleNode):
             self.report(f"deactivated after {reason}")
 
     def _lose_device(self, reason: str) -> None:
-        self.report(f"the device is lost, so this process exits: {reason}")
+        self.report(f"exiting (code {EXIT_DEVICE_LOST}) because the device is lost: {reason}")
         self._diagnostics.publish()
         self.device_lost = True

@@ -16,6 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.process.standard_streams import flush_output
+from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
@@ -38,12 +39,6 @@ Pass parameters as in `detector --ros-args -p device:=cpu --params-file config/y
 # Max time the inference thread waits for the GIL while an image is taken; docs/performance.md has the cost
 # of Python's default of 5 ms.
 _SWITCH_S = 0.0002
-
-EXIT_DEVICE_LOST = 3
-"""The GPU is lost; restart the process."""
-
-EXIT_ABANDONED_THREADS = 4
-"""Too many inference threads hang; restart the process, which frees their memory."""
 
 
 def main(

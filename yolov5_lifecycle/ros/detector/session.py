@@ -23,6 +23,11 @@ from yolov5_lifecycle.streaming.worker import Worker
 
 REST_TIMEOUT_S = 3.0
 """Max wait for the frame in progress; launch escalates its stop signal after 5 s."""
+ABANDONED = (
+    f"inference did not end within {REST_TIMEOUT_S:g} s, so the node abandons the thread; the thread's "
+    "memory stays in use"
+)
+"""What is reported when a frame hangs for longer than that."""
 
 
 class Detection:
