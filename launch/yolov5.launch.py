@@ -24,6 +24,7 @@ from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 DEFAULT_PARAMETERS = PathJoinSubstitution([FindPackageShare("yolov5_lifecycle"), "config", "yolov5.yaml"])
 FOLDER = Path(__file__).resolve().parent
 BOOLEANS = ["true", "false", "True", "False"]
+LOG_LEVELS = ["debug", "info", "warn", "error", "fatal"]
 ARGUMENTS_OF_LAUNCH = {
     "emulate_tty",
     "launch-prefix",
@@ -114,7 +115,21 @@ def wrong_values(context: LaunchContext) -> list[str]:
         value = context.launch_configurations[name]
         if value not in BOOLEANS:
             problems.append(f"{name}: expected true or false, found '{value}'.")
-    return problems
+    try:
+        shlex.split(words := context.launch_configurations["console_arguments"])
+    except ValueError as error:
+        problems.append(f"console_arguments: expected words as in a shell, found '{words}' ({error}).")
+    return problems + log_level_problems(context.launch_configurations["log_level"])
+
+
+def log_level_problems(value: str) -> list[str]:
+    """A message if the process would exit with 2 because of `value`, which does not end the launch."""
+    logger, separator, level = value.rpartition(":=")
+    if level.lower() in LOG_LEVELS and bool(logger) == bool(separator) and ":=" not in logger:
+        return []
+    expected = f"{', '.join(LOG_LEVELS)}, or LOGGER:=LEVEL for one logger"
+    hint = suggestion(level.lower(), LOG_LEVELS)
+    return [f"log_level: expected {expected}, found '{value}'.{hint}"]
 
 
 def unknown_arguments(context: LaunchContext) -> list[str]:

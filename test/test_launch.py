@@ -40,7 +40,7 @@ service = LaunchService()
 service.include_launch_description(
     IncludeLaunchDescription(
         PythonLaunchDescriptionSource(sys.argv[1]),
-        launch_arguments=[word.split(":=") for word in sys.argv[2:]],
+        launch_arguments=[word.split(":=", 1) for word in sys.argv[2:]],
     )
 )
 sys.exit(service.run())
@@ -179,6 +179,22 @@ def installed(workspace: Path, file: Path) -> Path:
             id="unknown name",
         ),
         pytest.param(DEMO, "sorce:=0", "Did you mean 'source'?", id="unknown name of the demo"),
+        pytest.param(
+            DETECTOR,
+            "log_level:=warning",
+            "log_level: expected debug, info, warn, error, fatal, or LOGGER:=LEVEL for one logger, found "
+            "'warning'. Did you mean 'warn'?",
+            id="log level",
+        ),
+        pytest.param(DEMO, "log_level:=10", "log_level: expected debug", id="number as log level"),
+        pytest.param(DETECTOR, "log_level:=yolov5:=debg", "Did you mean 'debug'?", id="level of a logger"),
+        pytest.param(DETECTOR, "log_level:=:=debug", "found ':=debug'", id="no logger"),
+        pytest.param(
+            DETECTOR,
+            "console_arguments:='--port 1",
+            "console_arguments: expected words as in a shell, found ''--port 1' (No closing quotation).",
+            id="open quote",
+        ),
     ],
 )
 def test_wrong_arguments_are_refused_before_anything_is_started(
