@@ -50,6 +50,8 @@ from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validat
 
 NOT_RUN = {
     "sudo ": "changes the machine",
+    "git clone ": "the address depends on where the repository is hosted",
+    "cd ": "the folder of that clone",
     "mkdir ": "makes the folder that the container is given",
     "docker ": "no container engine here; test_docker.py checks the recipe",
     "source ": "the tests run inside of what it sets up",
@@ -61,6 +63,8 @@ NOT_RUN = {
     "rviz2 ": "needs RViz; test_config.py checks the file",
     "journalctl ": "needs systemd; test_config.py checks the unit",
     "ros2 run rqt_image_view ": "a program of ROS's with a window",
+    "ros2 run tf2_ros ": "needs tf2; test_tf2_page.py publishes the same transform",
+    "python3 detections_in_frame.py ": "needs tf2; test_tf2_page.py runs the program",
     "ros2 run nav2_lifecycle_manager ": "needs Nav2; test_config.py checks the file",
     "ray start ": "starts daemons; test/offline/batch/test_ray_cluster.py starts such a cluster",
     "detect_bag --ray ": "needs a Ray cluster; test/offline/batch/test_ray_cluster.py has one",
