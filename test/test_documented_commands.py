@@ -64,7 +64,7 @@ NOT_RUN = {
     "journalctl ": "needs systemd; test_config.py checks the unit",
     "ros2 run rqt_image_view ": "a program of ROS's with a window",
     "ros2 run tf2_ros ": "needs tf2; test_tf2_page.py publishes the same transform",
-    "python3 detections_in_frame.py ": "needs tf2; test_tf2_page.py runs the program",
+    "python3 detections_in_frame.py": "needs tf2; test_tf2_page.py runs the program",
     "ros2 run nav2_lifecycle_manager ": "needs Nav2; test_config.py checks the file",
     "ray start ": "starts daemons; test/offline/batch/test_ray_cluster.py starts such a cluster",
     "detect_bag --ray ": "needs a Ray cluster; test/offline/batch/test_ray_cluster.py has one",

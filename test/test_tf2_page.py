@@ -76,7 +76,7 @@ def test_the_program_publishes_detections_in_the_frame_that_is_asked_for(
         mounted(observer)
         found: list[Detection3DArray] = []
         observer.create_subscription(Detection3DArray, "/detections_3d_in_frame", found.append, 1)
-        publisher = observer.create_publisher(Detection3DArray, "/detections_3d", 1)
+        publisher = observer.create_publisher(Detection3DArray, "/yolov5/detections_3d", 1)
 
         def is_found() -> bool:
             publisher.publish(of_camera("camera"))
@@ -95,7 +95,7 @@ def test_the_program_publishes_detections_in_the_frame_that_is_asked_for(
 @with_tf2
 def test_the_program_names_a_frame_that_nobody_publishes(tmp_path: Path, ros_domain: int) -> None:
     with running(tmp_path, ros_domain) as (process, observer):
-        publisher = observer.create_publisher(Detection3DArray, "/detections_3d", 1)
+        publisher = observer.create_publisher(Detection3DArray, "/yolov5/detections_3d", 1)
 
         def is_told() -> bool:
             publisher.publish(of_camera("lens"))
