@@ -38,7 +38,7 @@ from support.small_families import segmentation_checkpoint
 
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
-from benchmark import bench, cameras, depth, tracking
+from benchmark import bench, cameras, depth, mask_accuracy, tracking
 from tools.mutants import options as mutants
 from tools.shapes import dataset
 from yolov5_lifecycle.commands import convert
@@ -87,7 +87,7 @@ PARSERS = {
     "TRACKING_FLAGS": tracking.parser,
 }
 """The parser of the options that `make` passes on."""
-MODULE_PARSERS = {"benchmark.depth": depth.parser}
+MODULE_PARSERS = {"benchmark.depth": depth.parser, "benchmark.mask_accuracy": mask_accuracy.parser}
 """What takes the words behind a module that Python runs."""
 TRANSITIONS = {"configure", "activate", "deactivate", "cleanup", "shutdown"}
 ADDITIONS = {

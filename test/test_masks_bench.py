@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 from support.random_model import TINY_SEGMENT, random_model
 
+from benchmark.mask_accuracy import EXACT, ROUNDED, WEIGHTS, boxes_of_yolov5, compared
 from benchmark.masks import COUNTS, FORWARD, PROTOTYPES, calls, goal, measured_ms, of_objects, random_boxes
+from tools.shapes.evaluate import UNSEEN_SEED, stills
+from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.detection.loaded_detector import load_detector
 
 SIZE_HW = (96, 128)
 
@@ -42,3 +47,26 @@ def test_the_goal_is_a_share_of_the_whole_forward_pass() -> None:
     reached = goal({FORWARD: [10.0], PROTOTYPES: [6.0], of_objects(10): [4.0]})
     assert (reached.value, reached.is_reached) == (0.25, True)
     assert not goal({FORWARD: [10.0], PROTOTYPES: [6.0], of_objects(10): [4.1]}).is_reached
+
+
+def test_masks_are_those_of_the_reference_with_the_same_boxes_and_others_with_rounded_ones() -> None:
+    detector = load_detector(load_weights(WEIGHTS).model, device="cpu", image_size=320)
+    shares = compared(detector, stills(UNSEEN_SEED, 8, (250, 350)))
+    assert len(shares[EXACT]) > 10
+    assert max(shares[EXACT]) < 0.0005 < max(shares[ROUNDED])
+
+
+@pytest.mark.parametrize(
+    ("size_hw", "largest"),
+    [
+        pytest.param((480, 640), 0.0, id="no padding"),
+        pytest.param((500, 700), 0.75 * 700 / 640, id="odd padding"),
+        pytest.param((1080, 1920), 0.0, id="even padding"),
+    ],
+)
+def test_yolov5_maps_boxes_back_to_almost_the_same_place(size_hw: tuple[int, int], largest: float) -> None:
+    letterbox = Letterbox.fit(size_hw, image_size=640, stride=32)
+    boxes_xyxy = random_boxes(np.random.default_rng(0), 50, size_hw)
+    moved = np.abs(boxes_of_yolov5(boxes_xyxy, letterbox) - boxes_xyxy).max()
+    assert moved <= largest + 1e-3
+    assert (moved > 0.1) == (largest > 0)

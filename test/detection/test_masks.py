@@ -11,12 +11,13 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from support.colcon_workspace import REPOSITORY
 from support.families import family_network, family_pixels
+from support.reference_masks import reference_mask, whole_mask
 
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.models.head import Segment
 
 EXPECTED = json.loads((REPOSITORY / "test" / "data" / "masks.json").read_text())
-MAX_DIFFERENT = 0.005
+MAX_DIFFERENT = 0.001
 """Share of an object's pixels."""
 
 
@@ -63,34 +64,6 @@ def test_masks_are_those_of_the_official_implementation(
         mask = whole_mask(masks, row, box_xyxy)
         assert expected[row].any()
         assert (mask != expected[row]).sum() <= MAX_DIFFERENT * expected[row].sum()
-
-
-def whole_mask(masks: Masks, row: int, box_xyxy: NDArray[np.float32]) -> NDArray[np.bool_]:
-    window, inside = masks.inside_box(row, box_xyxy)
-    mask = np.zeros(masks.size_hw, np.bool_)
-    mask[window.rows, window.columns] = inside
-    return mask
-
-
-def reference_mask(masks: Masks, row: int, box_xyxy: NDArray[np.float32]) -> NDArray[np.float64]:
-    """The share in every pixel of the image, 0 outside the box: each pixel is computed by itself."""
-    logits = np.einsum("m,mhw->hw", masks.coefficients[row].astype(np.float64), masks.prototypes)
-    share = 1 / (1 + np.exp(-logits))
-    (height, width), (cells_y, cells_x) = masks.size_hw, share.shape
-    y, below, weight_y = neighbours(height, cells_y)
-    x, right, weight_x = neighbours(width, cells_x)
-    left_right = share[:, x] * (1 - weight_x) + share[:, right] * weight_x
-    resized = left_right[y] * (1 - weight_y)[:, None] + left_right[below] * weight_y[:, None]
-    x1, y1, x2, y2 = box_xyxy
-    rows, columns = np.arange(height)[:, None], np.arange(width)
-    return np.where((rows >= y1) & (rows < y2) & (columns >= x1) & (columns < x2), resized, 0)
-
-
-def neighbours(pixels: int, cells: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """The cells before and after each pixel's centre, and how near the latter is."""
-    places = np.maximum((np.arange(pixels) + 0.5) * cells / pixels - 0.5, 0)
-    before = np.floor(places).astype(np.intp)
-    return np.minimum(before, cells - 1), np.minimum(before + 1, cells - 1), places - before
 
 
 def random_masks(
