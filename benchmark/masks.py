@@ -1,4 +1,4 @@
-"""Cost of masks relative to the forward pass of a segmentation network, for 1, 10 and 50 objects.
+"""Cost of masks of 1, 10 and 50 objects, their message and drawing, and the forward pass of the network.
 
 python -m benchmark.masks [--weights FILE] [--size 640x480] [--quick]
 """
@@ -16,19 +16,23 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from std_msgs.msg import Header
 
 from benchmark.models import untrained_network
 from benchmark.report import Goal, goal_table, row, table, write_report
 from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.detection.draw import draw_masks
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.models.architecture import SIZES
+from yolov5_lifecycle.ros.messages import masks_message
 
 REPORT = Path(__file__).parents[1] / "build" / "bench" / "masks.json"
 COUNTS = (1, 10, 50)
 FORWARD, PROTOTYPES = "network without prototypes", "prototypes"
+DRAWING, MESSAGE = "drawing of 10 objects", "message"
 _LAYERS = SIZES["n"].layers
 SEGMENT_N = dataclasses.replace(
     SIZES["n"], layers=(*_LAYERS[:-1], _LAYERS[-1]._replace(kind="Segment", args=(32, 256)))
@@ -49,15 +53,18 @@ def calls(weights: Path, size_hw: tuple[int, int]) -> Mapping[str, Callable[[], 
         raise ValueError(f"{weights}: expected a model that segments")
     prototypes = compute_prototypes()
 
-    def masks_of(count: int) -> Callable[[], object]:
+    def masks_of(count: int) -> Callable[[], NDArray[np.uint16]]:
         boxes_xyxy = random_boxes(rng, count, size_hw)
         coefficients = rng.normal(size=(count, len(prototypes))).astype(np.float32)
         return lambda: Masks.in_image(prototypes, coefficients, size_hw).label_image(boxes_xyxy)
 
+    labels, canvas = masks_of(10)(), np.zeros((*size_hw, 3), np.uint8)
     return {
         FORWARD: lambda: detector.runtime(frame, "bgr", Selection().min_objectness),
         PROTOTYPES: compute_prototypes,
         **{of_objects(count): masks_of(count) for count in COUNTS},
+        DRAWING: lambda: draw_masks(canvas, labels, [(255, 0, 0)] * 10),
+        MESSAGE: lambda: masks_message(labels, Header()),
     }
 
 
@@ -74,14 +81,17 @@ def random_boxes(rng: np.random.Generator, count: int, size_hw: tuple[int, int])
 
 
 def measured_ms(measured: Mapping[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
-    """Milliseconds of each call in `turns` turns."""
+    """Milliseconds of processor time, of all threads, that each call takes in `turns` turns.
+
+    Processor time depends less than elapsed time on what else the machine does.
+    """
     taken_ms: dict[str, list[float]] = {name: [] for name in measured}
     for turn in range(turns + _WARM_UPS):
         for name, call in measured.items():
-            begun_s = time.perf_counter()
+            begun_s = time.process_time()
             call()
             if turn >= _WARM_UPS:
-                taken_ms[name].append((time.perf_counter() - begun_s) * 1e3)
+                taken_ms[name].append((time.process_time() - begun_s) * 1e3)
     return taken_ms
 
 

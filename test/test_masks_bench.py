@@ -9,7 +9,18 @@ import pytest
 from support.random_model import TINY_SEGMENT, random_model
 
 from benchmark.mask_accuracy import EXACT, ROUNDED, WEIGHTS, boxes_of_yolov5, compared
-from benchmark.masks import COUNTS, FORWARD, PROTOTYPES, calls, goal, measured_ms, of_objects, random_boxes
+from benchmark.masks import (
+    COUNTS,
+    DRAWING,
+    FORWARD,
+    MESSAGE,
+    PROTOTYPES,
+    calls,
+    goal,
+    measured_ms,
+    of_objects,
+    random_boxes,
+)
 from tools.shapes.evaluate import UNSEEN_SEED, stills
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
@@ -25,7 +36,7 @@ def test_every_call_is_measured_in_every_turn(tmp_path: Path) -> None:
     write_safetensors(random_model(1, TINY_SEGMENT), path)
     taken_ms = measured_ms(calls(path, SIZE_HW), turns=2)
     assert {name: len(times_ms) for name, times_ms in taken_ms.items()} == dict.fromkeys(
-        (FORWARD, PROTOTYPES, *map(of_objects, COUNTS)), 2
+        (FORWARD, PROTOTYPES, *map(of_objects, COUNTS), DRAWING, MESSAGE), 2
     )
     assert min(min(times_ms) for times_ms in taken_ms.values()) > 0
 
