@@ -80,7 +80,7 @@ def test_a_full_folder_is_reported_before_it_kills_the_tracer(
     warn_before_import("camera", tmp_path, free=lambda _: TRACER_BYTES)
     assert capsys.readouterr().err == ""
     warn_before_import("camera", tmp_path, free=lambda _: TRACER_BYTES - 1)
-    assert capsys.readouterr().err.startswith(f"camera: {tmp_path} is full: ROS's tracer, LTTng, may crash")
+    assert capsys.readouterr().err.startswith("camera: ROS's tracer, LTTng, may crash")
     (tmp_path / "lttng-ust-wait-6-1000").touch()
     warn_before_import("camera", tmp_path, free=lambda _: 0)
     assert capsys.readouterr().err == "", "its files are there already"
@@ -127,4 +127,4 @@ def test_a_process_with_too_little_says_so_and_works(
 def test_a_process_that_the_tracer_ends_has_said_why(small: list[str], ros_domain: int) -> None:
     command = [*small, _mount("4k", [entry_point("detector"), "--help"])]
     run = subprocess.run(command, env=environment(ros_domain), capture_output=True, text=True, timeout=60)
-    assert "detector: /dev/shm is full: ROS's tracer, LTTng, may crash this process" in run.stderr
+    assert "because /dev/shm is full" in run.stderr

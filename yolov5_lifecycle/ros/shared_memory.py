@@ -68,7 +68,7 @@ def warn_before_import(
     if not is_safe:
         complain(
             command,
-            f"{folder} is full: ROS's tracer, LTTng, may crash this process with a bus error now. "
+            f"ROS's tracer, LTTng, may crash this process with a bus error now, because {folder} is full. "
             f"{_remedy(folder)}",
         )
 

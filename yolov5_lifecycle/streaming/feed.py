@@ -288,7 +288,7 @@ class Feed(Generic[Frame, Result]):
     def stop(self, timeout_s: float) -> bool:
         """Stop after the current frame of this feed and flush the waiting one; True when it ended in time.
 
-        False: the thread hung. It was abandoned, and a new one serves the other feeds once they have another
+        False: the thread hung and was abandoned; a new one serves the other feeds once they have another
         network. The frames of a batch hang together.
         """
         with self._changed:

@@ -46,5 +46,5 @@ def test_a_page_that_reads_no_answers_is_closed() -> None:
     websocket = WebSocket({"type": "websocket"}, page.receive, page.send)
     asyncio.run(asyncio.wait_for(pages.serve(websocket), 60))
     assert page.closed is not None
-    assert page.closed["reason"] == "answers are not read"
+    assert page.closed["reason"] == "this page does not read answers"
     assert pages.count == 0

@@ -38,7 +38,7 @@ class Viewers:
             await websocket.close(_UNKNOWN, "camera not found")
         elif self._feeds.viewers >= MAX_VIEWERS:
             await websocket.close(
-                CloseCode.TRY_AGAIN_LATER, f"{MAX_VIEWERS} images are being shown: close a page"
+                CloseCode.TRY_AGAIN_LATER, f"close a page: the console shows {MAX_VIEWERS} images, the limit"
             )
         else:
             try:

@@ -80,7 +80,7 @@ class Pages:
         """Serve one page until it is closed."""
         await websocket.accept()
         if len(self._open) >= MAX_PAGES:
-            await websocket.close(CloseCode.TRY_AGAIN_LATER, f"{MAX_PAGES} pages are open: close one of them")
+            await websocket.close(CloseCode.TRY_AGAIN_LATER, f"close a page: {MAX_PAGES} are open, the limit")
             return
         page = _Page(websocket, self._find, view_only=self._view_only)
         self._open.add(page)
@@ -164,7 +164,7 @@ class _Page:
                 await self._websocket.close(CloseCode.POLICY_VIOLATION, "too many messages")
                 return
             if len(self._answers) >= _MAX_UNREAD:
-                await self._websocket.close(CloseCode.POLICY_VIOLATION, "answers are not read")
+                await self._websocket.close(CloseCode.POLICY_VIOLATION, "this page does not read answers")
                 return
             self._handle(message.get("text"))
 

@@ -118,7 +118,7 @@ class Page {
     byId("connection").dataset.state = isOpen ? "open" : "lost";
     setText(byId("connection"), isOpen ? "connected" : "connection lost");
     byId("lost").hidden = isOpen;
-    const lost = "The connection to the console is lost: the values shown are old. Reconnecting automatically.";
+    const lost = "The connection to the console is lost, so the values shown are old. Reconnecting automatically.";
     setText(byId("lost"), isOpen ? "" : lost);
   }
 }

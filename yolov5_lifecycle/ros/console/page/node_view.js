@@ -107,7 +107,7 @@ export class NodeView {
     this.#gone.hidden = !isGone;
     const last = isGone ? `Its last state was ${this.#node.last_state}. ` : "";
     const gone =
-      `${this.name} is lost: its process has ended, or cannot be reached. ${last}The values shown are old; ` +
+      `${this.name} is lost, because its process has ended or cannot be reached. ${last}The values shown are old; ` +
       "the page continues automatically when the detector is back.";
     setText(this.#gone, isGone ? gone : "");
   }
