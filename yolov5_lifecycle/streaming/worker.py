@@ -45,8 +45,8 @@ class Worker(Generic[Frame, Result]):
     ) -> Feed[Frame, Result]:
         """A new feed, stopped.
 
-        `on_failure(outcome, error)` and `on_success()` are called in the worker's thread after a frame has
-        been counted. They are not called for a frame that was abandoned.
+        The worker's thread calls `on_failure(outcome, error)` or `on_success()` after it has counted a frame,
+        except for a frame that was abandoned.
         """
         slot: Slot[Frame, Result] = Slot(on_failure=on_failure, on_success=on_success)
         with self._changed:

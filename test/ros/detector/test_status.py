@@ -54,8 +54,8 @@ def _with_input(**changes: Any) -> Status:
             _with_losses(30, 10), "10 of 40 images were lost between the camera and this node", id="losses"
         ),
         pytest.param(_with_losses(30, 10), "in the last 4 s", id="losses-say-how-long"),
-        pytest.param(_with_losses(30, 10), "config/shm.xml, if it runs on this machine", id="large-losses"),
-        pytest.param(_with_losses(30, 10, SMALL), "lower the camera's rate", id="small-losses"),
+        pytest.param(_with_losses(30, 10), "the camera with the profile config/shm.xml", id="large-losses"),
+        pytest.param(_with_losses(30, 10, SMALL), "overloaded. Lower the camera's rate", id="small-losses"),
         pytest.param(_with_losses(3, 4), "", id="too-few-images-to-judge"),
         pytest.param(_with_topic(), "no publisher of images on /yolov5/image_raw", id="no-camera"),
         pytest.param(_with_topic(missing_s=DISCOVERY_S), "", id="camera-not-discovered-yet"),

@@ -70,8 +70,8 @@ class CameraOutputs:
     Image topics, `camera_info` and those of depth follow the remapping of `image_raw`, as with
     image_transport. `camera_info` has the calibration of the scene with depth, else that of the settings, if
     any, and is transient local. `~/truth` has the shapes of the synthetic scene with their true identities,
-    `~/ground_truth_masks` their pixels. The camera sends both, and depth, before the image. `forms` create the
-    image messages, only for subscribers.
+    `~/ground_truth_masks` their pixels. The camera sends both, and depth, before the image. `forms` create
+    the image messages, only for subscribers.
 
     Raises RuntimeError or ParameterException for invalid `qos_overrides`, and SettingsError for an invalid
     calibration.
