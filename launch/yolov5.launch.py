@@ -115,8 +115,9 @@ def wrong_values(context: LaunchContext) -> list[str]:
         value = context.launch_configurations[name]
         if value not in BOOLEANS:
             problems.append(f"{name}: expected true or false, found '{value}'.")
+    words = context.launch_configurations["console_arguments"]
     try:
-        shlex.split(words := context.launch_configurations["console_arguments"])
+        shlex.split(words)
     except ValueError as error:
         problems.append(f"console_arguments: expected words as in a shell, found '{words}' ({error}).")
     return problems + log_level_problems(context.launch_configurations["log_level"])

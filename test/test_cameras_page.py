@@ -69,7 +69,8 @@ def test_the_page_shows_the_refusal_of_its_wrong_file(tmp_path: Path) -> None:
 
 
 def test_the_page_names_what_can_be_overridden_for_one_camera() -> None:
-    section = CAMERAS_PAGE.read_text().partition("can be overridden: ")[2].partition(". The others")[0]
+    page = " ".join(CAMERAS_PAGE.read_text().split())
+    section = page.partition("can be overridden: ")[2].partition(". The others")[0]
     named = set(re.findall(r"`(\w+)`", section))
     assert named <= {setting.name for setting in SETTINGS if setting.per_camera}
     assert len(named) > 5
