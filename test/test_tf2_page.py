@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import sys
@@ -57,15 +58,16 @@ def of_camera(frame: str) -> Detection3DArray:
 
 def mounted(observer: Observer) -> None:
     """Publish where the camera is: 0.2 m before and 0.8 m above base_link, looking forward."""
-    from tf2_msgs.msg import TFMessage
-
     transform = TransformStamped(child_frame_id="camera")
     transform.header.frame_id = "base_link"
     transform.transform.translation.x, transform.transform.translation.z = 0.2, 0.8
     turn = transform.transform.rotation  # roll and yaw of -90 degrees
     turn.x, turn.y, turn.z, turn.w = -0.5, 0.5, -0.5, 0.5
+    message_type = importlib.import_module("tf2_msgs.msg").TFMessage
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    observer.create_publisher(TFMessage, "/tf_static", latched).publish(TFMessage(transforms=[transform]))
+    observer.create_publisher(message_type, "/tf_static", latched).publish(
+        message_type(transforms=[transform])
+    )
 
 
 @with_tf2
