@@ -134,7 +134,7 @@ def test_layers_have_the_multiples_of_an_official_size_or_none(architecture: Arc
 
 def test_an_export_without_metadata_has_numbered_classes() -> None:
     model = read_onnx(exported(random_network(0, SMALL), has_metadata=False))
-    assert model.class_names == ("class0", "class1", "class2")
+    assert model.class_names == ("class 0", "class 1", "class 2")
 
 
 @pytest.mark.parametrize(

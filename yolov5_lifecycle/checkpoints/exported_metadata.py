@@ -15,12 +15,12 @@ _ITEM = re.compile(rf"\s*(?:({_KEY})\s*:\s*)?({_VALUE})\s*(,|$)")
 
 
 def exported_names(metadata: Mapping[str, str], classes: int) -> object:
-    """The list or dict of class names; `class0` and so on if there is none, as before v6.2.
+    """The list or dict of class names; a list of None if the metadata has none, as before v6.2.
 
     Raises WeightsError if the entry is something else.
     """
     if "names" not in metadata:
-        return [f"class{index}" for index in range(classes)]
+        return [None] * classes
     entry = metadata["names"].strip()
     if len(entry) < 2 or entry[:1] + entry[-1:] not in ("{}", "[]"):
         raise WeightsError(f"expected a list or dict of class names as metadata, found {shown(entry)}")

@@ -25,7 +25,7 @@ from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration
-from yolov5_lifecycle.quantization.precision_choice import MIN_SPEEDUP, choice_of, quality_problem
+from yolov5_lifecycle.quantization.precision_choice import choice_of, quality_problem
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, RuntimeAbsentError, installed_runtimes
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.settings import Settings, validated
