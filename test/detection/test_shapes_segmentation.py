@@ -43,7 +43,7 @@ def test_the_model_card_describes_this_file(weights_file: WeightsFile) -> None:
     ("size_hw", "image_size", "count"),
     [
         pytest.param((256, 320), 320, 150, id="320x256 at 320"),
-        pytest.param((480, 640), 640, 40, id="640x480 at 640"),
+        pytest.param((480, 640), 640, 40, id="640x480 at 640", marks=pytest.mark.long),
     ],
 )
 def test_masks_in_unseen_stills_cover_their_shapes(

@@ -20,8 +20,9 @@ from support.recorded_scene import COUNT, raw, record, video
 
 from yolov5_lifecycle.offline.detect_recording import os_errors
 
+# Python would keep truncated bytecode of this package: https://github.com/python/cpython/issues/126606.
 LIMITED = (
-    "import resource, sys; "
+    "import resource, sys; sys.dont_write_bytecode = True; "
     "resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY)); "
     "from yolov5_lifecycle.offline.detect_bag import main; sys.exit(main(sys.argv[2:]))"
 )

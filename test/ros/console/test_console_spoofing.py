@@ -97,7 +97,13 @@ LARGE_MESSAGES = {
 }
 
 
-@pytest.mark.parametrize("kind", LARGE_MESSAGES)
+SLOW = ("many values", "many parameters", "long class", "many classes")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=pytest.mark.long if kind in SLOW else ()) for kind in LARGE_MESSAGES],
+)
 def test_a_message_of_any_size_is_read_within_bounds(
     console: ConsoleBesideNode, page: Page, spoofer: Node, kind: str
 ) -> None:
