@@ -9,7 +9,6 @@ from support.runtime_names import COMPILED_RUNTIMES
 
 from yolov5_lifecycle.models.model import Model
 
-
 _FIRST, *_OTHERS = COMPILED_RUNTIMES
 RUNTIMES = [_FIRST, *(pytest.param(*each.values, marks=[*each.marks, pytest.mark.long]) for each in _OTHERS)]
 """The ten official networks are compared in every runtime soon, see test_formula_predictions.py."""
