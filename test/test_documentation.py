@@ -248,7 +248,11 @@ def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() 
 
 
 def test_a_parameter_of_yolo_ros_without_a_replacement_is_refused_without_another_name() -> None:
-    rows = [row for row in table(MIGRATION, "yolo_ros (mgonzs13/yolo_ros)") if row[1] == "-"]
+    rows = [
+        row
+        for row in table(MIGRATION, "yolo_ros (mgonzs13/yolo_ros)")
+        if row[1] == "-" and "_msgs/" not in row[0]  # no topic
+    ]
     names = [name for row in rows for name in re.findall(r"`(\w+)`", row[0])]
     assert len(names) > 5
     assert {name: SCHEMA.meant(name) for name in names} == dict.fromkeys(names)
