@@ -10,7 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.depth_scene import CAMERA, SHAPES, THIN, DepthScene, Difficulty, Shape, random_depth_scene
+from support.depth_scene import (
+    CAMERA,
+    SHAPES,
+    THIN,
+    DepthScene,
+    Difficulty,
+    Shape,
+    bounds,
+    random_depth_scene,
+    tight_box,
+)
+from support.floor_scene import View, random_floor_scene, rendered, room
+from support.solids import KINDS, Cuboid, Kind
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.spatial.depth_image import DepthImage, decode_depth
@@ -39,21 +51,20 @@ def placed(scene: DepthScene) -> Placement:
     return placement
 
 
+def error_of(scene: DepthScene) -> float:
+    """Distance of the found from the true centre in parts of the range; 1 for an object that is not found."""
+    found = placed(scene)
+    if isinstance(found, Unplaced):
+        return 1.0
+    return math.dist(found.centre_xyz_m, scene.centre_xyz_m.tolist()) / scene.range_m
+
+
 @cache
 def centre_errors(difficulty: str, shapes: tuple[Shape, ...]) -> NDArray[np.float64]:
-    """Distances of found and true centres in parts of the range; 1 for an object that is not found."""
+    """Errors of the centre in parts of the range."""
     rng = np.random.default_rng(14)
-    errors = []
-    for shape in shapes * SCENES_PER_SHAPE:
-        scene = random_depth_scene(rng, shape, DIFFICULTIES[difficulty])
-        found = placed(scene)
-        error_m = (
-            scene.range_m
-            if isinstance(found, Unplaced)
-            else math.dist(found.centre_xyz_m, scene.centre_xyz_m)
-        )
-        errors.append(error_m / scene.range_m)
-    return np.array(errors)
+    scenes = [random_depth_scene(rng, shape, DIFFICULTIES[difficulty]) for shape in shapes * SCENES_PER_SHAPE]
+    return np.array([error_of(scene) for scene in scenes])
 
 
 @pytest.mark.parametrize("shapes", [SOLID, THIN], ids=["solid", "thin"])
@@ -84,6 +95,51 @@ def test_95_of_100_centres_are_at_most_5_percent_of_the_range_away(
 def test_95_of_100_centres_of_all_scenes_together_are_at_most_5_percent_of_the_range_away() -> None:
     errors = [centre_errors(name, shapes) for name in list(DIFFICULTIES)[:3] for shapes in (SOLID, THIN)]
     assert np.quantile(np.concatenate(errors), 0.95) <= 0.05
+
+
+@cache
+def floor_errors(kind: Kind, *, is_ideal: bool) -> NDArray[np.float64]:
+    """The same for things on a floor, seen from above."""
+    rng = np.random.default_rng(24)
+    scenes = [random_floor_scene(rng, kind, is_ideal=is_ideal) for _ in range(SCENES_PER_SHAPE)]
+    return np.array([error_of(scene) for scene in scenes])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_on_a_floor_the_median_error_of_the_centre_is_at_most_2_percent_of_the_range(kind: Kind) -> None:
+    assert np.median(floor_errors(kind, is_ideal=True)) <= 0.02
+
+
+def test_as_measured_the_median_error_on_a_floor_is_at_most_2_percent_of_the_range() -> None:
+    assert np.median([floor_errors(kind, is_ideal=False) for kind in KINDS]) <= 0.02
+
+
+@pytest.mark.parametrize("is_ideal", [True, False], ids=["ideal depth", "as measured"])
+def test_95_of_100_centres_of_solids_on_a_floor_are_at_most_5_percent_of_the_range_away(
+    is_ideal: bool,
+) -> None:
+    errors = [floor_errors(kind, is_ideal=is_ideal) for kind in KINDS[:3]]
+    assert np.quantile(errors, 0.95) <= 0.05
+
+
+def test_95_of_100_centres_of_solids_and_furniture_are_at_most_5_percent_of_the_range_away() -> None:
+    assert np.quantile([floor_errors(kind, is_ideal=True) for kind in KINDS], 0.95) <= 0.05
+
+
+@pytest.mark.parametrize("height_m", [0.8, 1.6])
+@pytest.mark.parametrize("yaw", [0.0, 0.5], ids=["straight", "turned"])
+def test_a_cuboid_on_a_floor_has_the_size_of_all_its_visible_faces(yaw: float, height_m: float) -> None:
+    """Its far end, which only the top shows, counts, and the floor at its foot does not."""
+    view = View(height_m, pitch=0.4, x_m=0.1, z_m=2.0, yaw=yaw)
+    surface = rendered(view, (Cuboid((-0.25, 0, -0.4), (0.25, 0.5, 0.4)),))
+    depth_m = np.minimum(surface, room(view, wall_m=3.0))
+    seen = np.isfinite(surface)
+    lower, upper = bounds(surface)
+    box = np.array([tight_box(seen)], np.float32)
+    (found,) = place(box, SIZE_HW, in_metres(np.asarray(depth_m, np.float32)), CAMERA)
+    assert isinstance(found, Box3D)
+    assert found.size_xyz_m == pytest.approx((upper - lower).tolist(), rel=0.2)
+    assert found.centre_xyz_m == pytest.approx(((lower + upper) / 2).tolist(), abs=0.06)
 
 
 def board_before_wall(

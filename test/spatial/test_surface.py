@@ -1,126 +1,100 @@
-"""The surface in a box is what is more frequent in it than around it."""
+"""The surface in a box stands before the background, and is more frequent in the box than around it."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.spatial.box_samples import SIDE
 from yolov5_lifecycle.spatial.depth_image import MIN_DEPTH_M, DepthImage
-from yolov5_lifecycle.spatial.surface import SIDE, BoxSamples, sampled, surface_extents_m
+from yolov5_lifecycle.spatial.surface import surfaces_m
 
-BIN = math.log(1.025)
-NAN = math.nan
-DEPTHS_M = (NAN, MIN_DEPTH_M, 0.5, 1.0, 1.02, 1.05, 1.08, 1.1, 1.5, 2.0, 2.04, 2.1, 4.0, 4.2)
+NAN = np.nan
+Depth = NDArray[np.float64]
 
-
-def surface(inside: list[float], around: list[float]) -> tuple[float, float]:
-    found = surface_extents_m(BoxSamples(np.array([inside], np.float32), np.array([around], np.float32)))
-    assert found.shape == (1, 2)
-    return float(found[0, 0]), float(found[0, 1])
+BOX = np.array([[30, 30, 50, 50]], np.float32)
+"""Each of its samples is one pixel."""
+IN_BOX = slice(30, 50), slice(30, 50)
 
 
-def frequencies(metres: list[float], bins: range, min_share: float) -> list[float]:
-    """For each bin the share of the measurements that lie in it or in one of its neighbours."""
-    numbers = [bin_of(value) for value in metres if not math.isnan(value)]
-    total = max(len(numbers), len(metres) * min_share, 1)
-    return [sum(abs(number - each) <= 1 for number in numbers) / total for each in bins]
+def surface(inside: Depth | list[list[float]], around: float | Depth) -> NDArray[np.float32]:
+    """The surface (SIDE, SIDE) of a box that holds the rows `inside`, in a depth image of `around`."""
+    depth_m = np.full((80, 80), around, np.float32)
+    depth_m[IN_BOX] = np.broadcast_to(inside, (SIDE, SIDE))
+    return np.asarray(surfaces_m(DepthImage(depth_m, 1.0), BOX)[0])
 
 
-def bin_of(metres: float) -> int:
-    return int(max(np.log(np.float32(metres) / np.float32(MIN_DEPTH_M)) / np.float32(BIN), 0))
+def rows(*parts: tuple[int, float]) -> Depth:
+    """(SIDE, SIDE) of so many rows of each value."""
+    return np.repeat([value for _, value in parts], [count for count, _ in parts])[:, None] * np.ones(SIDE)
 
 
-def slow_surface(inside: list[float], around: list[float]) -> tuple[float, float]:
-    """The same, one bin and one sample after the other."""
-    numbers = [bin_of(value) for value in inside if not math.isnan(value)]
-    if not numbers:
-        return NAN, NAN
-    bins = range(min(numbers) - 2, max(numbers) + 3)
-    share = frequencies(inside, bins, 0.0)
-    ring = frequencies(around, bins, 0.25)
-    excess = [own - 2.5 * other for own, other in zip(share, ring, strict=True)]
-    is_alone = max(excess) < 0.03
-    if is_alone:
-        excess = share
-    if len(numbers) < (0.5 if is_alone else 0.05) * len(inside):
-        return NAN, NAN
-    peak = next(
-        place
-        for place, value in enumerate(excess)
-        if value >= 0.2 * max(excess) and value == max(excess[max(place - 1, 0) : place + 2])
-    )
-    first = last = peak
-    while first > 0 and excess[first - 1] > 0.2 * excess[peak]:
-        first -= 1
-    while last + 1 < len(excess) and excess[last + 1] > 0.2 * excess[peak]:
-        last += 1
-    chosen = sorted(
-        value for value in inside if not math.isnan(value) and bins[first] <= bin_of(value) <= bins[last]
-    )
-    if not chosen:
-        return NAN, NAN
-    ends = [round((len(chosen) - 1) * share) for share in (0.03, 0.97)]
-    return chosen[ends[0]], chosen[ends[1]]
-
-
-@pytest.mark.parametrize("kinds", [1, 2, 3, 4, 14])
-def test_the_surface_is_that_of_the_slow_search(kinds: int) -> None:
-    """Not with hypothesis: it looks for ties with a threshold, which rounding decides."""
-    rng = np.random.default_rng(kinds)
-    for _ in range(200):
-        inside, around = (
-            rng.choice(rng.choice(DEPTHS_M, kinds, replace=False), count).tolist()
-            for count in (rng.integers(20, 60), 20)
-        )
-        np.testing.assert_allclose(surface(inside, around), slow_surface(inside, around), rtol=1e-6)
+def extents(found: NDArray[np.float32]) -> tuple[float, float]:
+    seen = found[~np.isnan(found)]
+    return (float(seen.min()), float(seen.max())) if seen.size else (NAN, NAN)
 
 
 @pytest.mark.parametrize(
     ("inside", "around", "expected"),
     [
-        pytest.param([NAN] * 100, [2.0] * 50, (NAN, NAN), id="no measurement"),
-        pytest.param([2.0] * 100, [NAN] * 50, (2.0, 2.0), id="nothing around"),
-        pytest.param([2.0] * 100, [2.0] * 50, (2.0, 2.0), id="the same around"),
-        pytest.param([2.0] * 49 + [NAN] * 51, [2.0] * 50, (NAN, NAN), id="the same around, few measured"),
-        pytest.param([1.0] * 5 + [NAN] * 95, [2.0] * 50, (1.0, 1.0), id="just enough measured"),
-        pytest.param([1.0] * 4 + [NAN] * 96, [2.0] * 50, (NAN, NAN), id="too little measured"),
-        pytest.param([1.0] * 30 + [2.0] * 70, [NAN] * 50, (1.0, 1.0), id="the nearer of two"),
-        pytest.param([1.0] * 10 + [2.0] * 90, [NAN] * 50, (2.0, 2.0), id="the nearer one is too small"),
-        pytest.param([MIN_DEPTH_M] * 90 + [NAN] * 10, [2.0] * 50, (0.01, 0.01), id="as near as possible"),
-        pytest.param([1.0] * 60 + [2.0] * 40, [1.0] * 50, (2.0, 2.0), id="the nearer one goes on around"),
+        pytest.param(rows((20, NAN)), 2.0, (NAN, NAN), id="no measurement"),
+        pytest.param(rows((20, 2.0)), NAN, (2.0, 2.0), id="nothing around"),
+        pytest.param(rows((20, 2.0)), 2.0, (2.0, 2.0), id="the same around"),
+        pytest.param(rows((9, 2.0), (11, NAN)), 2.0, (NAN, NAN), id="the same around, few measured"),
+        pytest.param(rows((11, 2.0), (9, NAN)), 2.0, (2.0, 2.0), id="the same around, half measured"),
+        pytest.param(rows((1, 1.0), (19, NAN)), 2.0, (1.0, 1.0), id="just enough measured"),
+        pytest.param(rows((6, 1.0), (14, 2.0)), NAN, (1.0, 1.0), id="the nearer of two"),
+        pytest.param(rows((2, 1.0), (18, 2.0)), NAN, (2.0, 2.0), id="the nearer one is too small"),
+        pytest.param(rows((18, MIN_DEPTH_M), (2, NAN)), 2.0, (0.01, 0.01), id="as near as possible"),
+        pytest.param(rows((12, 1.0), (8, 2.0)), 1.0, (2.0, 2.0), id="the nearer one goes on around"),
+        pytest.param(rows((10, 1.0), (10, 3.0)), 3.0, (1.0, 1.0), id="the farther one goes on around"),
+        pytest.param(rows((10, 1.0), (4, 1.1), (6, 3.0)), 3.0, (1.0, 1.1), id="a step"),
+        pytest.param(rows((14, 1.2), (1, 1.0), (5, 3.0)), 3.0, (1.2, 1.2), id="a little that is nearer"),
+        pytest.param(rows((10, 1.0), (4, 1.3), (6, 3.0)), 3.0, (1.0, 1.3), id="a part farther behind"),
+        pytest.param(rows((10, 1.0), (4, 1.8), (6, 3.0)), 3.0, (1.0, 1.0), id="too far behind"),
     ],
 )
-def test_a_surface_stands_out(
-    inside: list[float], around: list[float], expected: tuple[float, float]
-) -> None:
-    np.testing.assert_allclose(surface(inside, around), expected)
+def test_a_surface_stands_out(inside: Depth, around: float, expected: tuple[float, float]) -> None:
+    np.testing.assert_allclose(extents(surface(inside, around)), expected, rtol=1e-6)
 
 
-def test_the_samples_lie_in_the_box_and_on_a_ring_around_it() -> None:
-    """Each pixel holds its own place: the column in whole metres, the row in 1/256."""
-    columns, rows = np.meshgrid(np.arange(1, 120), np.arange(1, 160) / 256)
-    depth = DepthImage((columns + rows).astype(np.float32)[:, :19], 1.0)
-    samples = sampled(depth, np.array([[4, 20, 14, 120]], np.float32))
-    assert samples.inside.shape == (1, SIDE * SIDE)
-    inside, around = samples.inside[0], samples.around[0][~np.isnan(samples.around[0])]
-    assert set(np.floor(inside)) == set(range(5, 15))
-    np.testing.assert_allclose(sorted({*np.round(inside % 1 * 256)}), np.arange(20, 120, 5) + 3)
-    columns_around = np.floor(around)
-    is_beside = (columns_around < 5) | (columns_around > 14)
-    rows_around = np.round(around % 1 * 256)
-    assert {*columns_around[is_beside]} == {1, 2, 3, 17, 18, 19}
-    assert {*rows_around[~is_beside]} <= {*range(1, 10), *range(133, 150)}
+def test_a_surface_that_recedes_is_seen_to_its_far_end() -> None:
+    receding = np.linspace(1.0, 2.0, SIDE)[:, None] * np.ones(SIDE)
+    found = surface(receding, 4.0)
+    np.testing.assert_allclose(found, receding, rtol=0.03)
 
 
-def nothing_is_read_outside(values: NDArray[np.float32]) -> bool:
-    return bool(np.isnan(values).all())
+def test_a_surface_is_where_its_samples_are() -> None:
+    inside = np.full((SIDE, SIDE), 3.0)
+    inside[4:12, 6:9] = 1.0
+    np.testing.assert_array_equal(surface(inside, 3.0), np.where(inside == 1.0, 1.0, NAN))
 
 
-def test_far_outside_there_are_no_samples() -> None:
-    depth = DepthImage(np.ones((10, 10), np.float32), 1.0)
-    samples = sampled(depth, np.array([[1e9, 1e9, 2e9, 2e9], [-2e9, 0, -1e9, 9]], np.float32))
-    assert nothing_is_read_outside(samples.inside)
-    assert nothing_is_read_outside(samples.around)
+def test_samples_between_a_surface_and_the_background_are_left_out() -> None:
+    inside = np.full((SIDE, SIDE), 2.0)
+    inside[:, :10] = 1.0
+    inside[:, 10] = np.random.default_rng(1).uniform(1.05, 1.95, SIDE)
+    assert extents(surface(inside, 2.0)) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize("every", [2, 3, 4])
+def test_sparse_depth_has_a_surface(every: int) -> None:
+    """As a lidar's that is projected into the image: pixels next to measurements are not measured."""
+    depth_m = np.full((80, 80), 4.0)
+    depth_m[IN_BOX] = np.linspace(1.0, 1.3, SIDE)[:, None]
+    sparse = np.zeros_like(depth_m, np.float32)
+    sparse[::every, ::every] = depth_m[::every, ::every]
+    (found,) = surfaces_m(DepthImage(sparse, 1.0), BOX)
+    near, far = extents(found)
+    assert near < 1.05
+    assert 1.2 < far < 1.35
+
+
+def test_every_box_has_its_own_surface() -> None:
+    depth_m = np.full((80, 160), 4.0, np.float32)
+    depth_m[30:50, 30:50], depth_m[30:50, 110:130] = 1.0, 2.0
+    boxes = np.array([[30, 30, 50, 50], [110, 30, 130, 50]], np.float32)
+    near, far = surfaces_m(DepthImage(depth_m, 1.0), boxes)
+    assert extents(near) == (1.0, 1.0)
+    assert extents(far) == (2.0, 2.0)

@@ -22,7 +22,7 @@ THIN: tuple[Shape, ...] = ("pole", "diagonal", "frame")
 
 CAMERA = Intrinsics(fx=270.0, fy=270.0, cx=159.5, cy=119.5, size_hw=(240, 320))
 _NOISE_PER_M = 0.0015  # standard deviation in metres at one metre
-_REACH_M = 12.0
+REACH_M = 12.0
 _BOX_JITTER = 0.04  # of the side of a box, as detectors err
 
 
@@ -77,16 +77,16 @@ def random_depth_scene(
         depth_m = np.minimum(depth_m, occluder)
         if rng.random() < 0.5:  # the detector boxes only what is visible
             seen &= np.isinf(occluder)
-    lower, upper = _bounds(np.where(seen, surface, np.inf))
+    lower, upper = bounds(np.where(seen, surface, np.inf))
     return DepthScene(
-        depth_m=_measured(rng, depth_m, difficulty.hole_share),
-        box_xyxy=_jittered_box(rng, seen),
+        depth_m=measured_by_a_sensor(rng, depth_m, difficulty.hole_share),
+        box_xyxy=jittered_box(rng, seen),
         centre_xyz_m=(lower + upper) / 2,
         size_xyz_m=upper - lower,
     )
 
 
-def _rays() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def rays() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """x / z and y / z of each pixel's centre, (1, W) and (H, 1)."""
     height, width = CAMERA.size_hw
     x = (np.arange(width, dtype=np.float64) - CAMERA.cx) / CAMERA.fx
@@ -98,7 +98,7 @@ def _plane(
     depth_m: float, slope_x: float, slope_y: float, centre_xy: tuple[float, float]
 ) -> NDArray[np.float64]:
     """Depth (H, W) of a plane through (x, y, 1) * depth_m, whose depth grows by slope metres per metre."""
-    x, y = _rays()
+    x, y = rays()
     x0, y0 = centre_xy
     scale = 1 - slope_x * x0 - slope_y * y0
     return depth_m * scale / np.maximum(1 - slope_x * x - slope_y * y, 0.05)
@@ -131,7 +131,7 @@ def _object_surface(
 def _silhouette(
     rng: np.random.Generator, shape: Shape, radius: float, centre_xy: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    x, y = _rays()
+    x, y = rays()
     dx, dy = (x - centre_xy[0]) / radius, (y - centre_xy[1]) / radius
     aspect = rng.uniform(0.4, 1.0)
     if shape == "disc":
@@ -150,7 +150,7 @@ def _silhouette(
 
 def _sphere(depth_m: float, radius: float, centre_xy: tuple[float, float]) -> NDArray[np.float64]:
     """Ray-cast sphere whose nearest point is about `depth_m` away."""
-    x, y = _rays()
+    x, y = rays()
     metres = min(depth_m * radius, 0.4)
     centre = np.array([*centre_xy, 1.0]) * (depth_m + metres)
     along = (x * centre[0] + y * centre[1] + centre[2]) / (squared := x**2 + y**2 + 1)
@@ -160,7 +160,7 @@ def _sphere(depth_m: float, radius: float, centre_xy: tuple[float, float]) -> ND
 
 def _occluder(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray[np.float64]:
     """Depth (H, W) of a nearer board over half of the object, infinite beside it."""
-    left, top, right, bottom = _tight_box(np.isfinite(surface))
+    left, top, right, bottom = tight_box(np.isfinite(surface))
     depth_m = rng.uniform(0.5, 0.85) * float(surface.min())
     covered = np.full_like(surface, np.inf)
     reach_x, reach_y = max(right - left, bottom - top) * rng.uniform(0.3, 1.0, 2)
@@ -174,9 +174,9 @@ def _occluder(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray
 
 def _floor_below(surface: NDArray[np.float64]) -> NDArray[np.float64]:
     """Depth (H, W) of a floor on which the object stands, and of a wall behind it."""
-    bottom = _tight_box(np.isfinite(surface))[3]
+    bottom = tight_box(np.isfinite(surface))[3]
     depth_m = float(np.min(surface[bottom - 1]))
-    _, y = _rays()
+    _, y = rays()
     height_m = max(y[bottom - 1, 0], 0.1) * depth_m
     floor = np.minimum(height_m / np.maximum(y, 1e-3), 3 * depth_m)
     return np.asarray(np.broadcast_to(floor, surface.shape), np.float64)
@@ -184,7 +184,7 @@ def _floor_below(surface: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _beside(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray[np.float64]:
     """Depth (H, W) of the same surface moved to either side, infinite elsewhere."""
-    left, _, right, _ = _tight_box(np.isfinite(surface))
+    left, _, right, _ = tight_box(np.isfinite(surface))
     beside = np.full_like(surface, np.inf)
     shift = round((right - left) * rng.uniform(1.05, 1.3)) + 1
     if shift < surface.shape[1]:
@@ -193,28 +193,28 @@ def _beside(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray[n
     return beside
 
 
-def _bounds(surface: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def bounds(surface: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lower and upper corner (3,) of the surface's bounding box in metres."""
-    x, y = _rays()
+    x, y = rays()
     seen = np.isfinite(surface)
     points = np.stack([(plane * np.where(seen, surface, 0))[seen] for plane in (x, y, 1.0)], axis=1)
     return points.min(axis=0), points.max(axis=0)
 
 
-def _tight_box(seen: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+def tight_box(seen: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     columns, rows = np.flatnonzero(seen.any(axis=0)), np.flatnonzero(seen.any(axis=1))
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
-def _jittered_box(rng: np.random.Generator, seen: NDArray[np.bool_]) -> NDArray[np.float32]:
-    left, top, right, bottom = _tight_box(seen)
+def jittered_box(rng: np.random.Generator, seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    left, top, right, bottom = tight_box(seen)
     sides = np.array([right - left, bottom - top] * 2)
     box = np.array([left, top, right, bottom]) + rng.uniform(-_BOX_JITTER, _BOX_JITTER, 4) * sides
     height, width = CAMERA.size_hw
     return np.asarray(np.clip(box, 0, [width, height, width, height]), np.float32)
 
 
-def _measured(
+def measured_by_a_sensor(
     rng: np.random.Generator, depth_m: NDArray[np.float64], hole_share: float
 ) -> NDArray[np.float32]:
     """What a sensor makes of the true depth (H, W)."""
@@ -226,7 +226,7 @@ def _measured(
         weight = rng.random(rows.size)
         mixed[rows, columns] = weight * depth_m[rows, columns] + (1 - weight) * depth_m[beside]
     measured: NDArray[np.float64] = mixed + rng.normal(0, _NOISE_PER_M, mixed.shape) * mixed**2
-    measured[_holes(rng, hole_share) | (measured > _REACH_M)] = 0
+    measured[_holes(rng, hole_share) | (measured > REACH_M)] = 0
     return measured.astype(np.float32)
 
 

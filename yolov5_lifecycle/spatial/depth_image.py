@@ -62,13 +62,15 @@ class DepthImage:
         MIN_DEPTH_M and MAX_DEPTH_M.
         """
         height, width = self.values.shape
-        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-        sent = self.values[rows.clip(0, height - 1), columns.clip(0, width - 1)]
+        row, column = rows.clip(0, height - 1), columns.clip(0, width - 1)
         # Damaged floats may be signalling NaNs, of which numpy would warn.
         with np.errstate(invalid="ignore", over="ignore"):
-            metres = sent.astype(np.float32) * np.float32(self.metres_per_unit)
-            is_measured = inside & (metres >= MIN_DEPTH_M) & (metres <= MAX_DEPTH_M)
-        return np.where(is_measured, metres, np.float32(np.nan))
+            metres: NDArray[np.float32] = self.values[row, column].astype(np.float32)
+            metres *= np.float32(self.metres_per_unit)
+            is_measured = (metres >= MIN_DEPTH_M) & (metres <= MAX_DEPTH_M)
+        is_measured &= (row == rows) & (column == columns)
+        metres[~is_measured] = np.nan
+        return metres
 
 
 def decode_depth(

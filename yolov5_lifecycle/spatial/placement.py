@@ -9,9 +9,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.spatial.box_samples import SIDE
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.intrinsics import Intrinsics
-from yolov5_lifecycle.spatial.surface import sampled, surface_extents_m
+from yolov5_lifecycle.spatial.surface import surfaces_m
 
 MAX_BOXES_AT_ONCE = 64
 """More boxes are placed in several passes, so that the arrays stay small."""
@@ -75,26 +76,53 @@ def place(
     placements: list[Placement] = []
     for first in range(0, len(boxes_xyxy), MAX_BOXES_AT_ONCE):
         boxes = boxes_xyxy[first : first + MAX_BOXES_AT_ONCE]
-        extents_m = surface_extents_m(sampled(depth, boxes))
-        placements += _placements(boxes.astype(np.float64), extents_m, intrinsics)
+        surfaces = surfaces_m(depth, boxes)
+        placements += _placements(boxes.astype(np.float64), surfaces, intrinsics)
     return tuple(placements)
 
 
 def _placements(
-    boxes_xyxy: NDArray[np.float64], extents_m: NDArray[np.float64], camera: Intrinsics
+    boxes_xyxy: NDArray[np.float64], surfaces: NDArray[np.float32], camera: Intrinsics
 ) -> list[Placement]:
-    """One entry per box (n, 4) whose surface extends from near to far, (n, 2); NaN without a surface."""
-    near_m, far_m = extents_m.T
-    depth_m = (near_m + far_m) / 2
+    """One entry per box (n, 4) with the depth in metres of its surface (n, SIDE, SIDE), NaN beside it."""
     # Boxes count from the corner of the first pixel, intrinsics from its centre.
-    left, top, right, bottom = (
-        (boxes_xyxy - 0.5 - [camera.cx, camera.cy] * 2) / ([camera.fx, camera.fy] * 2)
-    ).T
-    centres = (
-        np.stack(((left + right) / 2, (top + bottom) / 2, np.ones_like(depth_m)), axis=1) * depth_m[:, None]
-    )
-    sizes = np.stack(((right - left) * depth_m, (bottom - top) * depth_m, far_m - near_m), axis=1)
+    sides = (boxes_xyxy - 0.5 - [camera.cx, camera.cy] * 2) / ([camera.fx, camera.fy] * 2)
+    is_seen = ~np.isnan(surfaces)
+    near = np.where(is_seen, surfaces, np.float32(np.inf))
+    far = np.where(is_seen, surfaces, np.float32(-np.inf))
+    # Of the columns, then of the rows: (2, n, SIDE)
+    nearest = np.stack((near.min(axis=1), near.min(axis=2))).astype(np.float64)
+    farthest = np.stack((far.max(axis=1), far.max(axis=2))).astype(np.float64)
+    lower, upper = _extents_across(sides.T.reshape(2, 2, -1), nearest, farthest)
+    lower = np.stack((*lower, nearest[0].min(axis=1)), axis=1)
+    upper = np.stack((*upper, farthest[0].max(axis=1)), axis=1)
+    with np.errstate(invalid="ignore"):  # infinity less infinity, where no surface is seen
+        centres, sizes = (lower + upper) / 2, upper - lower
     return [
         Box3D(tuple(centre), tuple(size)) if math.isfinite(centre[2]) else Unplaced.NO_VALID_DEPTH
         for centre, size in zip(centres.tolist(), sizes.tolist(), strict=True)
     ]
+
+
+def _extents_across(
+    sides: NDArray[np.float64], nearest: NDArray[np.float64], farthest: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """From where to where in metres surfaces extend to the right, and downwards: (2, n) each.
+
+    `sides` are left and top, then right and bottom sides of the boxes as tangents (2, 2, n), `nearest` and
+    `farthest` the extents in metres of each column of samples, and of each row (2, n, SIDE). The outermost
+    ones reach to the sides of the box, as the object does, seen or hidden.
+    """
+    is_seen = nearest <= farthest
+    places = np.arange(SIDE)
+    first, last = is_seen.argmax(axis=2), SIDE - 1 - is_seen[..., ::-1].argmax(axis=2)
+    start, side = sides[0][..., None], (sides[1] - sides[0])[..., None]
+    before = start + np.where(places <= first[..., None], 0, places) / SIDE * side
+    after = start + np.where(places >= last[..., None], SIDE, places + 1) / SIDE * side
+    with np.errstate(invalid="ignore"):  # 0 times infinity, where no surface is seen
+        lower = np.minimum(before * nearest, before * farthest)
+        upper = np.maximum(after * nearest, after * farthest)
+    return (
+        np.where(is_seen, lower, np.inf).min(axis=2),
+        np.where(is_seen, upper, -np.inf).max(axis=2),
+    )

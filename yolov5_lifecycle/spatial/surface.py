@@ -1,29 +1,20 @@
-"""Finds the surface of the object in each box from samples of its depth.
-
-The samples lie on a grid in and around the box, so that the cost does not depend on the size of the box.
+"""Finds the surface of the object in each box.
 
 A box also holds background, and often something nearer that hides a part of the object. Both extend beyond
-the box, the object does not: a depth counts by how much more frequent it is in the box than around it.
+the box, the object does not: planes that go on around the box are removed first, and of what is left a depth
+counts by how much more frequent it is in the box than around it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.spatial.background import is_background
+from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, BoxSamples, around, inside, sampled
 from yolov5_lifecycle.spatial.depth_image import MIN_DEPTH_M, DepthImage
-
-SIDE = 20
-"""Samples along each side of a box."""
-_RING = np.array((0.12, 0.19, 0.26), np.float32)
-"""Distances from the box, in parts of its side: far enough for a box that is a little too small."""
-_MIN_RING_PX = np.array((2, 3, 4), np.float32)
-_FAR_PX = 1e6
-"""Far outside every image, and still an integer after a margin is added."""
-_INSIDE = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
 
 _BIN_WIDTH = math.log(1.025)
 """Depths are counted in bins of 2.5 %, so that near and far objects are resolved equally well."""
@@ -35,110 +26,239 @@ _MIN_EXCESS = 0.03
 """Share of the samples in a box; less is noise: then only the depths in the box count."""
 _MIN_OF_PEAK = 0.2
 """Share of the excess of the highest peak: the nearest peak that reaches it is the object."""
-_SURFACE_END = 0.2
-"""Share of the excess of the surface's peak: the surface ends where the excess falls below it."""
+_SURFACE_END = 0.06
+"""Share of the excess of the surface's peak: bins with less are a gap in the surface, or beyond it."""
+_FULL_SURFACE_END = 0.2
+"""The same where the background could not be told from the object."""
+_MIN_KEPT = 0.01
+"""The same as a share of the samples in a box."""
+_GAP_BEFORE, _GAP_BEHIND = 1, 4
+"""Bins without samples that a surface may reach across, as from a seat to the back, or from leg to leg."""
+_MIN_PART, _GAP_TO_PART = 0.06, 20
+"""Excess of bins that may be that much farther behind, as the other legs of a table seen edge-on."""
+_BARRIER = -0.02
+"""Excess of bins that a surface never reaches across: there is more of them around the box."""
 _MIN_VALID = 0.05
 """Share of the samples in a box that must be measurements."""
 _MIN_VALID_ALONE = 0.5
 """The same if the ring does not single out the object: a black object has only its background's depth."""
-_OUTLIERS = 0.03
-"""Share of a surface's samples left out at each end: pixels between two surfaces, and noise."""
+_BESIDE = np.array(((1, -1, 0, 0), (0, 0, 1, -1)))[..., None]
+"""Rows and columns to the pixels next to one, (2, 4, 1)."""
+_SAME = 0.02
+"""Of the depth: pixels next to each other that differ by less are on the same surface."""
+_MIN_BESIDE = 2
+"""Of the four pixels next to one, the measured ones without which it counts as on a surface."""
+_MIN_DENSE = 0.3
+"""Share of measurements in a box from which on those without a neighbour are on no surface."""
+_OUTLIERS = 0.002
+"""Share of a surface's samples left out at each end."""
+_NO_BIN = -9
+"""Of a sample that does not count; more than two bins before all others."""
+
+Array = NDArray[np.float32]
+Bins = NDArray[np.int32]
+Flags = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, eq=False)
-class BoxSamples:
-    """Depth in metres in and around n boxes; NaN where there is no measurement."""
-
-    inside: NDArray[np.float32]
-    """(n, SIDE * SIDE) evenly spread over the box."""
-    around: NDArray[np.float32]
-    """(n, r) on a ring around the box, with a gap between."""
+_Slices = tuple[slice, slice, slice]
 
 
-def sampled(depth: DepthImage, boxes_xyxy: NDArray[np.float32]) -> BoxSamples:
-    """Samples for the boxes (n, 4), finite corners in pixels of the depth image."""
-    count, ring = len(boxes_xyxy), len(_RING)
-    columns, rows = _positions(boxes_xyxy[:, 0::2]), _positions(boxes_xyxy[:, 1::2])
-    grid = depth.metres_at(rows[:, :, None], columns[:, None, :])  # (n, SIDE + 2 * ring, the same)
-    is_inside = np.zeros(grid.shape[1:], np.bool_)
-    is_inside[ring:-ring, ring:-ring] = True
-    return BoxSamples(inside=grid[:, ring:-ring, ring:-ring].reshape(count, -1), around=grid[:, ~is_inside])
+def _pair(down: int, right: int) -> tuple[_Slices, _Slices]:
+    """Slices of all samples (n, GRID, GRID) with a neighbour in that direction, and of these neighbours."""
+    left, end = max(-right, 0), GRID - max(right, 0)
+    return (
+        (slice(None), slice(0, GRID - down), slice(left, end)),
+        (slice(None), slice(down, GRID), slice(left + right, end + right)),
+    )
 
 
-def _positions(ends: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Pixel indices (n, SIDE + 2 * ring) along one axis, for the ends (n, 2) of a box on that axis."""
-    start, end = np.hsplit(ends.clip(-_FAR_PX, _FAR_PX), 2)
-    side = end - start
-    margin = np.maximum(_RING * side, _MIN_RING_PX)
-    places = np.concatenate((start - margin[:, ::-1], start + _INSIDE * side, end + margin), axis=1)
-    return np.asarray(np.floor(places), np.intp)
+_NEIGHBOURS = tuple(_pair(down, right) for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)))
 
 
-def surface_extents_m(samples: BoxSamples) -> NDArray[np.float64]:
-    """Nearest and farthest depth (n, 2) in metres of the surface in each box; NaN where there is none."""
-    inside, around = _bins(samples.inside), _bins(samples.around)
-    valid = (inside >= 0).mean(axis=1)
-    first, count = _used_bins(inside)
-    share = _shares(inside, first, count, min_valid=0.0)
-    excess = share - _RING_WEIGHT * _shares(around, first, count, min_valid=_MIN_RING_SHARE)
-    is_alone = excess.max(axis=1) < _MIN_EXCESS
-    excess[is_alone] = share[is_alone]
-    start, end = _surface_bins(excess)
-    is_surface = (inside >= 0) & (inside >= first + start[:, None]) & (inside < first + end[:, None])
-    is_found = valid >= np.where(is_alone, _MIN_VALID_ALONE, _MIN_VALID)
-    return _extents_m(samples.inside, is_surface & is_found[:, None])
+def surfaces_m(depth: DepthImage, boxes_xyxy: NDArray[np.float32]) -> Array:
+    """Depth in metres (n, SIDE, SIDE) of the surface of the object in each of the boxes (n, 4).
+
+    The samples are evenly spread over the box, row by row; NaN where the object is not seen. Boxes are
+    finite corners in pixels of the depth image.
+    """
+    samples = sampled(depth, boxes_xyxy)
+    bins = _bins(samples.metres)
+    foreground = np.where(is_background(samples), np.int32(_NO_BIN), bins)
+    is_surface, is_found = _foreground_surface(_supported(foreground, samples, depth), bins)
+    if not is_found.all():
+        is_surface[~is_found] = _any_surface(bins[~is_found])
+    metres = np.where(is_surface, inside(samples.metres), np.float32(np.nan))
+    return _without_outliers(metres)
 
 
-def _bins(metres: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Bin numbers >= 0 of the samples, -1 without a measurement."""
+def _bins(metres: Array) -> Bins:
+    """Bin numbers >= 0 of the samples, _NO_BIN without a measurement."""
     bins = np.log(metres / np.float32(MIN_DEPTH_M)) / np.float32(_BIN_WIDTH)
     # A sample at MIN_DEPTH_M may come out a little below 0.
-    return np.where(np.isnan(bins), np.float32(-1), np.maximum(bins, 0)).astype(np.intp)
+    return np.where(np.isnan(bins), np.float32(_NO_BIN), np.maximum(bins, 0)).astype(np.int32)
 
 
-def _used_bins(bins: NDArray[np.intp]) -> tuple[int, int]:
-    """First bin and number of bins that hold samples, and two more at each end, which `_shares` looks at."""
-    last = int(bins.max())
-    first = int(bins.min(initial=last, where=bins >= 0))
+def _supported(foreground: Bins, samples: BoxSamples, depth: DepthImage) -> Bins:
+    """The bins (n, GRID, GRID) of the foreground, without those in the box of pixels between two surfaces.
+
+    Such a pixel's depth is that of no pixel next to it, and hardly that of a sample next to it.
+    """
+    places = np.nonzero(~IS_AROUND & (foreground >= 0))
+    for beside, least in ((_BESIDE[:, :1], 0), (_BESIDE, _MIN_BESIDE)):  # most are like the pixel below
+        is_alone = _is_alone(samples, places, depth, beside, least)
+        places = tuple(indices[is_alone] for indices in places)
+    supported = foreground.copy()
+    supported[places] = _NO_BIN
+    is_lonely = ~IS_AROUND & ~_has_neighbour(supported)
+    is_lonely &= (~np.isnan(inside(samples.metres))).mean(axis=(1, 2))[:, None, None] >= _MIN_DENSE
+    supported[is_lonely] = _NO_BIN
+    return supported
+
+
+def _has_neighbour(bins: Bins) -> Flags:
+    """Whether one of the eight samples next to one is at most two bins away (n, GRID, GRID)."""
+    has = np.zeros(bins.shape, np.bool_)
+    for one, other in _NEIGHBOURS:
+        is_near = abs(bins[one] - bins[other]) <= 2
+        has[one] |= is_near
+        has[other] |= is_near
+    return has
+
+
+def _is_alone(
+    samples: BoxSamples,
+    places: tuple[NDArray[np.intp], ...],
+    depth: DepthImage,
+    beside: NDArray[np.intp],
+    least: int,
+) -> Flags:
+    """Whether the samples at those places in `samples` are as far away as none of the pixels beside them.
+
+    False if fewer than `least` of these are measured, as in sparse depth.
+    """
+    box, row, column = places
+    metres = samples.metres[places]
+    metres_beside = depth.metres_at(
+        samples.rows[box, row] + beside[0], samples.columns[box, column] + beside[1]
+    )
+    is_same = abs(metres_beside - metres) < _SAME * metres
+    is_told = (~np.isnan(metres_beside)).sum(axis=0) >= least
+    return np.asarray(is_told & ~is_same.any(axis=0))
+
+
+def _foreground_surface(foreground: Bins, bins: Bins) -> tuple[Flags, Flags]:
+    """Which samples (n, SIDE, SIDE) are on the surface before the background, and whether there is one (n,).
+
+    `bins` (n, GRID, GRID) are those of all samples, `foreground` of those that are not background.
+    """
+    shares, shares_around, first = _shares(foreground, bins)
+    excess = shares - _RING_WEIGHT * shares_around
+    is_found = (excess.max(axis=1) >= _MIN_EXCESS) & (_valid_share(bins) >= _MIN_VALID)
+    ends = _surface_ends(excess, _SURFACE_END, _GAP_BEFORE, _GAP_BEHIND)
+    return _is_between(inside(foreground), first, ends), is_found
+
+
+def _any_surface(bins: Bins) -> Flags:
+    """Which samples (n, SIDE, SIDE) are on the surface of an object that is as far away as its background.
+
+    It may also fill the image. None if too few samples are measurements.
+    """
+    shares, shares_around, first = _shares(bins, bins)
+    excess = shares - _RING_WEIGHT * shares_around
+    is_alone = excess.max(axis=1) < _MIN_EXCESS
+    excess[is_alone] = shares[is_alone]
+    ends = _surface_ends(excess, _FULL_SURFACE_END, 0, 0)
+    is_found = _valid_share(bins) >= np.where(is_alone, _MIN_VALID_ALONE, _MIN_VALID)
+    return _is_between(inside(bins), first, ends) & is_found[:, None, None]
+
+
+def _valid_share(bins: Bins) -> NDArray[np.float64]:
+    """Share (n,) of the samples in the box that are measurements."""
+    share: NDArray[np.float64] = (inside(bins) >= 0).mean(axis=(1, 2))
+    return share
+
+
+def _is_between(bins: Bins, first: int, ends: tuple[NDArray[np.intp], NDArray[np.intp]]) -> Flags:
+    """Whether samples (n, SIDE, SIDE) lie in the bins from one end to the other, which count from `first`."""
+    start, last = (end[:, None, None] + first for end in ends)
+    return np.asarray((bins >= np.maximum(start, 0)) & (bins <= last))
+
+
+def _shares(counted: Bins, bins: Bins) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    """Shares (n, count) of measurements in each bin and its neighbours, in and around boxes; the first bin.
+
+    `bins` (n, GRID, GRID) are those of all measurements, `counted` of those of which the share is.
+    """
+    first, count = _used_bins(inside(bins))
+    measured = (inside(bins) >= 0).sum(axis=(1, 2))
+    measured_around = (around(bins) >= 0).sum(axis=1)
+    least = _MIN_RING_SHARE * IS_AROUND.sum()
+    return (
+        _counts(inside(counted), first, count) / np.maximum(measured, 1)[:, None],
+        _counts(around(counted), first, count) / np.maximum(measured_around, least)[:, None],
+        first,
+    )
+
+
+def _used_bins(bins: Bins) -> tuple[int, int]:
+    """First bin and number of bins that hold samples, and two more at each end, for neighbours and a fall."""
+    last = max(int(bins.max()), 0)
+    first = int(np.where(bins >= 0, bins, last).min())
     return first - 2, last - first + 5
 
 
-def _shares(bins: NDArray[np.intp], first: int, count: int, *, min_valid: float) -> NDArray[np.float64]:
-    """For each box and each of `count` bins, the share of measurements (n, count) in it and its neighbours.
-
-    `bins` are those of all samples (n, s). Where fewer than `min_valid` of the samples are measurements, the
-    shares are of that many.
-    """
-    boxes, size = bins.shape
+def _counts(bins: Bins, first: int, count: int) -> NDArray[np.float64]:
+    """For each box and each of `count` bins, the number (n, count) of samples in it and its neighbours."""
+    boxes = len(bins)
+    flat = bins.reshape(boxes, -1)
     # Each box has an extra place before its bins, for samples in none of them.
-    is_counted = (bins >= first) & (bins < first + count) & (bins >= 0)
-    places = np.where(is_counted, bins - first + 1, 0) + np.arange(boxes)[:, None] * (count + 1)
+    is_counted = (flat >= max(first, 0)) & (flat < first + count)
+    places = np.where(is_counted, flat - first + 1, 0) + np.arange(boxes)[:, None] * (count + 1)
     counts = np.bincount(places.ravel(), minlength=boxes * (count + 1)).reshape(boxes, count + 1)[:, 1:]
-    valid = (bins >= 0).sum(axis=1, keepdims=True)
-    share = counts / np.maximum(valid, max(size * min_valid, 1))
-    blurred: NDArray[np.float64] = share.copy()
-    blurred[:, 1:] += share[:, :-1]
-    blurred[:, :-1] += share[:, 1:]
+    blurred = counts.astype(np.float64)
+    blurred[:, 1:] += counts[:, :-1]
+    blurred[:, :-1] += counts[:, 1:]
     return blurred
 
 
-def _surface_bins(excess: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First bin (n,) of the nearest peak of each box's excess (n, bins), and the one after its last."""
-    boxes, count = np.arange(len(excess)), excess.shape[1]
+def _surface_ends(
+    excess: NDArray[np.float64], end_share: float, gap_before: int, gap_behind: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last bin (n,) of the surface around the nearest peak of each box's excess (n, count)."""
     is_peak = excess >= _MIN_OF_PEAK * excess.max(axis=1, keepdims=True)
     is_peak[:, :-1] &= excess[:, :-1] >= excess[:, 1:]
     peak = is_peak.argmax(axis=1)  # the one before the first such bin is lower, or it would be the first
-    is_beyond = excess <= _SURFACE_END * excess[boxes, peak][:, None]
-    bins = np.arange(count)
-    start = np.where(is_beyond & (bins <= peak[:, None]), bins + 1, 0).max(axis=1)
-    end = np.where(is_beyond & (bins >= peak[:, None]), bins, count).min(axis=1)
-    return start, end
+    is_kept = excess > np.maximum(end_share * np.take_along_axis(excess, peak[:, None], axis=1), _MIN_KEPT)
+    is_barrier, is_part = excess < _BARRIER, (excess >= _MIN_PART) & (gap_behind > 0)
+    last = excess.shape[1] - 1
+    return (
+        last
+        - _last_kept(is_kept[:, ::-1], is_barrier[:, ::-1], np.zeros_like(is_part), last - peak, gap_before),
+        _last_kept(is_kept, is_barrier, is_part, peak, gap_behind),
+    )
 
 
-def _extents_m(metres: NDArray[np.float32], is_surface: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Nearest and farthest (n, 2) of the chosen samples (n, s) without outliers; NaN where none is chosen."""
-    ordered = np.sort(np.where(is_surface, metres, np.float32(np.inf)), axis=1)
-    last = is_surface.sum(axis=1) - 1
+def _last_kept(
+    is_kept: Flags, is_barrier: Flags, is_part: Flags, peak: NDArray[np.intp], gap: int
+) -> NDArray[np.intp]:
+    """The last kept bin (n,) after the peak, with at most `gap` others between two, and no barrier.
+
+    To a bin that is a part of its own, there may be _GAP_TO_PART others.
+    """
+    bins, peaks = np.arange(is_kept.shape[1]), peak[:, None]
+    reached = np.maximum.accumulate(np.where(is_kept & (bins > peaks), bins, peaks), axis=1)
+    next_part = np.where(is_part, bins, 2 * len(bins) + _GAP_TO_PART)
+    next_part = np.minimum.accumulate(next_part[:, ::-1], axis=1)[:, ::-1]
+    is_gap = (bins - reached > gap) & (next_part - reached > _GAP_TO_PART)
+    is_stop = (bins > peaks) & (is_gap | is_barrier)
+    stop = np.where(is_stop, bins, bins[-1]).min(axis=1)
+    return np.take_along_axis(reached, stop[:, None], axis=1)[:, 0]
+
+
+def _without_outliers(metres: Array) -> Array:
+    """The same samples (n, SIDE, SIDE), the nearest and farthest few as far away as those next to them."""
+    ordered = np.sort(metres.reshape(len(metres), -1), axis=1)  # NaN comes last
+    last = (~np.isnan(ordered)).sum(axis=1) - 1
     places = np.rint(last[:, None] * np.array((_OUTLIERS, 1 - _OUTLIERS))).astype(np.intp)
-    extents = np.take_along_axis(ordered, places.clip(0), axis=1).astype(np.float64)
-    return np.where(np.isfinite(extents), extents, np.nan)
+    near, far = np.take_along_axis(ordered, places.clip(0), axis=1).T[:, :, None, None]
+    return metres.clip(near, far)
