@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import os
 import re
@@ -41,7 +42,7 @@ import soak.__main__ as soak
 from benchmark import bench, cameras, depth, mask_accuracy, tracking
 from tools.mutants import options as mutants
 from tools.shapes import dataset
-from yolov5_lifecycle.commands import convert
+from yolov5_lifecycle.commands import convert, fetch_weights, official_weights
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.observer import Observer
@@ -257,7 +258,8 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     for folder in ("shots", "images"):
         images(tmp_path / folder)
     (tmp_path / "image.jpg").write_bytes(bytes(jpeg(0).data))
-    for name in ("video.mp4", "drive.mp4"):
+    (tmp_path / "videos").mkdir()
+    for name in ("video.mp4", "drive.mp4", "videos/wednesday.mp4"):
         video(tmp_path / name)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -269,6 +271,8 @@ def _mirror(checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> Iterator[None
     """The official models come from this machine."""
     with FileServer(sending_ranges(checkpoint)) as server:
         monkeypatch.setenv("YOLOV5_WEIGHTS_URL", f"{server.address}/yolov5{{size}}.pt")
+        digest = hashlib.sha256(checkpoint).hexdigest()
+        monkeypatch.setattr(fetch_weights, "SHA256", dict.fromkeys(official_weights.SHA256, digest))
         yield
 
 

@@ -41,17 +41,10 @@ def broken(folder: Path, name: str) -> Path:
     return folder / name
 
 
-def plan_for(output: Path, *, suffix: str = "", crops: bool = False, **settings: object) -> Plan:
+def plan_for(output: Path, **settings: object) -> Plan:
     """The embedded model with `settings`."""
     return plan_of(
-        validated({**MODEL, **settings}),
-        output=output,
-        topic=None,
-        node="/yolov5",
-        images=False,
-        masks=True,
-        suffix=suffix,
-        crops=crops,
+        validated({**MODEL, **settings}), output=output, topic=None, node="/yolov5", images=False, masks=True
     )
 
 

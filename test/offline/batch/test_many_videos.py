@@ -50,6 +50,10 @@ def states(output: Path) -> dict[str, str]:
     return {row["recording"]: row["state"] for row in rows}
 
 
+def plan_of(output: Path, *, suffix: str = "", crops: bool = False) -> Plan:
+    return plan_for(output).model_copy(update={"suffix": suffix, "crops": crops})
+
+
 def processed(source: Path, plan: Plan) -> RecordingResult:
     """The result of a worker that is in this process."""
     plan.output.mkdir(exist_ok=True)
@@ -82,7 +86,7 @@ def test_a_second_run_skips_videos_and_recordings(words: list[str], mixed: Path)
 def test_a_result_has_the_format_of_the_folder_and_is_not_made_again(
     suffix: str, name: str, mixed: Path, tmp_path: Path
 ) -> None:
-    plan = plan_for(tmp_path / "found", suffix=suffix, crops=True)
+    plan = plan_of(tmp_path / "found", suffix=suffix, crops=True)
     source = SourceRecording(Path(name).stem, mixed / name)
     assert processed(source.path, plan).state == "done"
     folder = plan.output / source.name
@@ -98,11 +102,20 @@ def test_a_result_has_the_format_of_the_folder_and_is_not_made_again(
     assert crops[0].exists()
 
 
+def test_crops_lie_in_the_recording_that_is_a_result(mixed: Path, tmp_path: Path) -> None:
+    plan = plan_of(tmp_path / "found", crops=True)
+    source = SourceRecording("drive", mixed / "drive")
+    row = processed(source.path, plan)
+    assert messages(plan.output / "drive")
+    assert len(list((plan.output / "drive" / "crops").rglob("*.jpg"))) == sum(row.detections.values())
+    assert finished_before(source, plan) is not None
+
+
 def test_the_command_takes_the_format_from_the_name_of_the_folder(
     mixed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     output = tmp_path / "found.csv"
-    plan = plan_for(output, suffix=".csv", crops=True)
+    plan = plan_of(output, suffix=".csv", crops=True)
     assert processed(mixed / "monday.avi", plan).state == "done"
     assert main([str(mixed / "m*.avi"), "--output", str(output), "--crops", *SET_MODEL]) == 0
     assert states(output) == {"monday": "skipped"}
@@ -122,9 +135,9 @@ def test_another_format_or_crops_replace_a_result(
 
 
 def test_formats_and_crops_keep_the_digest_of_results_without_them(tmp_path: Path) -> None:
-    assert plan_for(tmp_path).settings_sha256 == plan_for(tmp_path, suffix="", crops=False).settings_sha256
+    assert plan_for(tmp_path).settings_sha256 == plan_of(tmp_path, suffix="", crops=False).settings_sha256
     digests = {
-        plan_for(tmp_path, suffix=suffix, crops=crops).settings_sha256
+        plan_of(tmp_path, suffix=suffix, crops=crops).settings_sha256
         for suffix in ("", *FORMATS)
         for crops in (False, True)
     }

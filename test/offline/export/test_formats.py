@@ -140,7 +140,8 @@ def test_an_image_is_identified_in_every_format(
     source: str, identity: str, values: list[int] | None, tmp_path: Path
 ) -> None:
     path = SOURCES[source](tmp_path)
-    wanted: list[object] = list(values or [str(path / f"{number}.png") for number in range(COUNT)])
+    files = [str(path / f"{number}.png") for number in range(COUNT)]
+    wanted: list[object] = [*files] if values is None else [*values]
     for suffix in (".jsonl", ".csv", ".parquet"):
         assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]) == 0
     lines = [json.loads(line) for line in (tmp_path / "found.jsonl").read_text().splitlines()]

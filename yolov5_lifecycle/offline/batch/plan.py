@@ -49,7 +49,8 @@ class Plan(BaseModel):
     def settings_sha256(self) -> str:
         """Digest of everything but model and recording that the results depend on."""
         settings = {name: value for name, value in self.settings.items() if name not in _PLACE_OF_WEIGHTS}
-        options = {"topic": self.topic, "node": self.node, "images": self.images, "masks": self.masks}
+        options: dict[str, object] = {"topic": self.topic, "node": self.node}
+        options |= {"images": self.images, "masks": self.masks}
         # Without them, the digest equals that of results from before formats and crops were introduced.
         further = {"suffix": self.suffix, "crops": self.crops}
         options |= {name: value for name, value in further.items() if value}
