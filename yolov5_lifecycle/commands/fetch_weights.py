@@ -188,8 +188,18 @@ def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
     except UncheckedError as error:
         raise UncheckedError(f"{error} The download is kept: then run the command again.") from None
     except WeightsError as error:
+        reason = _reason(path, error)
         path.unlink()
-        raise WeightsError(f"{url}: {str(error).removeprefix(f'{path}: ')} It was removed.") from None
+        raise WeightsError(f"{url}: {str(reason).removeprefix(f'{path}: ')} It was removed.") from None
+
+
+def _reason(path: Path, error: WeightsError) -> WeightsError:
+    """Why the file at `path` is no model, as a login page is none: that says more than its digest."""
+    try:
+        load_weights(path)
+    except WeightsError as other:
+        return other
+    return error
 
 
 def _show_bytes(done_bytes: int, total_bytes: int | None) -> None:
