@@ -12,6 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from support import hostile_costs
 from support.onnx_exports import model_of, serialized, valid
+from support.small_families import SMALL_FAMILIES
 
 _WEIGHT = "model.0.conv.weight"
 
@@ -121,6 +122,16 @@ def set_metadata(**entries: str) -> Callable[[Any], None]:
 def reverse_inputs(model: Any) -> None:
     joined = node(model, "Concat", -2)
     joined.input[:] = list(joined.input)[::-1]
+
+
+def shift_features(model: Any) -> None:
+    """A convolution inside a C3 reads other cells; every shape is the same."""
+    wide = next(node for node in model.graph.node if "model.2.m.0.cv2.conv.weight" in node.input)
+    next(entry for entry in wide.attribute if entry.name == "pads").ints[:] = [2, 2, 0, 0]
+
+
+def other_epsilon(model: Any) -> None:
+    next(entry for entry in node(model, "BatchNormalization").attribute if entry.name == "epsilon").f = 1e-5
 
 
 def select_boxes(model: Any) -> None:
@@ -275,6 +286,11 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "another window": (
         changed(lambda model: attribute(model, "MaxPool", "ceil_mode").__setattr__("i", 1)),
         "layer 4 has the weights",
+    ),
+    "a shifted convolution": (changed(shift_features), "is made by a conv of 'model.2.m.0.cv2.conv.weight'"),
+    "another epsilon": (
+        changed(other_epsilon, architecture=SMALL_FAMILIES["cross-stage"]),
+        "is made by a normalisation of 'model.2.bn.weight'",
     ),
     "layers joined in another order": (changed(reverse_inputs), "its boxes are not computed as YOLOv5"),
     "another size of boxes": (changed(set_constant(2.0, 3.0)), "its boxes are not computed as YOLOv5"),

@@ -36,7 +36,7 @@ BAD_FILES = [
     pytest.param(_cut_short, "bad.safetensors", "cut short", id="truncated", marks=pytest.mark.long),
     pytest.param(
         lambda good, bad: bad.write_bytes(good.read_bytes()),
-        "bad.onnx",
+        "bad.engine",
         "ends in",
         id="wrong-suffix",
         marks=pytest.mark.long,
