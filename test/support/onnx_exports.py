@@ -58,12 +58,16 @@ class _Export(Network):
         """Columns as slices, half a cell taken off."""
         likely = cells.sigmoid()
         place = (likely[..., 0:2] * 2 - 0.5 + self._grid(cells, 0.0)) * self.head.strides[number]
-        size = (likely[..., 2:4] * 2) ** 2 * self._anchors(number)
+        size = (likely[..., 2:4] * 2) ** 2 * self._anchors(cells, number)
         return torch.cat((place, size, likely[..., 4:]), -1)
 
     def _late(self, cells: Tensor, number: int) -> Tensor:
         """Columns as parts, half a cell in the grid; for masks each part is activated on its own."""
-        stride, anchors, masks = self.head.strides[number], self._anchors(number), self.head.coefficients
+        stride, anchors, masks = (
+            self.head.strides[number],
+            self._anchors(cells, number),
+            self.head.coefficients,
+        )
         scores = self.head.outputs - 4 - masks
         if masks:
             place, size, likely, mask = cells.split((2, 2, scores, masks), 4)
@@ -74,9 +78,11 @@ class _Export(Network):
         place = (place * 2 + self._grid(cells, 0.5)) * stride
         return torch.cat((place, (size * 2) ** 2 * anchors, likely), 4)
 
-    def _anchors(self, number: int) -> Tensor:
+    def _anchors(self, cells: Tensor, number: int) -> Tensor:
         anchors = self.head.anchors[number] * self.head.strides[number]
-        return anchors.detach().view(1, -1, 1, 1, 2)
+        anchors = anchors.detach().view(1, -1, 1, 1, 2)
+        ny, nx = cells.shape[2:4]
+        return anchors.expand(1, -1, ny, nx, 2) if self.is_dynamic else anchors
 
     def _grid(self, cells: Tensor, shift: float) -> Tensor:
         ny, nx = cells.shape[2:4]

@@ -8,6 +8,8 @@ from typing import Any, Union
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.checkpoints.stored_array import StoredArray
+
 
 @dataclass(frozen=True, eq=False)
 class Columns:
@@ -49,7 +51,7 @@ class Sizes:
 
 Rows = tuple[Level, ...]
 """Levels one after the other, (B, N, no)."""
-Known = Union[Level, Rows, Sizes]  # noqa: UP007 - for 3.10
+Known = Union[Level, Rows, Sizes, StoredArray]  # noqa: UP007 - for 3.10
 
 
 def is_number(numbers: NDArray[Any], expected: float) -> bool:

@@ -52,6 +52,9 @@ def followed(graph: Graph, levels: Sequence[str]) -> dict[str, Known]:
             known[node.outputs[0]] = Sizes()
             continue
         inputs = [known.get(value) or graph.arrays.get(value) for value in node.inputs]
+        if node.operator == "Expand" and inputs and isinstance(inputs[0], StoredArray) and node.outputs:
+            known[node.outputs[0]] = inputs[0]  # operations repeat it anyway
+            continue
         if not inputs or any(found is None for found in inputs):
             continue
         has_level = any(isinstance(found, (Level, tuple)) for found in inputs)
@@ -97,19 +100,23 @@ def _size(node: Node, inputs: list[Any]) -> Sizes:
     """What is computed from sizes and constants."""
     if any(isinstance(found, StoredArray) and found.elements > _MAX_SIZES for found in inputs):
         return Sizes()
-    if node.operator in ("Unsqueeze", "Cast", "Identity") and isinstance(inputs[0], Sizes):
-        return inputs[0]
+    if node.operator in ("Unsqueeze", "Cast"):
+        return Sizes(_vector(inputs[0]))
     if node.operator == "Gather":
         return Sizes((None,))
     if node.operator == "Concat":
         values: list[int | None] = []
         for found in inputs:
-            vector = found.values if isinstance(found, Sizes) else _integers(_read(found))
+            vector = _vector(found)
             if vector is None:
                 return Sizes()
             values.extend(vector)
         return Sizes(tuple(values))
     return Sizes()
+
+
+def _vector(found: object) -> tuple[int | None, ...] | None:
+    return found.values if isinstance(found, Sizes) else _integers(_read(found))
 
 
 def _integers(found: object) -> tuple[int | None, ...] | None:

@@ -41,7 +41,10 @@ class GraphSteps:
         return found or _foreign(self, node)
 
     def numbers(self, value: str) -> list[float]:
-        """The numbers of a small array; none if `value` is not one."""
+        """The numbers of a small array, or of two that are joined; none for any other value."""
+        joined = self.made_by(value, "Concat")
+        if joined and len(joined.inputs) == 2 and all(map(self.is_array, joined.inputs)):
+            return [number for part in joined.inputs for number in self.numbers(part)]
         array = self.graph.arrays.get(value)
         return array.numbers().ravel().tolist() if array and array.elements <= _MAX_NUMBERS else []
 

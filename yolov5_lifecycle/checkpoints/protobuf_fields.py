@@ -1,7 +1,7 @@
 """Protocol buffer messages, field by field, without a schema.
 
-The parser of the package protobuf builds an object for every two bytes of a hostile file before anything can
-be counted.
+The package onnx is an extra, and the parser of the package protobuf builds an object for every two bytes of a
+hostile file before anything can be counted.
 """
 
 from __future__ import annotations
