@@ -19,6 +19,7 @@ from yolov5_lifecycle.tracking.byte_tracker import (
     ByteTracker,
     TrackerSettings,
 )
+from yolov5_lifecycle.tracking.motion import Similarity
 
 _SETTINGS = struct.Struct("<5B")
 _IMAGE = struct.Struct("<BiIB")
@@ -68,7 +69,8 @@ class _Camera:
 
     def see(self, found: Detections, stamp_s: float, settings: TrackerSettings) -> None:
         """Give `found` to the tracker and judge the ids that it returns."""
-        ids = self._tracker.update(found, stamp_s=stamp_s, settings=settings)
+        camera = _camera(len(found)) if settings.track_camera_motion == "auto" else None
+        ids = self._tracker.update(found, stamp_s=stamp_s, settings=settings, camera=camera)
         self._forget(stamp_s, settings.track_timeout)
         assert self._tracker.confirmed <= len(self._tracker) <= MAX_TRACKS
         assert len(ids) == len(found)
@@ -108,7 +110,15 @@ def _settings(fields: Fields) -> TrackerSettings:
         track_match_threshold=max(match / 255, 0.01),
         track_timeout=MAX_TIMEOUT_S * (timeout + 1) / 256,
         track_across_classes=bool(across & 1),
+        track_camera_motion="auto" if across & 2 else "off",
     )
+
+
+def _camera(number: int) -> Similarity:
+    """A motion that is possible, another one for each `number`."""
+    angle, zoom = 0.1 * math.sin(number), 1 + 0.1 * math.cos(number)
+    cos, sin = zoom * math.cos(angle), zoom * math.sin(angle)
+    return np.array(((cos, -sin, 7.0 * number), (sin, cos, -3.0 * number)))
 
 
 def _detections(fields: Fields, count: int, layout: struct.Struct) -> Detections:

@@ -39,7 +39,8 @@ from support.small_families import segmentation_checkpoint
 
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
-from benchmark import bench, cameras, depth, mask_accuracy, tracking
+from benchmark import bench, cameras, depth, mask_accuracy
+from benchmark.tracking import __main__ as tracking
 from tools.mutants import options as mutants
 from tools.shapes import dataset
 from yolov5_lifecycle.commands import convert, fetch_weights, official_weights

@@ -231,6 +231,49 @@ def test_one_that_is_hidden_while_it_moves_keeps_its_id(camera: Camera, rate_hz:
     assert ids[-1] == ids[1] == ("1",)
 
 
+@pytest.mark.parametrize("rate_hz", [10.0, 30.0])
+def test_those_in_the_view_of_a_camera_that_sways_keep_their_ids(camera: Camera, rate_hz: float) -> None:
+    """40 pixels to both sides, 0.8 times a second, as a robot that walks does."""
+    places = [(100, 90), (260, 300), (420, 120), (560, 330), (60, 340)]
+
+    def at(time_s: float) -> Detections:
+        sway = 40 * np.sin(2 * np.pi * 0.8 * time_s)
+        return found(
+            *(
+                (x + sway, y, score, CLASS)
+                for (x, y), score in zip(places, np.linspace(0.9, 0.6, 5), strict=True)
+            )
+        )
+
+    ids = [camera.sees(at(number / rate_hz), 1 / rate_hz) for number in range(round(6 * rate_hz))]
+    assert len(set(ids[1:])) == 1
+
+
+def test_a_lost_track_moves_with_the_others(camera: Camera) -> None:
+    places = [(100, 90), (260, 300), (420, 120), (560, 330), (60, 340)]
+
+    def at(number: int, count: int = 5) -> Detections:
+        shift = 25 * max(number - 5, 0)  # half of the width of an object in each image
+        return found(*((x + shift, y, 0.9 - 0.1 * row, CLASS) for row, (x, y) in enumerate(places[:count])))
+
+    for number in range(6):
+        ids = camera.sees(at(number))
+    for number in range(6, 10):
+        camera.sees(at(number, 4))
+    assert camera.sees(at(10)) == ids
+
+
+def test_a_known_motion_of_the_camera_moves_the_tracks(camera: Camera) -> None:
+    """By more than an object is wide, which boxes alone cannot tell from other objects."""
+    shift = np.array(((1.0, 0, 150), (0, 1, 0)))
+    for _ in range(5):
+        camera.sees(one(100))
+    camera.stamp_s += 0.1
+    moved = one(250)
+    ids = camera.tracker.update(moved, stamp_s=camera.stamp_s, settings=SETTINGS, camera=shift)
+    assert ids == ("1",)
+
+
 @pytest.mark.parametrize("size", [(0, 0), (0, 50), (50, 0)], ids=["point", "upright", "flat"])
 def test_empty_boxes_are_tracked_like_others(camera: Camera, size: tuple[float, float]) -> None:
     rows = (5.0, 5.0, HIGH, 0), (300.0, 5.0, HIGH, 0)

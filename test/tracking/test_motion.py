@@ -146,6 +146,20 @@ def test_without_tracks_there_is_nothing_to_predict() -> None:
     assert len(motion.predicted(0.1).corrected(np.zeros((0, 4)), np.zeros(0), 0.1)) == 0
 
 
+def test_a_camera_that_turns_turns_places_and_velocities() -> None:
+    quarter = np.array(((0.0, -2, 30), (2, 0, 40)))  # and doubles all sizes
+    motion = Motion.started(np.array([[0.0, 0.0, 10.0, 20.0]]), SURE).predicted(0.1)
+    motion = motion.corrected(np.array([[2.0, 0.0, 12.0, 20.0]]), SURE, 0.1)
+    seen = motion.seen_from(quarter, np.array((1.0, 2.0)))
+    x, y, width, height = motion.position[0]
+    np.testing.assert_allclose(seen.position[0], (-2 * y + 30, 2 * x + 40, 2 * width, 2 * height))
+    speed_x, speed_y, growth_x, growth_y = motion.velocity[0]
+    np.testing.assert_allclose(
+        seen.velocity[0], (-2 * speed_y + 1, 2 * speed_x + 2, 2 * growth_x, 2 * growth_y)
+    )
+    np.testing.assert_allclose(seen.variance[0, :2], 4 * motion.variance[0, 1::-1])
+
+
 def test_a_low_score_moves_the_estimate_less_than_a_high_one() -> None:
     box = np.array([[0.0, 0.0, 100.0, 100.0]])
     motion = Motion.started(box, SURE).predicted(0.1)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.track_figures import HOTA_IOUS, JudgedFrame, TrackCounts, track_counts
+from benchmark.tracking.figures import HOTA_IOUS, JudgedFrame, TrackCounts, track_counts
 
 Places = Mapping[Any, float]
 """Identity -> x of a box of 10 x 10 pixels."""

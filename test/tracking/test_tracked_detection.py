@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from yolov5_lifecycle.detection.nms import Selection, select
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.images.region import Region
 from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.sources.scene import cluttered_background
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, published, tracker_settings
 
@@ -29,6 +31,7 @@ IMAGE = ColourImage(np.zeros((64, 64, 3), np.uint8), "rgb")
 scores = st.sampled_from((0.06, 0.15, 0.2, 0.3, 0.6, 0.9))
 rows = st.tuples(*[st.integers(8, 56)] * 2, *[st.integers(2, 30)] * 2, scores, scores)
 LOW = 0.1
+MOTIONS: tuple[Literal["auto", "off"], ...] = ("auto", "off")
 levels = st.sampled_from([0.0, 0.06, 0.125, 0.25, 0.3, 0.5, 0.75, 1.0])
 raw_rows = st.tuples(*[st.integers(0, 40)] * 2, *[st.integers(1, 30)] * 2, levels, levels, levels)
 selections = st.builds(
@@ -129,6 +132,57 @@ def test_the_network_is_asked_for_the_lower_of_the_two_thresholds(threshold: flo
     assert [len(each) for each in found] == [int(threshold < 0.08)] * 2
 
 
+def jumping(count: int = 8) -> tuple[list[ColourImage], list[NDArray[np.float32]]]:
+    """Images of 10 Hz from a camera that jumps from side to side, and the object in them."""
+    world = cluttered_background(np.random.default_rng(3), (240, 480))
+    shifts = [100 * (number % 2) for number in range(count)]
+    images = [ColourImage(np.ascontiguousarray(world[:, x : x + 320]), "rgb") for x in shifts]
+    return images, [predicted([((200 - x) / 5, 24, 8, 8, 0.9, 0)]) for x in shifts]
+
+
+@pytest.mark.parametrize(("motion", "expected"), [("auto", {("1",)}), ("off", {("",)})], ids=["auto", "off"])
+def test_a_camera_that_jumps_keeps_its_ids_if_its_motion_is_looked_for(
+    motion: Literal["auto", "off"], expected: set[tuple[str, ...]]
+) -> None:
+    images, rows = jumping()
+    detector, tracking = detector_of(rows), new_tracking(TrackerSettings(track_camera_motion=motion))
+    ids = [
+        tracking.detect(detector, image, Selection(), number / 10).track_ids
+        for number, image in enumerate(images)
+    ]
+    assert set(ids[1:]) == expected
+
+
+def test_images_of_a_still_camera_change_nothing() -> None:
+    images = [predicted([(16 + 2 * number, 32, 20, 20, 0.9, 0)]) for number in range(8)]
+    ids = {
+        motion: [
+            found.track_ids
+            for found in found_in(
+                images, Selection(), new_tracking(TrackerSettings(track_camera_motion=motion))
+            )
+        ]
+        for motion in MOTIONS
+    }
+    assert ids["auto"] == ids["off"]
+
+
+def test_the_motion_of_the_camera_may_be_switched_on_while_it_tracks() -> None:
+    """The image before was not looked at, so the first motion is that of the next image."""
+    images, rows = jumping(4)
+    tracking = new_tracking(TrackerSettings(track_camera_motion="off"))
+    detector = detector_of([*rows[:2], *rows])
+    for number in range(2):
+        tracking.detect(detector, images[number], Selection(), number / 10)
+    other = tracking.with_settings(Settings(track_camera_motion="auto"))
+    assert other.tracker is tracking.tracker
+    ids = [
+        other.detect(detector, image, Selection(), 1 + number / 10).track_ids
+        for number, image in enumerate(images)
+    ]
+    assert ids == [("",), ("1",), ("1",), ("1",)]
+
+
 def test_the_settings_of_the_node_have_the_defaults_of_the_tracker() -> None:
     assert tracker_settings(Settings()) == TrackerSettings()
 
@@ -140,6 +194,7 @@ def test_every_setting_of_the_tracker_is_one_of_the_node() -> None:
         "track_match_threshold": 0.4,
         "track_timeout": 2.5,
         "track_across_classes": True,
+        "track_camera_motion": "off",
     }
     assert tracker_settings(Settings.model_validate(chosen)) == TrackerSettings(**chosen)  # type: ignore[arg-type]
 

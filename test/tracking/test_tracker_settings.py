@@ -26,6 +26,9 @@ NAN = float("nan")
         pytest.param({"track_match_threshold": NAN}, "found nan", id="match is no number"),
         pytest.param({"track_timeout": 0.0}, "at most 60 seconds, found 0.0", id="no timeout"),
         pytest.param({"track_timeout": float("inf")}, "found inf", id="endless timeout"),
+        pytest.param(
+            {"track_camera_motion": "on"}, "must be 'auto' or 'off', found 'on'", id="camera motion"
+        ),
         pytest.param({"track_timeout": NAN}, "found nan", id="timeout is no number"),
     ],
 )

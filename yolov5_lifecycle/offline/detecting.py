@@ -19,8 +19,7 @@ from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracker_settings
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 
 class StoredImage(Protocol):
@@ -98,7 +97,7 @@ class OfflineDetector:
         if problems := model_problems(settings, self.class_names):
             raise SettingsError(problems)
         self._selection = replace(selection(settings, self.class_names), with_masks=with_masks)
-        self._tracking = tracked_detection(settings)
+        self._tracking = TrackedDetection.started(settings, itertools.count(1))
         self._failures = 0
 
     @property
@@ -168,13 +167,6 @@ class OfflineDetector:
             raise DetectingError(
                 f"stopped after {self._failures} consecutive failed images: {error}"
             ) from error
-
-
-def tracked_detection(settings: Settings) -> TrackedDetection | None:
-    """The tracker that `settings` ask for, with ids from 1, or None."""
-    if settings.tracker == "none":
-        return None
-    return TrackedDetection(ByteTracker(itertools.count(1)), tracker_settings(settings))
 
 
 LoadDetector = Callable[[], OfflineDetector]

@@ -147,6 +147,11 @@ class Settings(BaseModel):
     track_across_classes: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
         False, description="Whether a track may continue with a detection of another class."
     )
+    track_camera_motion: Annotated[Literal["auto", "off"], Change.LIVE, Scope.CAMERA] = Field(
+        "auto",
+        description="auto: the tracker finds in the images how the camera moved, and moves its tracks along. "
+        "off: it uses the boxes alone.",
+    )
     lazy: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
         True,
         description="Subscribe to images only while detections, masks or annotated images have subscribers.",

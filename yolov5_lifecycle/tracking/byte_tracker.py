@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.tracking.assignment import Indices, Solver, best_pairs, iou_matrix, load_solver
+from yolov5_lifecycle.tracking.common_motion import CommonMotion
+from yolov5_lifecycle.tracking.motion import Array, Similarity, xyxy_to_cxcywh
 from yolov5_lifecycle.tracking.tracks import UNCONFIRMED, Tracks
 
 MAX_DETECTIONS = 1000
@@ -24,6 +27,10 @@ MAX_TRACKS = 2 * MAX_DETECTIONS
 STEP_WITHOUT_TIME_S = 1 / 30
 """Assumed time between two images with equal stamps: some cameras set none."""
 MAX_TIMEOUT_S = 60.0
+_LEADING = 100
+"""Detections and tracks that say what all have in common; bounds the time that this takes."""
+_RECENT_S = 0.5
+"""Before the last image, in which these tracks were seen."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +50,8 @@ class TrackerSettings:
     """Seconds, in (0, MAX_TIMEOUT_S], for which a track is kept without a detection."""
     track_across_classes: bool = False
     """Whether a track may continue with a detection of another class."""
+    track_camera_motion: Literal["auto", "off"] = "auto"
+    """Whether the motion of the camera is looked for in the images."""
 
     def __post_init__(self) -> None:
         high, low = self.track_high_threshold, self.track_low_threshold
@@ -59,6 +68,10 @@ class TrackerSettings:
                 f"track_timeout must be above 0 and at most {MAX_TIMEOUT_S:g} seconds, "
                 f"found {self.track_timeout}."
             )
+        if self.track_camera_motion not in ("auto", "off"):
+            raise ValueError(
+                f"track_camera_motion must be 'auto' or 'off', found {self.track_camera_motion!r}."
+            )
 
 
 class ByteTracker:
@@ -72,6 +85,7 @@ class ByteTracker:
         self._solver = load_solver()
         self._ids = ids
         self._tracks = Tracks.none()
+        self._common = CommonMotion()
         self._stamp_s = -math.inf
 
     def __len__(self) -> int:
@@ -86,10 +100,20 @@ class ByteTracker:
     def reset(self) -> None:
         """Forget all tracks. Idempotent."""
         self._tracks = Tracks.none()
+        self._common = CommonMotion()
         self._stamp_s = -math.inf
 
-    def update(self, detections: Detections, *, stamp_s: float, settings: TrackerSettings) -> tuple[str, ...]:
+    def update(
+        self,
+        detections: Detections,
+        *,
+        stamp_s: float,
+        settings: TrackerSettings,
+        camera: Similarity | None = None,
+    ) -> tuple[str, ...]:
         """The id of each of the `detections` in the next image; "" for one without a confirmed track.
+
+        `camera` maps pixels of the last image to those of this one, if it is known to have moved.
 
         `detections` reach down to `track_low_threshold`, below the threshold of what is published. `stamp_s`
         is in seconds since any epoch; one before that of the previous image, or later by more than
@@ -101,6 +125,9 @@ class ByteTracker:
             self.reset()
         step_s = stamp_s - self._stamp_s or STEP_WITHOUT_TIME_S
         tracks = self._tracks.later(step_s, settings.track_timeout)
+        if camera is not None:
+            tracks = tracks.seen_from(camera)
+        tracks = self._with_common(tracks, detections, step_s, settings)
         rows, columns = _associated(tracks, detections, settings, self._solver)
         numbers = np.full(len(detections), UNCONFIRMED, np.int64)
         numbers[columns] = [number or next(self._ids) for number in tracks.numbers[rows].tolist()]
@@ -109,6 +136,27 @@ class ByteTracker:
         self._tracks = _latest(seen.followed_by(self._begun(detections, columns, settings)).followed_by(lost))
         self._stamp_s = stamp_s
         return tuple(str(number) if number else "" for number in numbers.tolist())
+
+    def _with_common(
+        self, tracks: Tracks, detections: Detections, step_s: float, settings: TrackerSettings
+    ) -> Tracks:
+        """The `tracks` after what those seen lately have in common is known."""
+        if not len(tracks):
+            self._common = CommonMotion()
+            return tracks
+        size_px = tracks.motion.usual_size_px
+        self._common.predict(step_s, size_px)
+        recent = tracks.is_confirmed & (tracks.unseen_s <= step_s + _RECENT_S)
+        leading = tracks.at(np.flatnonzero(recent)[:_LEADING])
+        high = np.flatnonzero(detections.scores[:_LEADING] >= settings.track_high_threshold)
+        similarity = _similarity(leading, detections, len(high), settings, self._common.variance_xy)
+        everyone = np.arange(len(leading))
+        rows, columns = best_pairs(similarity, everyone, high, settings.track_match_threshold, self._solver)
+        seen_xy = xyxy_to_cxcywh(detections.boxes_xyxy[columns])[:, :2]
+        correction = self._common.correct(leading.motion.position[rows, :2], seen_xy, size_px)
+        return (
+            tracks if correction is None else tracks.seen_from(correction.similarity, correction.velocity_xy)
+        )
 
     def _begun(self, detections: Detections, taken: Indices, settings: TrackerSettings) -> Tracks:
         """Tracks of the detections of a high score that are not `taken`."""
@@ -151,7 +199,11 @@ def _without(indices: Indices, removed: Indices) -> Indices:
 
 
 def _similarity(
-    tracks: Tracks, detections: Detections, count: int, settings: TrackerSettings
+    tracks: Tracks,
+    detections: Detections,
+    count: int,
+    settings: TrackerSettings,
+    common_variance_xy: Array | float = 0.0,
 ) -> NDArray[np.float64]:
     """IoU (n, count) of the tracks with the first `count` detections; 0 where the classes differ.
 
@@ -159,7 +211,8 @@ def _similarity(
     margin, as in C-BIoU (Yang et al. 2023): the uncertainty of the prediction, which is small at 30 Hz.
     """
     motion = tracks.motion
-    similarity = iou_matrix(motion.boxes_xyxy, detections.boxes_xyxy[:count], motion.margin_xy)
+    margin_xy = motion.margin_xy(common_variance_xy)
+    similarity = iou_matrix(motion.boxes_xyxy, detections.boxes_xyxy[:count], margin_xy)
     if not settings.track_across_classes:
         similarity[tracks.class_ids[:, None] != detections.class_ids[:count]] = 0
     return similarity

@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Similarity = NDArray[np.float64]
+"""(2, 3): turns, scales and shifts points (x, y, 1)."""
 
 MEASUREMENT_STD = 0.03
 """Standard deviation of a detected coordinate in box sizes, for a score of 1; see `measurement_std`."""
@@ -67,10 +69,18 @@ class Motion:
         centre, half_size = self.position[:, :2], self.position[:, 2:] / 2
         return np.concatenate((centre - half_size, centre + half_size), axis=1)
 
+    def margin_xy(self, common_variance_xy: Array | float = 0.0) -> Array:
+        """(n, 2) standard deviation of the centre in pixels, at most MAX_MARGIN.
+
+        `common_variance_xy` (2,) is that of all centres together, in pixels squared.
+        """
+        std = np.sqrt(self.variance[:, :2] + common_variance_xy)
+        return np.minimum(std, MAX_MARGIN * _size(self.position))
+
     @property
-    def margin_xy(self) -> Array:
-        """(n, 2) standard deviation of the centre in pixels, at most MAX_MARGIN."""
-        return np.minimum(np.sqrt(self.variance[:, :2]), MAX_MARGIN * _size(self.position))
+    def usual_size_px(self) -> float:
+        """Median over the tracks, of which there must be one, of the mean of width and height."""
+        return float(np.median(_size(self.position)))
 
     def predicted(self, step_s: float) -> Motion:
         """The estimates `step_s` seconds later; a box does not shrink below an empty one."""
@@ -85,6 +95,23 @@ class Motion:
             covariance=drift + density * (step_s**2 / 2),
             velocity_variance=self.velocity_variance + density * step_s,
         )
+
+    def seen_from(self, camera: Similarity, velocity_xy: Array | float = 0.0) -> Motion:
+        """The estimates for an image to whose pixels `camera` maps those of the last one.
+
+        `velocity_xy` (2,) is added to the velocity of all centres.
+        """
+        linear, scale = camera[:, :2].T, float(np.hypot(*camera[:, 0]))
+        position, velocity = (
+            np.hstack((each[:, :2] @ linear, each[:, 2:] * scale)) for each in (self.position, self.velocity)
+        )
+        position[:, :2] += camera[:, 2]
+        velocity[:, :2] += velocity_xy
+        variances = (
+            np.hstack((each[:, :2] @ linear**2, each[:, 2:] * scale**2))
+            for each in (self.variance, self.covariance, self.velocity_variance)
+        )
+        return Motion(position, velocity, *variances)
 
     def corrected(
         self, boxes_xyxy: NDArray[np.floating], scores: NDArray[np.floating], step_s: float

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,14 +13,27 @@ from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
+from yolov5_lifecycle.tracking.camera_motion import CameraMotion
 
 
 @dataclass(frozen=True)
 class TrackedDetection:
-    """The tracker of one camera with its current settings; for others, create a new one with this tracker."""
+    """The tracker of one camera with its current settings; `with_settings` of others keeps the tracks."""
 
     tracker: ByteTracker
     settings: TrackerSettings
+    camera: CameraMotion = field(default_factory=CameraMotion)
+
+    @classmethod
+    def started(cls, settings: Settings, ids: Iterator[int]) -> TrackedDetection | None:
+        """Without tracks; None if `settings` ask for no tracker. For `ids` see ByteTracker."""
+        if settings.tracker == "none":
+            return None
+        return cls(ByteTracker(ids), tracker_settings(settings))
+
+    def with_settings(self, settings: Settings) -> TrackedDetection:
+        """The same tracker and tracks with the tracker's part of `settings`."""
+        return replace(self, settings=tracker_settings(settings))
 
     def detect(
         self, detector: Detector, image: ColourImage, selection: Selection, stamp_s: float
@@ -29,15 +42,25 @@ class TrackedDetection:
 
         Raises InferenceError like `Detector.detect`.
         """
-        return self.follow(detector.detect(image, self.wider(selection)), selection, stamp_s)
+        return self.follow(detector.detect(image, self.wider(selection)), image, selection, stamp_s)
 
     def wider(self, selection: Selection) -> Selection:
         """`selection`, extended by what may continue a track."""
         return replace(selection, tracked_threshold=self.settings.track_low_threshold)
 
-    def follow(self, found: Detections, selection: Selection, stamp_s: float) -> Detections:
-        """The detections that `selection` admits, with `track_ids`; `found`: those of the wider selection."""
-        ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings)
+    def follow(
+        self, found: Detections, image: ColourImage, selection: Selection, stamp_s: float
+    ) -> Detections:
+        """The detections that `selection` admits, with `track_ids`.
+
+        `found`: those of the wider selection in `image`.
+        """
+        camera = None
+        if self.settings.track_camera_motion == "auto":
+            camera = self.camera.since_last(image, found.boxes_xyxy)
+        else:
+            self.camera.reset()
+        ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings, camera=camera)
         return published(found, ids, selection)
 
 
@@ -71,4 +94,5 @@ def tracker_settings(settings: Settings) -> TrackerSettings:
         track_match_threshold=settings.track_match_threshold,
         track_timeout=settings.track_timeout,
         track_across_classes=settings.track_across_classes,
+        track_camera_motion=settings.track_camera_motion,
     )

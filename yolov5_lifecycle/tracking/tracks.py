@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.tracking.assignment import Indices
-from yolov5_lifecycle.tracking.motion import Motion
+from yolov5_lifecycle.tracking.motion import Array, Motion, Similarity
 
 UNCONFIRMED = 0
 """The number of a track that was seen once."""
@@ -54,6 +54,10 @@ class Tracks:
             return Tracks.none()
         kept = self.at(np.flatnonzero(self.unseen_s + step_s <= timeout_s))
         return Tracks(kept.motion.predicted(step_s), kept.class_ids, kept.numbers, kept.unseen_s + step_s)
+
+    def seen_from(self, camera: Similarity, velocity_xy: Array | float = 0.0) -> Tracks:
+        """The tracks in the pixels of the next image, see `Motion.seen_from`."""
+        return replace(self, motion=self.motion.seen_from(camera, velocity_xy))
 
     def seen(
         self, detections: Detections, rows: Indices, numbers: NDArray[np.int64], step_s: float

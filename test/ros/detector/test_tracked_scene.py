@@ -7,7 +7,7 @@ import pytest
 from support.detector_process import NODE, SEED, DetectorProcess, as_arguments, environment
 from vision_msgs.msg import Detection2DArray
 
-from benchmark.track_figures import JudgedFrame, track_counts
+from benchmark.tracking.figures import JudgedFrame, track_counts
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
 from yolov5_lifecycle.sources.scene import CLASS_NAMES

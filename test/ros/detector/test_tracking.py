@@ -75,6 +75,7 @@ def test_diagnostics_name_the_tracker_and_count_its_tracks(tracking: ServedNode)
         {"confidence_threshold": 0.4},
         {"track_high_threshold": 0.3, "track_low_threshold": 0.2},
         {"track_across_classes": True},
+        {"track_camera_motion": "off"},
         {"classes": ["cat"]},
     ],
     ids=lambda change: next(iter(change)),

@@ -93,7 +93,8 @@ class Pipeline:
         """
         detections, header = result.found, result.frame.message.header
         if self.tracking is not None:
-            detections = self.tracking.follow(detections, self.selection, messages.stamp_s(header))
+            stamp_s = messages.stamp_s(header)
+            detections = self.tracking.follow(detections, result.image, self.selection, stamp_s)
         array = messages.detection_array(detections, self.detector.class_names, header)
         yield partial(self.outputs.detections.publish, array)
         self._note(detections, result.frame.received_s)

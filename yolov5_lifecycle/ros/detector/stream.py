@@ -19,8 +19,7 @@ from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.feed import Feed
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracker_settings
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 Made = TypeVar("Made")
 
@@ -56,7 +55,7 @@ class Stream:
         self._feed = feed
         self._last_image = last_image
         self._track_ids = track_ids
-        self._tracker = self._new_tracker()
+        self._tracking = TrackedDetection.started(settings, track_ids)
         self._input: ImageInput | None = None
         self.losses = ImageLosses()
         self.problem = ""
@@ -69,9 +68,10 @@ class Stream:
     @property
     def tracker_values(self) -> dict[str, str]:
         """For diagnostics: the tracker and its tracks after the last image; empty without one."""
-        if self._tracker is None:
+        if self._tracking is None:
             return {}
-        return {"tracker": self._settings.tracker, "confirmed tracks": str(self._tracker.confirmed)}
+        tracker = self._tracking.tracker
+        return {"tracker": self._settings.tracker, "confirmed tracks": str(tracker.confirmed)}
 
     @property
     def segments(self) -> bool:
@@ -97,7 +97,9 @@ class Stream:
         is_other_model = detector is not self._detector
         self._detector = detector
         if is_other_camera or is_other_model or before.tracker != settings.tracker:
-            self._tracker = self._new_tracker()
+            self._tracking = TrackedDetection.started(settings, self._track_ids)
+        elif self._tracking is not None:
+            self._tracking = self._tracking.with_settings(settings)
         self.empty_frames = _no_empty_frames(settings)
         self._start()
         is_resubscribed = bool(before.differing(settings, Change.RESUBSCRIBE))
@@ -149,11 +151,8 @@ class Stream:
         self.problem = ""
         return made
 
-    def _new_tracker(self) -> ByteTracker | None:
-        return ByteTracker(self._track_ids) if self._settings.tracker == "bytetrack" else None
-
     def _start(self) -> None:
-        settings, tracker = self._settings, self._tracker
+        settings = self._settings
         self._follow_depth()
         pipeline = Pipeline(
             detector=self._detector,
@@ -163,7 +162,7 @@ class Stream:
             empty_frames=self.empty_frames,
             last_image=self._last_image,
             placing=self.depth.placing if self.depth else None,
-            tracking=None if tracker is None else TrackedDetection(tracker, tracker_settings(settings)),
+            tracking=self._tracking,
         )
         self._feed.start(pipeline, max_rate_hz=settings.max_rate)
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.tracking.camera_path import CAMERA_PATHS, DURATION_S, SIZE_HW, CameraPath, still
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Shape
 
-SIZE_HW = (480, 640)
-DURATION_S = 10.0
 MIN_VISIBLE = 0.25
 """Share of a box that must be uncovered and inside the image for the object to count as present."""
 _CELLS = 24
@@ -37,9 +37,11 @@ class Actor:
     swing_rate: float = 0.0
     """Radians per second."""
     phase: float = 0.0
+    depth_m: float = 10.0
+    """Distance from a camera that drives, at the middle of the scene."""
 
     def shape(self, time_s: float) -> Shape:
-        """Where it is at `time_s`."""
+        """Where it is at `time_s`, seen by a still camera."""
         swing = math.sin(self.swing_rate * time_s + self.phase)
         x, y = (
             start + speed * (time_s - DURATION_S / 2) + width * swing
@@ -57,32 +59,39 @@ class View:
     """Boxes (n, 4) of the visible part of each, as detectors find it; empty if invisible."""
     visible: NDArray[np.float64]
     """Visible share (n,) of each."""
+    walls_xyxy: NDArray[np.float64]
+    """(m, 4), before all of them, upright."""
 
 
 @dataclass(frozen=True)
 class TrackScene:
-    """Actors, the furthest first, and walls before all of them."""
+    """Actors, the furthest first, and walls before all of them, seen by a camera."""
 
     name: str
     actors: tuple[Actor, ...]
     walls_xyxy: tuple[tuple[float, float, float, float], ...] = ()
+    camera: CameraPath = still
+    has_pauses: bool = False
+    """Whether images are missing for up to 0.6 s, again and again."""
 
     def view(self, time_s: float) -> View:
         """The scene at `time_s`."""
-        shapes = tuple(actor.shape(time_s) for actor in self.actors)
+        pose = self.camera(time_s)
+        shapes = tuple(pose.seen(actor.shape(time_s), actor.depth_m) for actor in self.actors)
         whole = np.array([_box(shape) for shape in shapes])
-        walls = np.array(self.walls_xyxy).reshape(-1, 4)
+        walls = np.array([pose.seen_box(wall) for wall in self.walls_xyxy]).reshape(-1, 4)
         seen = [_seen(box, np.vstack((whole[row + 1 :], walls))) for row, box in enumerate(whole)]
         boxes_xyxy = np.array([_seen_box(box, cells) for box, cells in zip(whole, seen, strict=True)])
-        return View(shapes, boxes_xyxy.astype(np.float32), np.array([cells.mean() for cells in seen]))
+        visible = np.array([cells.mean() for cells in seen])
+        return View(shapes, boxes_xyxy.astype(np.float32), visible, walls)
 
     def image(self, view: View, background: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """An RGB image (H, W, 3) of `view` on a `background` of SIZE_HW; the walls look like that, too."""
         pixels = background.copy()
         for shape in view.shapes:
             shape.draw(pixels)
-        for wall in self.walls_xyxy:
-            left, top, right, bottom = (max(round(side), 0) for side in wall)
+        for wall in view.walls_xyxy:
+            left, top, right, bottom = (max(round(side), 0) for side in wall.tolist())
             pixels[top:bottom, left:right] = background[top:bottom, left:right]
         return pixels
 
@@ -170,9 +179,50 @@ def crowd(rng: np.random.Generator) -> TrackScene:
     return TrackScene("crowd", tuple(actors))
 
 
-SCENES: Mapping[str, Callable[[np.random.Generator], TrackScene]] = MappingProxyType(
-    {scene.__name__: scene for scene in (crossings, occlusions, returns, crowd)}
+def street(rng: np.random.Generator) -> TrackScene:
+    """Twelve objects of three classes that wander, some beside the image at first, behind two pillars."""
+    classes = rng.choice(len(CLASS_NAMES), 3, replace=False)
+    actors = [
+        replace(
+            _actor(
+                rng,
+                int(classes[number % 3]),
+                (rng.uniform(-120, 760), rng.uniform(60, 420)),
+                velocity_xy=(rng.choice((-1, 1)) * rng.uniform(10, 60), rng.uniform(-6, 6)),
+                swing_xy=(rng.uniform(0, 25), rng.uniform(0, 10)),
+                swing_rate=rng.uniform(0.5, 1.5),
+            ),
+            depth_m=depth_m,
+        )
+        for number, depth_m in enumerate(np.linspace(16, 6, 12).tolist())
+    ]
+    walls = tuple((x - 22, -200.0, x + 22, 700.0) for x in rng.uniform((80, 380), (260, 560)).tolist())
+    return TrackScene("street", tuple(actors), walls)
+
+
+def _driven(
+    name: str, path: Callable[[np.random.Generator], CameraPath], pauses: bool, rng: np.random.Generator
+) -> TrackScene:
+    """The street from a camera that moves."""
+    scene = street(rng)
+    return replace(scene, name=name, camera=path(rng), has_pauses=pauses)
+
+
+STILL_SCENES: Mapping[str, Callable[[np.random.Generator], TrackScene]] = MappingProxyType(
+    {
+        **{scene.__name__: scene for scene in (crossings, occlusions, returns, crowd, street)},
+        "pauses": partial(_driven, "pauses", lambda _: still, True),
+    }
 )
+"""The camera stands still."""
+MOVING_SCENES: Mapping[str, Callable[[np.random.Generator], TrackScene]] = MappingProxyType(
+    {
+        **{name: partial(_driven, name, path, False) for name, path in CAMERA_PATHS.items()},
+        "sway, pauses": partial(_driven, "sway, pauses", CAMERA_PATHS["sway 40 0.4"], True),
+    }
+)
+"""The camera is on a robot that moves."""
+SCENES = MappingProxyType({**STILL_SCENES, **MOVING_SCENES})
 
 
 def _some_class(rng: np.random.Generator) -> int:

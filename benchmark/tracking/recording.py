@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.track_scenes import DURATION_S, MIN_VISIBLE, SIZE_HW, TrackScene, View
+from benchmark.tracking.camera_path import DURATION_S, SIZE_HW
+from benchmark.tracking.film import Film
+from benchmark.tracking.scenes import MIN_VISIBLE, TrackScene, View
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import suppress
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Shape
+from yolov5_lifecycle.tracking.camera_motion import CameraMotion
+from yolov5_lifecycle.tracking.motion import Similarity
 
 START_S = 1.7e9
 """The stamp of the first image, as large as the clock's."""
 MIN_SCORE = 0.1
 _JITTER = 0.25  # of the time between two images, to both sides
 _DROPPED = 0.05  # of the images
+_PAUSE_EVERY_S = 1.5
+_PAUSE_S = (0.2, 0.6)
 _MISSED = 0.2  # of the objects in each image
 _FALSE_PER_IMAGE = 0.4
 _BOX_NOISE = 0.04  # of the box's size
@@ -31,31 +39,46 @@ class RecordedFrame:
     detections: Detections
     truth_ids: tuple[int, ...]
     truth_boxes_xyxy: NDArray[np.float32]
+    camera: Similarity | None = None
+    """What `CameraMotion` found, None without images."""
+    camera_ms: float = 0.0
 
 
-Detect = Callable[[TrackScene, View], Detections]
-"""Finds the objects of a scene in a view of it."""
+Detect = Callable[[View, ColourImage | None], Detections]
+"""Finds the objects of a view, or of an image of it."""
 
 
 def recorded(
-    scene: TrackScene, rate_hz: float, rng: np.random.Generator, detect: Detect
+    scene: TrackScene,
+    rate_hz: float,
+    rng: np.random.Generator,
+    detect: Detect,
+    film: Film | None = None,
 ) -> list[RecordedFrame]:
     """The `scene` at about `rate_hz`, with jitter and dropped images.
 
     An object that left the image and comes back counts as another one.
     """
     frames = []
-    visits = _Visits(scene)
-    for time_s in _times_s(rate_hz, rng):
+    visits, motion = _Visits(scene), CameraMotion()
+    for time_s in _times_s(scene, rate_hz, rng):
         view = scene.view(time_s)
         truth_ids = visits.identities(view)
         there = view.visible >= MIN_VISIBLE
+        image = None
+        if film is not None:
+            image = ColourImage(scene.image(view, film.background(scene.camera(time_s))), "rgb")
+        detections = detect(view, image)
+        begun_s = time.perf_counter()
+        camera = None if image is None else motion.since_last(image, detections.boxes_xyxy)
         frames.append(
             RecordedFrame(
                 START_S + time_s,
-                detect(scene, view),
+                detections,
                 tuple(number for number, is_there in zip(truth_ids, there, strict=True) if is_there),
                 view.boxes_xyxy[there],
+                camera,
+                1000 * (time.perf_counter() - begun_s),
             )
         )
     return frames
@@ -64,7 +87,7 @@ def recorded(
 def simulated(rng: np.random.Generator) -> Detect:
     """A detector that misses a fifth, invents objects, and scores covered objects lower."""
 
-    def detect(_: TrackScene, view: View) -> Detections:
+    def detect(view: View, _: object) -> Detections:
         found = view.visible >= MIN_VISIBLE
         visible = view.visible[found]
         scores = 0.85 * visible + rng.normal(0, 0.08, len(visible))
@@ -88,10 +111,14 @@ def partly_missed(detections: Detections, rng: np.random.Generator) -> Detection
     return Detections(detections.boxes_xyxy[kept], detections.scores[kept], detections.class_ids[kept])
 
 
-def _times_s(rate_hz: float, rng: np.random.Generator) -> Sequence[float]:
+def _times_s(scene: TrackScene, rate_hz: float, rng: np.random.Generator) -> Sequence[float]:
     times_s = np.arange(round(DURATION_S * rate_hz)) / rate_hz
     times_s = times_s + rng.uniform(-_JITTER, _JITTER, len(times_s)) / rate_hz
-    kept: list[float] = times_s[rng.random(len(times_s)) >= _DROPPED].tolist()
+    is_kept = rng.random(len(times_s)) >= _DROPPED
+    if scene.has_pauses:
+        for start_s in np.arange(_PAUSE_EVERY_S, DURATION_S, _PAUSE_EVERY_S) + rng.uniform(-0.5, 0.5):
+            is_kept &= (times_s < start_s) | (times_s > start_s + rng.uniform(*_PAUSE_S))
+    kept: list[float] = times_s[is_kept].tolist()
     return kept
 
 

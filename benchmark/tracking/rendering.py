@@ -1,4 +1,4 @@
-"""Scenes drawn as images, in which the embedded model detects."""
+"""The embedded model as the detector of scenes that are drawn."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.track_recording import MIN_SCORE, Detect, partly_missed
-from benchmark.track_scenes import SIZE_HW, TrackScene, View
+from benchmark.tracking.camera_path import SIZE_HW
+from benchmark.tracking.recording import MIN_SCORE, Detect, partly_missed
+from benchmark.tracking.scenes import View
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
@@ -15,7 +16,7 @@ from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
 
-_WEIGHTS = Path(__file__).parents[1] / "weights" / "shapes.safetensors"
+_WEIGHTS = Path(__file__).parents[2] / "weights" / "shapes.safetensors"
 _SELECTION = Selection(confidence_threshold=MIN_SCORE)
 
 
@@ -27,12 +28,11 @@ def shapes_detector() -> Detector:
 
 
 def rendered(detector: Detector, rng: np.random.Generator) -> Detect:
-    """Draws the visible objects on noisy grey, detects in the image, and drops a fifth."""
-    background = np.clip(rng.normal(114, 8, (*SIZE_HW, 3)), 0, 255).astype(np.uint8)
+    """Detects in the images, and drops a fifth of what is found."""
 
-    def detect(scene: TrackScene, view: View) -> Detections:
-        return partly_missed(
-            detector.detect(ColourImage(scene.image(view, background), "rgb"), _SELECTION), rng
-        )
+    def detect(_: View, image: ColourImage | None) -> Detections:
+        if image is None:
+            raise ValueError("Expected a film, found none: without images there is nothing to detect in.")
+        return partly_missed(detector.detect(image, _SELECTION), rng)
 
     return detect

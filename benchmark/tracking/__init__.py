@@ -1,0 +1,1 @@
+"""How well and how fast objects are tracked: scenes, cameras that move, figures."""
