@@ -86,7 +86,7 @@ def identity_goals(
 ) -> Iterator[Goal]:
     """Of the IDF1 with and without images, compared with the oracle and with each other."""
     idf1 = {name: {g: c.idf1 for g, c in _groups(cases, each).items()} for name, each in counts.items()}
-    oracle = idf1.pop("oracle", None)
+    oracle = idf1.pop("oracle", {})
     for name, own in idf1.items() if oracle else ():
         gains = [own[group] - oracle[group] for group in own]
         mean = sum(gains) / len(gains)
