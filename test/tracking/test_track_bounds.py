@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.tracking.__main__ import identity_table
-from benchmark.tracking.camera_path import DURATION_S
+from benchmark.tracking.__main__ import identity_goals, identity_table
+from benchmark.tracking.camera_path import CAMERA_PATHS, DURATION_S, projected
 from benchmark.tracking.cases import Case, counts_of, oracle_ids, own_ids, simulated_cases
 from benchmark.tracking.figures import TrackCounts
 from benchmark.tracking.film import Film
 from benchmark.tracking.recording import START_S, recorded, simulated
 from benchmark.tracking.rendering import rendered, shapes_detector
 from benchmark.tracking.scenes import MIN_VISIBLE, SCENES, STILL_SCENES, crossings, occlusions, returns
-from benchmark.tracking.times import update_times_ms
+from benchmark.tracking.times import camera_times_ms, update_times_ms
 
 CROWDED = ["crossings", "occlusions", "returns", "crowd"]
 
@@ -113,4 +113,39 @@ def test_the_table_has_a_line_for_each_scene_and_rate_and_one_for_all(cases: lis
 def test_the_time_of_each_update_is_measured() -> None:
     times_ms = update_times_ms(5, 8, np.random.default_rng(0))
     assert len(times_ms) == 8
+    assert min(times_ms) > 0
+
+
+def test_a_goal_is_missed_by_the_worst_scene_and_by_the_mean() -> None:
+    cases = [Case(name, 10.0, ()) for name in ("street", "yaw")]
+
+    def counts(*identified: int) -> list[TrackCounts]:
+        return [TrackCounts(truths=100, tracked=100, identified=each) for each in identified]
+
+    figures = {"own": counts(80, 90), "boxes": counts(81, 60), "oracle": counts(70, 70)}
+    goals = {goal.what: goal for goal in identity_goals("simulated", cases, figures)}
+    reached = {what.partition("simulated, ")[2]: goal.is_reached for what, goal in goals.items()}
+    assert reached == {
+        "own, mean": True,
+        "own, worst scene": True,
+        "boxes, mean": False,
+        "boxes, worst scene": False,
+        "camera still": False,
+    }
+
+
+def test_a_camera_on_a_robot_shows_what_stands_still_elsewhere() -> None:
+    """Every path moves the image by some pixels within 2 s."""
+    for name, path in CAMERA_PATHS.items():
+        camera = path(np.random.default_rng(0))
+        places = [
+            projected(camera(time_s).plane(8.0), np.array(((100.0, 100.0),)))
+            for time_s in np.arange(0, 2, 0.1)
+        ]
+        assert np.ptp(places, axis=0).max() > 3, name
+
+
+def test_the_time_of_the_motion_of_a_camera_is_measured() -> None:
+    times_ms = camera_times_ms((48, 64), 3, np.random.default_rng(0))
+    assert len(times_ms) == 3
     assert min(times_ms) > 0
