@@ -148,7 +148,7 @@ def test_a_parameter_name_of_another_node_is_answered_with_ours(name: str, meant
         for name in ("image_topic", "input_topic", "camera_topic", "input_image_topic")
     ]
     + [
-        pytest.param(name, "not needed: ~/image is published while it has subscribers.", id=name)
+        pytest.param(name, "none is needed, because ~/image is published while it has subscribers.", id=name)
         for name in ("pub_image", "pub_result_img", "publish_image", "show_result", "use_debug")
     ]
     + [
@@ -162,7 +162,7 @@ def test_a_parameter_name_of_another_node_is_answered_with_ours(name: str, meant
         ),
         pytest.param(
             "depth_image_reliability",
-            "not needed: the reliability of depth is that of its publishers.",
+            "none is needed, because the reliability of depth is that of its publishers.",
             id="depth_image_reliability",
         ),
     ],

@@ -33,10 +33,10 @@ _DEPTH_TOPICS = (
     "topics are remapped: -r '~/depth/image_raw:=/camera/depth/image_raw', and ~/depth/camera_info."
 )
 _FRAME = "~/detections_3d is in the frame of the depth image: transform it with tf2."
-_OFFERED = "not needed: the reliability of depth is that of its publishers."
-_IN_PIXELS = "not needed: detections are in pixels; only depth needs a calibration, on ~/depth/camera_info."
+_OFFERED = "none is needed, because the reliability of depth is that of its publishers."
+_IN_PIXELS = "none is needed, because detections are in pixels; only depth needs a calibration, on ~/depth/camera_info."
 _BOND = "set bond_timeout to enable the bond; heartbeats are sent every 0.1 s."
-_SWITCH = "not needed: ~/image is published while it has subscribers."
+_SWITCH = "none is needed, because ~/image is published while it has subscribers."
 NOT_SETTINGS = {
     "image_topic": _TOPIC,
     "input_topic": _TOPIC,
@@ -47,7 +47,7 @@ NOT_SETTINGS = {
     "publish_image": _SWITCH,
     "show_result": _SWITCH,
     "use_debug": _SWITCH,
-    "pub_boxes": "not needed: what has no subscriber is not published.",
+    "pub_boxes": "none is needed, because what has no subscriber is not published.",
     "enable": "deactivate and activate the node: ros2 lifecycle set /yolov5 deactivate.",
     "namespace": "it is remapped: -r __ns:=/robot.",
     "input_depth_topic": _DEPTH_TOPICS,
@@ -55,16 +55,16 @@ NOT_SETTINGS = {
     "point_cloud_topic": _DEPTH_TOPICS,
     "target_frame": _FRAME,
     "working_frame": _FRAME,
-    "maximum_detection_threshold": "not needed: the surface of an object is found without a limit in metres.",
-    "depth_image_units_divisor": "not needed: the unit follows from the encoding of the depth image.",
+    "maximum_detection_threshold": "none is needed, because the surface of an object is found without a limit in metres.",
+    "depth_image_units_divisor": "none is needed, because the unit follows from the encoding of the depth image.",
     "depth_image_reliability": _OFFERED,
     "depth_info_reliability": _OFFERED,
     "camera_info_topic": _IN_PIXELS,
     "camera_info_file": _IN_PIXELS,
-    "retina_masks": "not needed: masks always have the size of the image.",
-    "yolo_encoding": "not needed: each image names its encoding.",
-    "fuse_model": "not needed: convolutions and batch normalizations are always fused.",
-    "model_type": "not needed: every model is a YOLOv5.",
+    "retina_masks": "none is needed, because masks always have the size of the image.",
+    "yolo_encoding": "none is needed, because each image names its encoding.",
+    "fuse_model": "none is needed, because convolutions and batch normalizations are always fused.",
+    "model_type": "none is needed, because every model is a YOLOv5.",
     "augment": "images are detected once, without test-time augmentation.",
     "bond_heartbeat_period": _BOND,
 }
