@@ -35,6 +35,8 @@ _DEPTH_TOPICS = (
 _FRAME = "~/detections_3d is in the frame of the depth image: transform it with tf2."
 _OFFERED = "none is needed, because the reliability of depth is that of its publishers."
 _IN_PIXELS = "none is needed, because detections are in pixels; only depth needs a calibration, on ~/depth/camera_info."
+_NO_LIMIT = "none is needed, because the surface of an object is found without a limit in metres."
+_ENCODED = "none is needed, because the unit follows from the encoding of the depth image."
 _BOND = "set bond_timeout to enable the bond; heartbeats are sent every 0.1 s."
 _SWITCH = "none is needed, because ~/image is published while it has subscribers."
 NOT_SETTINGS = {
@@ -55,8 +57,8 @@ NOT_SETTINGS = {
     "point_cloud_topic": _DEPTH_TOPICS,
     "target_frame": _FRAME,
     "working_frame": _FRAME,
-    "maximum_detection_threshold": "none is needed, because the surface of an object is found without a limit in metres.",
-    "depth_image_units_divisor": "none is needed, because the unit follows from the encoding of the depth image.",
+    "maximum_detection_threshold": _NO_LIMIT,
+    "depth_image_units_divisor": _ENCODED,
     "depth_image_reliability": _OFFERED,
     "depth_info_reliability": _OFFERED,
     "camera_info_topic": _IN_PIXELS,
