@@ -34,7 +34,7 @@ _DEPTH_TOPICS = (
 )
 _FRAME = "~/detections_3d is in the frame of the depth image: transform it with tf2."
 _OFFERED = "none is needed, because the reliability of depth is that of its publishers."
-_IN_PIXELS = "none is needed, because detections are in pixels; only depth needs a calibration, on ~/depth/camera_info."
+_IN_PIXELS = "none is needed, because detections are in pixels; depth has its own, on ~/depth/camera_info."
 _NO_LIMIT = "none is needed, because the surface of an object is found without a limit in metres."
 _ENCODED = "none is needed, because the unit follows from the encoding of the depth image."
 _BOND = "set bond_timeout to enable the bond; heartbeats are sent every 0.1 s."
