@@ -220,3 +220,10 @@ def test_a_missed_score_that_is_noise_is_not_reported() -> None:
     noise = Detections(np.zeros((1, 4), np.float32), np.array([0.03], np.float32), np.zeros(1, np.int64))
     found = published(noise, [""], Selection())
     assert (len(found), found.best_missed, found.track_ids) == (0, 0.0, ())
+
+
+def test_tracking_starts_with_the_settings_of_its_camera_or_not_at_all() -> None:
+    started = TrackedDetection.started(Settings(tracker="bytetrack", track_timeout=0.5), itertools.count(1))
+    assert started is not None
+    assert started.settings.track_timeout == 0.5
+    assert TrackedDetection.started(Settings(), itertools.count(1)) is None
