@@ -119,7 +119,7 @@ def _hang(subject: Subject, sender: Sender) -> float:
     """Deactivate during a hang that the node has reported; returns how long that took, in seconds."""
     failed = int(subject.status()["frames failed"])
     sender.send(faulty_image("hang"))
-    subject.observer.wait_for(lambda: "or it hangs" in subject.status()["message"], "word of the hang")
+    subject.observer.wait_for(lambda: "If inference hangs" in subject.status()["message"], "word of the hang")
     begun_s = time.monotonic()
     assert subject.transition("deactivate")
     held_s = time.monotonic() - begun_s

@@ -138,7 +138,7 @@ def _delay(step: str, times: _Times) -> None:
             process.bring_to("active")
             viewer.see_all()
             os.kill(process.process.process_id, signal.SIGUSR1)
-            viewer.send_until(lambda: "or it hangs" in process.status()["message"], f"{step} to hang")
+            viewer.send_until(lambda: "If inference hangs" in process.status()["message"], f"{step} to hang")
             if not is_last:
                 viewer.deactivate(times)
         viewer.stop_asking(times)
@@ -173,7 +173,7 @@ def _terminate(process: Subject, times: _Times) -> None:
 @contextmanager
 def _viewer(program: Sequence[str], parameters: Mapping[str, object]) -> Iterator[_Viewer]:
     given = {"weights": _WEIGHTS, "device": "cpu", **parameters}
-    asking = [sys.executable, state_asker.__file__]
+    asking = [sys.executable, state_asker.__file__, NODE]
     with (
         own_domain() as domain,
         subject_of(program, given, domain) as process,

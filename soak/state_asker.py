@@ -1,6 +1,7 @@
-"""Asks the detector for its state all the time, and at SIGTERM tells how long the slowest answer took.
+"""Asks a detector for its state all the time, and at SIGTERM tells how long the slowest answer took.
 
-Runs as a separate process, which receives nothing else: large images would delay the answers there.
+The only argument is the name of the detector. Runs as a separate process, because large images that the
+process received, too, would delay the answers.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import time
 import rclpy
 from lifecycle_msgs.srv import GetState
 from rclpy.signals import SignalHandlerOptions
-from support.detector_process import NODE
 
 from yolov5_lifecycle.process.termination import on_termination
 
@@ -26,7 +26,7 @@ def main() -> int:
     on_termination(lambda _: is_over.set())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("asker")
-    client = node.create_client(GetState, f"{NODE}/get_state")
+    client = node.create_client(GetState, f"{sys.argv[1]}/get_state")
     assert client.wait_for_service(_ANSWER_S)
     print("asking", flush=True)
     longest_s = 0.0

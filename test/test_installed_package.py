@@ -108,7 +108,8 @@ def test_without_opencv_a_command_says_how_to_install_it(
 ) -> None:
     folder = tmp_path_factory.mktemp("without OpenCV") / "environment"
     executables = build_environment(folder, wheel, ("bag",))
-    told = run(home, executables / "detect_bag", "--help")
+    assert run(home, executables / "detect_bag", "--help").returncode == 0
+    told = run(home, executables / "detect_bag", "drive.mp4")
     assert (told.returncode, told.stdout) == (1, "")
     (line,) = told.stderr.splitlines()
     assert "No module named 'cv2'" in line
