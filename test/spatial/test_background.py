@@ -93,6 +93,13 @@ def test_without_measurements_there_is_no_background() -> None:
     assert not background(np.zeros((120, 160))).any()
 
 
+def test_a_few_measurements_around_a_box_are_no_plane() -> None:
+    depth_m = np.where(IN_BOX, 2.0, 0.0)
+    depth_m[84:92, 66:72] = 2.0
+    assert measured(depth_m)[IS_AROUND].sum() >= 9
+    assert not background(depth_m).any()
+
+
 def test_random_depth_has_no_background_plane() -> None:
     depth_m = np.random.default_rng(0).uniform(0.5, 8, (120, 160))
     assert around(background(depth_m)[None]).mean() < 0.1
