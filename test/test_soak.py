@@ -154,7 +154,7 @@ def told(detected: int) -> dict[str, str]:
     return others | counts
 
 
-def test_counts_begin_anew_only_with_a_camera_that_was_removed() -> None:
+def test_counts_begin_again_only_with_a_camera_that_was_removed() -> None:
     node = {"": {"state": "active"}}
     watch = BalanceWatch()
     for cameras in ({"front": told(3)}, {"front": told(1)}, {"front": told(2), "rear": told(5)}):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -12,6 +12,7 @@ from torch.nn import functional
 
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.models.tensor_stand_in import TensorStandIn
 
 PIXELS = "pixels"
 ACTIVATION = "activation"
@@ -89,27 +90,12 @@ class _AnyActivation(nn.Module):
         return features.after(Step(ACTIVATION, (self._path,), (features.step,)))
 
 
-class _Traced:
-    """The output of a step; torch's functions make the next one of it instead of running their own code."""
-
-    is_nested = False
-    dtype = torch.float32
+class _Traced(TensorStandIn):
+    """The output of a step; torch's functions make the next one of it."""
 
     def __init__(self, step: Step, keys: Mapping[int, str]) -> None:
         self.step = step
         self.keys = keys
-
-    @classmethod
-    def __torch_function__(
-        cls,
-        function: Callable[..., object],
-        types: Sequence[type],
-        args: Sequence[Any] = (),
-        kwargs: Mapping[str, Any] | None = None,
-    ) -> object:
-        if function not in _FUNCTIONS:
-            raise NotImplementedError(f"{function} of a step")
-        return _FUNCTIONS[function](*args, **(kwargs or {}))
 
     def dim(self) -> int:
         return 4
@@ -177,7 +163,7 @@ def _padded(features: _Traced, pad: tuple[int, ...], *_: object, **__: object) -
     return features.after(Step("pad", (tuple(pad),), (features.step,)))
 
 
-_FUNCTIONS: Mapping[Callable[..., object], Callable[..., object]] = {
+_Traced.functions = {
     torch.conv2d: _convolved,
     torch.max_pool2d: _pooled,
     functional.max_pool2d: _pooled,

@@ -7,12 +7,14 @@ torch has such tensors, too, those on the meta device, but its first operation o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch.nn import functional
+
+from yolov5_lifecycle.models.tensor_stand_in import TensorStandIn
 
 Shape = tuple[int, ...]
 
@@ -47,17 +49,11 @@ class _Allocation:
         self.ledger.elements -= self._elements
 
 
-class Outline:
+class Outline(TensorStandIn):
     """A tensor of `shape` that has no elements; it counts in `ledger` as long as it or a view of it exists.
 
     It is a view of `memory`, or has its own. Unless it `is_ordered`, reshaping copies its elements.
-
-    torch's functions call `__torch_function__` in place of their own code; those that no layer uses raise
-    NotImplementedError.
     """
-
-    dtype = torch.float32
-    is_nested = False
 
     def __init__(
         self, shape: Shape, ledger: Ledger, memory: _Allocation | None = None, *, is_ordered: bool = True
@@ -65,18 +61,6 @@ class Outline:
         self.shape = shape
         self._memory = memory or _Allocation(ledger, math.prod(shape))
         self._is_ordered = is_ordered
-
-    @classmethod
-    def __torch_function__(
-        cls,
-        function: Callable[..., object],
-        types: Sequence[type],
-        args: Sequence[Any] = (),
-        kwargs: Mapping[str, Any] | None = None,
-    ) -> object:
-        if function not in _FUNCTIONS:
-            raise NotImplementedError(f"{function} of an outline")
-        return _FUNCTIONS[function](*args, **(kwargs or {}))
 
     @property
     def ledger(self) -> Ledger:
@@ -229,7 +213,7 @@ def _attended(
     return mixed.made(*mixed.shape), None
 
 
-_FUNCTIONS: Mapping[Callable[..., object], Callable[..., object]] = {
+Outline.functions = {
     torch.conv2d: _convolved,
     torch.conv_transpose2d: _transposed,
     torch.max_pool2d: _pooled,

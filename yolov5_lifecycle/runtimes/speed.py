@@ -96,7 +96,7 @@ def measure_batches_ms(
     fail.
     """
     single = _runs(runtime, 1, frames_hw)
-    single_s = min(_seconds(partial(_run_all, single)) for _ in range(_WARM_UPS))
+    single_s = min(time_taken(partial(_run_all, single)).wall_ms for _ in range(_WARM_UPS)) / 1e3
     runs = {1: single}
     for size in sizes:
         expected_s = single_s * (sum(runs) + size) * (_WARM_UPS + 1)
@@ -173,9 +173,3 @@ def median(taken: Sequence[Taken]) -> Taken:
     wall_ms = statistics.median(each.wall_ms for each in taken)
     processor_ms = statistics.median(each.processor_ms for each in taken)
     return Taken(round(wall_ms, 2), round(processor_ms, 2))
-
-
-def _seconds(run: Run) -> float:
-    before = time.perf_counter()
-    run()
-    return time.perf_counter() - before

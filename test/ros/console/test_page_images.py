@@ -117,7 +117,7 @@ def test_rate_and_latency_are_shown_and_plotted(page: ConsolePage) -> None:
 
 
 def lines(page: ConsolePage) -> list[str]:
-    """The points of each plot, read together: the page draws it anew each second."""
+    """The points of each plot, read together: the page draws it again each second."""
     script = """
         const all = (part, css) => Array.from(part.querySelectorAll(css));
         const pointsOf = (plot) => all(plot, "polyline").map((line) => line.getAttribute("points"));
