@@ -155,6 +155,21 @@ def test_services_answer_while_a_removed_camera_hangs(
     release.set()
 
 
+def test_a_wait_for_a_frame_starts_no_thread(
+    prepare: Preparations, cameras: tuple[ServedNode, CameraClient, CameraClient]
+) -> None:
+    served, front, _ = cameras
+    release, entered = threading.Event(), threading.Event()
+    prepare.running.run = hanging(release, entered)
+    served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to begin")
+    before = set(threading.enumerate())
+    removed = served.begin_set(cameras=["rear"])
+    assert served.state() == "active"
+    assert set(threading.enumerate()) <= before
+    release.set()
+    served.wait_for(removed.done, "the answer")
+
+
 def test_a_network_that_cannot_be_prepared_again_deactivates_the_node_with_the_reason(
     prepare: Preparations,
     cameras: tuple[ServedNode, CameraClient, CameraClient],

@@ -28,6 +28,8 @@ class Background:
     def __init__(self, node: Node, name: str = "background") -> None:
         self._node = node
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=name)
+        # The pool starts its thread with the first task: then the node's number of threads never changes later.
+        self._thread.submit(lambda: None)
         self._unfinished: set[Future[Any]] = set()
 
     def submit(self, work: Callable[[], Result]) -> Future[Result]:
