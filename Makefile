@@ -32,8 +32,9 @@ else
 $(error SET=$(SET): expected 'tested' (the newest numpy, scipy and OpenCV) or 'apt' (those of Ubuntu 24.04))
 endif
 
-ifneq ($(filter-out cpu,$(TORCH)),)
-$(error TORCH=$(TORCH): expected 'cpu' (the CPU build of torch), or nothing for the usual build of pip)
+ifneq ($(filter-out cpu cuda,$(TORCH)),)
+$(error TORCH=$(TORCH): expected 'cpu' (the CPU build of torch), 'cuda' (the usual build of pip), or nothing for the one \
+  that fits this machine)
 endif
 # PyTorch's own index of CPU builds, from its installation page; only torch itself is installed from there.
 TORCH_INDEX := https://download.pytorch.org/whl/cpu
@@ -42,6 +43,8 @@ TORCH_INDEX := https://download.pytorch.org/whl/cpu
 FOREIGN := PYTHONPATH PYTHONHOME LD_LIBRARY_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION \
   _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport $(FOREIGN) VIRTUAL_ENV ROS_LOCALHOST_ONLY ROS_STATIC_PEERS
+# They would have pip install elsewhere than into the virtual environment.
+unexport PIP_USER PIP_TARGET PIP_PREFIX PIP_ROOT PIP_PYTHON
 # The tests start hundreds of Python processes: without cached bytecode each compiles this package again.
 unexport PYTHONDONTWRITEBYTECODE
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
@@ -49,14 +52,15 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 
 # Resolved now: the recipes search the virtual environment first, and its own Python is deleted when it is recreated.
-override PYTHON := $(or $(shell PATH="$${PATH//'$(abspath $(VENV))/bin:'/}"; command -v $(PYTHON)),$(PYTHON))
+override PYTHON := $(or $(shell PATH="$${PATH//'$(abspath $(VENV))/bin:'/}"; command -v "$(PYTHON)"),$(PYTHON))
 
 # A stamp is written only after its step has succeeded: an interrupted step is repeated from the beginning.
 # The first stamp has Python's version in its name, so another PYTHON creates a new environment.
-PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+PYTHON_VERSION := $(shell "$(PYTHON)" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 DEPENDENCIES := $(VENV)/.dependencies-$(PYTHON_VERSION)
 INTERFACES := $(VENV)/.interfaces
 PACKAGE := $(VENV)/.package
+TESTS := $(VENV)/.tests
 FUZZER := $(VENV)/.fuzzer
 MUTATOR := $(VENV)/.mutator
 INTERFACES_BUILD := build/interfaces-$(SET)
@@ -66,6 +70,15 @@ ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
+# The environment has another build of torch than TORCH asks for: it is made anew.
+ifneq ($(TORCH),)
+ifeq ($(wildcard $(VENV)/.torch-$(TORCH)),)
+.PHONY: $(DEPENDENCIES)
+endif
+endif
+
+# All targets share the virtual environment, and what takes long uses all processors anyway: -j changes nothing.
+.NOTPARALLEL:
 .PHONY: help install demo demo-cameras console test test-all coverage soak fuzz mutants bench bench-families lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
@@ -83,38 +96,38 @@ help:
 	@echo 'make fuzz     coverage-guided fuzzing of what reads images, weights, settings, labels and calibrations, of depth and tracks'
 	@echo 'make mutants  changes the code in small ways, which a test must notice; 20 minutes  (MUTANTS_FLAGS="--only tracking")'
 	@echo 'make lint     ruff and mypy --strict'
-	@echo 'make install  the first step of the others: .venv with the pinned packages, messages and this package'
+	@echo 'make install  .venv with all pinned packages, messages and this package, as for the tests; the demo needs half of them'
 	@echo 'make docs     regenerates what is derived from the settings: YAML file, schema, reference page'
 	@echo 'make clean    removes everything that make has created, .venv included'
-	@echo 'Variables: PYTHON=python3.12  SET=apt  TORCH=cpu  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"  SOAK_FLAGS="--minutes 5"'
+	@echo 'Variables: PYTHON=python3.12  SET=apt  TORCH=cpu|cuda  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"  SOAK_FLAGS="--minutes 5"'
 
-install: $(PACKAGE)
+install: $(TESTS)
 
 demo: $(PACKAGE)
 	@mkdir -p build/demo
-	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo
+	@XDG_CACHE_HOME="$(abspath build/cache)" $(VENV)/bin/demo
 
 demo-cameras: $(PACKAGE)
 	@mkdir -p build/demo
-	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo --cameras
+	@XDG_CACHE_HOME="$(abspath build/cache)" $(VENV)/bin/demo --cameras
 
 console: $(PACKAGE)
 	@mkdir -p build/demo
-	@XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/demo --console $(CONSOLE_FLAGS)
+	@XDG_CACHE_HOME="$(abspath build/cache)" $(VENV)/bin/demo --console $(CONSOLE_FLAGS)
 
-test: $(PACKAGE)
+test: $(TESTS)
 	$(PYTEST) -m 'not long' $(PYTEST_FLAGS)
 
-test-all: $(PACKAGE)
+test-all: $(TESTS)
 	$(PYTEST) $(PYTEST_FLAGS)
 
-coverage: $(PACKAGE)
+coverage: $(TESTS)
 	rm -rf build/coverage
 	$(VENV)/bin/coverage run -m pytest -o timeout=600 $(PYTEST_FLAGS)
 	$(VENV)/bin/coverage combine --quiet
 	$(VENV)/bin/coverage report
 
-bench: $(PACKAGE)
+bench: $(TESTS)
 	$(VENV)/bin/python -m benchmark.bench $(BENCH_FLAGS)
 	$(VENV)/bin/python -m benchmark.cameras $(CAMERAS_FLAGS)
 	$(VENV)/bin/python -m benchmark.tracking $(TRACKING_FLAGS)
@@ -123,26 +136,26 @@ bench: $(PACKAGE)
 	$(VENV)/bin/python -m benchmark.console $(CONSOLE_BENCH_FLAGS)
 	$(VENV)/bin/python -m benchmark.recordings $(RECORDINGS_FLAGS)
 
-bench-families: $(PACKAGE)
+bench-families: $(TESTS)
 	$(VENV)/bin/python -m benchmark.families $(FAMILIES_FLAGS)
 
 # It drives the detector with the tools in test/support.
-soak: $(PACKAGE)
-	PYTHONPATH=test XDG_CACHE_HOME=$(abspath build/cache) $(VENV)/bin/python -m soak $(SOAK_FLAGS)
+soak: $(TESTS)
+	PYTHONPATH=test XDG_CACHE_HOME="$(abspath build/cache)" $(VENV)/bin/python -m soak $(SOAK_FLAGS)
 
 # It attacks the readers with files built by the tools in test/support.
-fuzz: $(PACKAGE) $(FUZZER)
+fuzz: $(TESTS) $(FUZZER)
 	PYTHONPATH=test $(VENV)/bin/python -m fuzz $(FUZZ_FLAGS)
 
-mutants: $(PACKAGE) $(MUTATOR)
+mutants: $(TESTS) $(MUTATOR)
 	$(VENV)/bin/python -m tools.mutants $(MUTANTS_FLAGS)
 
-lint: $(PACKAGE)
+lint: $(TESTS)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy --strict $(TYPED)
 
-docs: $(PACKAGE)
+docs: $(TESTS)
 	$(VENV)/bin/python -m tools.settings_documents
 
 clean:
@@ -150,13 +163,18 @@ clean:
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 $(DEPENDENCIES): requirements/environment.txt requirements/pins.txt $(CONSTRAINTS)
-	@command -v $(PYTHON) > /dev/null || { echo "PYTHON=$(PYTHON): no such program; name a Python 3.10 to 3.13" >&2; exit 1; }
-	@$(PYTHON) requirements/check_machine.py $(SET)
-	@echo "Installing the pinned packages into $(VENV): about 2 GB, some minutes the first time."
+	@command -v "$(PYTHON)" > /dev/null || { echo "PYTHON=$(PYTHON): no such program; name a Python 3.10 to 3.13" >&2; exit 1; }
+	@"$(PYTHON)" requirements/check_machine.py $(SET)
+	@echo "Installing what the demo needs into $(VENV): some minutes the first time."
 	rm -rf $(VENV)
-	$(PYTHON) -m venv $(VENV)
-	$(if $(TORCH),$(VENV)/bin/python -m pip install $(PIP_FLAGS) --no-deps --index-url $(TORCH_INDEX) torch -c $(CONSTRAINTS))
+	"$(PYTHON)" -m venv $(VENV)
+	@$(VENV)/bin/python requirements/install_torch.py "$(TORCH)" $(TORCH_INDEX) -c $(CONSTRAINTS) $(PIP_FLAGS)
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/environment.txt -c $(CONSTRAINTS)
+	touch $(if $(TORCH),$(VENV)/.torch-$(TORCH)) $@
+
+$(TESTS): $(DEPENDENCIES) requirements/tests.txt | $(PACKAGE)
+	@echo "Installing the other packages into $(VENV): some minutes the first time."
+	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/tests.txt -c $(CONSTRAINTS)
 	touch $@
 
 $(INTERFACES): $(DEPENDENCIES) $(shell find interfaces -type f)
@@ -164,8 +182,8 @@ $(INTERFACES): $(DEPENDENCIES) $(shell find interfaces -type f)
 	rm -rf $(INTERFACES_BUILD)
 	for package in $(INTERFACE_PACKAGES); do \
 	  $(VENV)/bin/cmake -S interfaces/$$package -B $(INTERFACES_BUILD)/$$package -G Ninja --log-level=WARNING \
-	    -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DPython3_EXECUTABLE=$(abspath $(VENV))/bin/python \
-	    -DCMAKE_PREFIX_PATH=$(abspath $(VENV)) -DCMAKE_INSTALL_PREFIX=$(abspath $(VENV)); \
+	    -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF "-DPython3_EXECUTABLE=$(abspath $(VENV))/bin/python" \
+	    "-DCMAKE_PREFIX_PATH=$(abspath $(VENV))" "-DCMAKE_INSTALL_PREFIX=$(abspath $(VENV))"; \
 	  $(VENV)/bin/cmake --build $(INTERFACES_BUILD)/$$package; \
 	  $(VENV)/bin/cmake --install $(INTERFACES_BUILD)/$$package > $(INTERFACES_BUILD)/$$package/install.log; \
 	done

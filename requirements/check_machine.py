@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 import shutil
 import sys
 import sysconfig
@@ -11,6 +12,10 @@ APT_LINE = "sudo apt install git make g++ python3-venv python3-dev"
 # The newest Python with wheels: rclpy's for the tested set, numpy 1.26's for the one of apt.
 NEWEST = {"tested": (3, 13), "apt": (3, 12)}
 OLDEST = (3, 10)
+# What CMake, Ninja and the shell scripts of rosidl take for a part of a path, and nothing else.
+BUILDABLE_PATH = r"[A-Za-z0-9/._+@=,~-]*"
+# What the demo needs while it is being installed; the tests need as much again.
+NEEDED_BYTES = 2 * 10**9
 
 
 def python_problem(version: Tuple[int, int], package_set: str) -> str:
@@ -35,15 +40,46 @@ def missing_tools() -> List[str]:
     return [name for name, there in found.items() if not there]
 
 
-def main(package_set: str) -> int:
-    """Exit status: 0 when the environment can be made, else 1 with the reason on stderr."""
-    problem = python_problem((sys.version_info[0], sys.version_info[1]), package_set)
+def path_problem(folder: str) -> str:
+    """Why the messages cannot be built below the path `folder`, and what to do; "" when they can."""
+    if re.fullmatch(BUILDABLE_PATH, folder):
+        return ""
+    strange = "".join(sorted(set(re.sub(BUILDABLE_PATH, "", folder))))
+    return (
+        f"Move this folder to a path without {strange!a}, such as ~/yolov5_lifecycle: ROS messages can "
+        f"be built only in a path of the letters A to Z, digits and / . _ + @ = , ~ -, found {folder!a}."
+    )
+
+
+def folder_problem(folder: str, writable: bool, free_bytes: int) -> str:
+    """Why `folder`, on a disk with `free_bytes` free, cannot hold the environment; "" when it can."""
+    if not writable:
+        return f"Clone the repository into a folder of your own: this user cannot write to {folder!a}."
+    if free_bytes < NEEDED_BYTES:
+        return (
+            f"Free {NEEDED_BYTES / 1e9:.0f} GB of disk space; 'make clean' removes an older environment. "
+            f"{folder!a} has {free_bytes / 1e9:.1f} GB free."
+        )
+    return ""
+
+
+def machine_problems(package_set: str, folder: str) -> List[str]:
+    """Why the environment cannot be made in `folder`, one line each."""
     missing = missing_tools()
-    if missing:
-        problem += f"\nMissing: {', '.join(missing)}. On Debian and Ubuntu: {APT_LINE}"
-    if problem:
-        sys.stderr.write(problem.strip() + "\n")
-    return 1 if problem else 0
+    problems = [
+        python_problem((sys.version_info[0], sys.version_info[1]), package_set),
+        f"Missing: {', '.join(missing)}. On Debian and Ubuntu: {APT_LINE}" if missing else "",
+        path_problem(folder),
+        folder_problem(folder, os.access(folder, os.W_OK), shutil.disk_usage(folder).free),
+    ]
+    return [problem for problem in problems if problem]
+
+
+def main(package_set: str) -> int:
+    """Exit status: 0 when the environment can be made, else 1 with the reasons on stderr."""
+    problems = machine_problems(package_set, os.getcwd())
+    sys.stderr.writelines(problem + "\n" for problem in problems)
+    return 1 if problems else 0
 
 
 if __name__ == "__main__":

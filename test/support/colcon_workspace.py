@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[2]
@@ -27,15 +28,20 @@ COMMANDS = (
 
 
 def published_files() -> list[Path]:
-    """What a clone of the working tree would hold, relative to the repository."""
-    listing = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=REPOSITORY,
-        capture_output=True,
-        check=True,
-    )
-    names = listing.stdout.decode().split("\0")
-    return [Path(name) for name in names if (REPOSITORY / name).is_file()]
+    """What a clone of the working tree would hold, relative to the repository.
+
+    git is not asked: a release's archive has no history, and git refuses the clone of another user.
+    """
+    patterns = [".git", *(line.rstrip("/") for line in (REPOSITORY / ".gitignore").read_text().splitlines())]
+    found: list[Path] = []
+    for folder, folders, names in os.walk(REPOSITORY):
+        folders[:] = [name for name in folders if not _matches(name, patterns)]
+        found += [Path(folder, name) for name in names if not _matches(name, patterns)]
+    return [file.relative_to(REPOSITORY) for file in found if file.is_file()]
+
+
+def _matches(name: str, patterns: list[str]) -> bool:
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
 def build_workspace(folder: Path) -> None:

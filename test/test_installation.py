@@ -1,0 +1,304 @@
+"""What `make` installs, and what it refuses before anything is downloaded."""
+
+from __future__ import annotations
+
+import os
+import runpy
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from importlib.metadata import distribution, packages_distributions
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from support.colcon_workspace import PACKAGE, REPOSITORY, published_files
+from support.file_server import FileServer, ServedRequest
+
+CHECK = runpy.run_path(str(REPOSITORY / "requirements" / "check_machine.py"))
+TORCH = runpy.run_path(str(REPOSITORY / "requirements" / "install_torch.py"))
+CONSTRAINTS = REPOSITORY / "requirements" / "constraints.txt"
+WHEEL = "torch-2.13.0+cpu-py3-none-any.whl"
+NO_INDEX = "http://127.0.0.1:9"
+"""Nobody listens on the port that is reserved for discarding."""
+
+
+def names_in(requirements: str) -> list[Requirement]:
+    lines = (REPOSITORY / "requirements" / requirements).read_text().splitlines()
+    return [Requirement(line) for line in lines if line and not line.startswith("#")]
+
+
+def closure(requirements: list[Requirement]) -> set[str]:
+    """The packages that are installed with `requirements`."""
+    found: set[tuple[str, tuple[str, ...]]] = set()
+    waiting = list(requirements)
+    while waiting:
+        wanted = waiting.pop()
+        key = canonicalize_name(wanted.name), tuple(sorted(wanted.extras))
+        if key in found:
+            continue
+        found.add(key)
+        for line in distribution(wanted.name).requires or []:
+            needed = Requirement(line)
+            extras = ("", *wanted.extras)
+            if needed.marker is None or any(needed.marker.evaluate({"extra": extra}) for extra in extras):
+                waiting.append(needed)
+    return {name for name, _ in found}
+
+
+@pytest.fixture
+def clone(tmp_path: Path) -> Path:
+    """What `make` needs until it has made the environment."""
+    folder = tmp_path / "clone"
+    shutil.copytree(REPOSITORY / "requirements", folder / "requirements")
+    shutil.copytree(REPOSITORY / "interfaces", folder / "interfaces")
+    for file in ("Makefile", "setup.py", "setup.cfg", "package.xml"):
+        shutil.copy2(REPOSITORY / file, folder)
+    return folder
+
+
+def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    return subprocess.run(
+        ["make", f"PYTHON={sys.executable}", *words],
+        cwd=folder,
+        env=kept,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param("/home/user/yolov5_lifecycle", id="plain"),
+        pytest.param("/srv/a-b.c_d/e+f@g=h,i/~j", id="every sign that is allowed"),
+    ],
+)
+def test_a_path_in_which_the_messages_can_be_built_is_taken(path: str) -> None:
+    assert CHECK["path_problem"](path) == ""
+
+
+@pytest.mark.parametrize(
+    ("path", "named"),
+    [
+        pytest.param("/home/user/my robot", "' '", id="space"),
+        pytest.param("/home/zoé/robot", r"'\xe9'", id="accent"),
+        pytest.param("/home/\u0131\u015f\u0131k/robot", r"'\u0131\u015f'", id="Turkish"),
+        pytest.param("/home/o'hara", '"\'"', id="apostrophe"),
+        pytest.param("/tmp/$HOME", "'$'", id="dollar"),
+        pytest.param("/tmp/a;b", "';'", id="semicolon"),
+        pytest.param("/tmp/a:b", "':'", id="colon"),
+        pytest.param("/tmp/a\nb", r"'\n'", id="newline"),
+        pytest.param("/tmp/a\udcff", r"'\udcff'", id="no UTF-8"),
+    ],
+)
+def test_a_path_in_which_the_messages_cannot_be_built_is_refused_with_the_remedy(
+    path: str, named: str
+) -> None:
+    problem = CHECK["path_problem"](path)
+    assert problem.startswith(f"Move this folder to a path without {named}, such as ~/yolov5_lifecycle")
+    assert problem.isascii()
+    assert problem.isprintable()
+
+
+@pytest.mark.parametrize(
+    ("writable", "free_bytes", "remedy"),
+    [
+        pytest.param(True, 2 * 10**9, "", id="room"),
+        pytest.param(True, 2 * 10**9 - 1, "Free 2 GB of disk space", id="full disk"),
+        pytest.param(False, 10**12, "Clone the repository into a folder of your own", id="read-only"),
+    ],
+)
+def test_a_folder_that_cannot_hold_the_environment_is_refused(
+    writable: bool, free_bytes: int, remedy: str
+) -> None:
+    problem = CHECK["folder_problem"]("/srv/clone", writable, free_bytes)
+    assert problem.startswith(remedy)
+    assert bool(problem) == bool(remedy)
+
+
+def test_make_refuses_a_path_before_it_installs_anything(clone: Path) -> None:
+    elsewhere = clone.rename(clone.with_name("été"))
+    refused = make(elsewhere, "demo")
+    assert refused.returncode != 0
+    assert "Move this folder to a path without" in refused.stderr
+    assert not (elsewhere / ".venv").exists()
+
+
+def test_the_demo_installs_less_than_the_tests(clone: Path) -> None:
+    demo, tests = make(clone, "-n", "demo").stdout, make(clone, "-n", "test").stdout
+    assert "-r requirements/environment.txt" in demo
+    assert "requirements/tests.txt" not in demo
+    assert tests.index("-r requirements/environment.txt") < tests.index("-r requirements/tests.txt")
+
+
+def test_what_the_tests_add_is_not_installed_with_the_demo() -> None:
+    added = {canonicalize_name(wanted.name) for wanted in names_in("tests.txt")}
+    assert added
+    assert added & closure(names_in("environment.txt")) == set()
+
+
+def test_the_nodes_and_the_demo_need_nothing_that_the_tests_add() -> None:
+    built = {PACKAGE, *(folder.name for folder in (REPOSITORY / "interfaces").iterdir())}
+    installed = closure(names_in("environment.txt")) | {canonicalize_name(name) for name in built}
+    absent = [
+        module
+        for module, packages in packages_distributions().items()
+        if installed.isdisjoint(canonicalize_name(package) for package in packages)
+    ]
+    assert {"onnxruntime", "openvino", "pytest", "ray"} <= set(absent)
+    program = f"""
+import importlib, pkgutil, sys
+sys.modules.update(dict.fromkeys({absent!r}))
+import {PACKAGE}.ros as ros
+for found in pkgutil.walk_packages(ros.__path__, ros.__name__ + "."):
+    importlib.import_module(found.name)
+"""
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (told.returncode, told.stderr) == (0, "")
+
+
+@pytest.fixture
+def installed(clone: Path) -> Path:
+    """A clone in which `make install` has run with no TORCH given."""
+    (clone / ".venv").mkdir()
+    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
+    for stamp in (f".dependencies-{version}", ".interfaces", ".package", ".tests"):
+        (clone / ".venv" / stamp).touch()
+    return clone
+
+
+@pytest.mark.parametrize(
+    ("words", "anew"),
+    [
+        pytest.param([], False, id="none asked for"),
+        pytest.param(["TORCH=cuda"], True, id="another"),
+        pytest.param(["TORCH=cpu"], False, id="the one that is there"),
+    ],
+)
+def test_another_build_of_torch_makes_the_environment_anew(
+    words: list[str], anew: bool, installed: Path
+) -> None:
+    (installed / ".venv" / ".torch-cpu").touch()
+    shown = make(installed, "-n", "demo", *words)
+    assert shown.returncode == 0, shown.stderr
+    assert ("rm -rf .venv\n" in shown.stdout) == anew
+    assert ("-r requirements/environment.txt" in shown.stdout) == anew
+
+
+def test_an_unknown_build_of_torch_is_refused(clone: Path) -> None:
+    refused = make(clone, "-n", "demo", "TORCH=gpu")
+    assert refused.returncode != 0
+    assert "TORCH=gpu: expected 'cpu'" in refused.stderr
+
+
+def test_parallel_make_runs_one_step_after_the_other(clone: Path) -> None:
+    assert make(clone, "-n", "-j4", "demo", "test").stdout == make(clone, "-n", "demo", "test").stdout
+
+
+@pytest.fixture
+def plain_pip(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pip without the settings of this machine, which may bring a build of torch."""
+    for name in [name for name in os.environ if name.startswith("PIP_")]:
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("PIP_CONFIG_FILE", os.devnull)
+
+
+@pytest.fixture
+def index(tmp_path: Path) -> Iterator[FileServer]:
+    """An index with a CPU build of torch, which holds nothing."""
+    wheel = tmp_path / WHEEL
+    folder = "torch-2.13.0+cpu.dist-info"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr(f"{folder}/METADATA", "Metadata-Version: 2.1\nName: torch\nVersion: 2.13.0+cpu\n")
+        archive.writestr(f"{folder}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        archive.writestr(f"{folder}/RECORD", "")
+
+    def serve(request: ServedRequest) -> None:
+        if request.path == "/torch/":
+            request.answer(f'<a href="/{WHEEL}">{WHEEL}</a>'.encode(), Content_Type="text/html")
+        else:
+            request.answer(wheel.read_bytes())
+
+    with FileServer(serve) as server:
+        yield server
+
+
+def install(wanted: str, index: str, folder: Path, driver: str = "") -> int:
+    """Exit status of what `make` runs, with an installation into `folder`."""
+    words = ["-c", str(CONSTRAINTS), "--retries", "0", "--target", str(folder)]
+    status: int = TORCH["main"](wanted, index, words, driver)
+    return status
+
+
+@pytest.mark.usefixtures("plain_pip")
+@pytest.mark.parametrize("wanted", [pytest.param("", id="nothing asked for"), pytest.param("cpu", id="cpu")])
+def test_without_a_driver_torch_comes_from_the_index_of_cpu_builds(
+    wanted: str, index: FileServer, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert install(wanted, index.address, tmp_path / "installed") == 0
+    assert (tmp_path / "installed" / "torch-2.13.0+cpu.dist-info").is_dir()
+    assert ("no NVIDIA driver was found" in capfd.readouterr().out) == (wanted == "")
+
+
+@pytest.mark.parametrize(
+    ("wanted", "driver"),
+    [
+        pytest.param("", "/proc/driver/nvidia/version", id="driver"),
+        pytest.param("cuda", "", id="cuda"),
+        pytest.param("cuda", "/proc/driver/nvidia/version", id="cuda and driver"),
+    ],
+)
+def test_with_a_driver_or_when_asked_for_torch_is_left_to_pip(
+    wanted: str, driver: str, index: FileServer, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert install(wanted, index.address, tmp_path / "installed", driver) == 0
+    assert index.requests == []
+    assert (driver in capfd.readouterr().out) or wanted == "cuda"
+
+
+@pytest.mark.usefixtures("plain_pip")
+def test_an_index_that_cannot_be_reached_leaves_torch_to_pip_and_says_so(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert install("", NO_INDEX, tmp_path / "installed") == 0
+    assert f"{NO_INDEX} has not given torch, see above: pip's usual build follows" in capfd.readouterr().out
+    assert not (tmp_path / "installed").exists()
+
+
+@pytest.mark.usefixtures("plain_pip")
+def test_the_cpu_build_that_was_asked_for_is_replaced_by_no_other(tmp_path: Path) -> None:
+    assert install("cpu", NO_INDEX, tmp_path / "installed") != 0
+
+
+def test_a_driver_is_found_by_what_it_leaves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nvidia_driver: Any = TORCH["nvidia_driver"]
+    monkeypatch.setenv("PATH", str(tmp_path))
+    left = tmp_path / "version"
+    assert nvidia_driver([str(left)]) == ""
+    left.touch()
+    assert nvidia_driver([str(left)]) == str(left)
+    command = tmp_path / "nvidia-smi"
+    command.touch(mode=0o755)
+    assert nvidia_driver([]) == str(command)
+
+
+@pytest.mark.skipif(
+    not (shutil.which("git") and (REPOSITORY / ".git").exists()),
+    reason="no git, or an archive without its history",
+)
+def test_the_tests_know_without_git_what_is_published() -> None:
+    listing = subprocess.run(
+        ["git", "-c", f"safe.directory={REPOSITORY}", "ls-files", "-z", "--cached"],
+        cwd=REPOSITORY,
+        capture_output=True,
+        check=True,
+    )
+    committed = {Path(name) for name in listing.stdout.decode().split("\0") if name}
+    assert {file for file in committed if (REPOSITORY / file).is_file()} <= set(published_files())
