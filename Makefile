@@ -43,8 +43,8 @@ TORCH_INDEX := https://download.pytorch.org/whl/cpu
 FOREIGN := PYTHONPATH PYTHONHOME LD_LIBRARY_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION \
   _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport $(FOREIGN) VIRTUAL_ENV ROS_LOCALHOST_ONLY ROS_STATIC_PEERS
-# They would have pip install elsewhere than into the virtual environment.
-unexport PIP_USER PIP_TARGET PIP_PREFIX PIP_ROOT PIP_PYTHON
+# The first would have pip install elsewhere than into the virtual environment; the others change what Python does.
+unexport PIP_USER PIP_TARGET PIP_PREFIX PIP_ROOT PIP_PYTHON PYTHONSAFEPATH PYTHONOPTIMIZE PYTHONWARNINGS
 # The tests start hundreds of Python processes: without cached bytecode each compiles this package again.
 unexport PYTHONDONTWRITEBYTECODE
 export AMENT_PREFIX_PATH := $(abspath $(VENV))
@@ -56,7 +56,7 @@ override PYTHON := $(or $(shell PATH="$${PATH//'$(abspath $(VENV))/bin:'/}"; com
 
 # A stamp is written only after its step has succeeded: an interrupted step is repeated from the beginning.
 # The first stamp has Python's version in its name, so another PYTHON creates a new environment.
-PYTHON_VERSION := $(shell "$(PYTHON)" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+PYTHON_VERSION := $(shell "$(PYTHON)" -I -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 DEPENDENCIES := $(VENV)/.dependencies-$(PYTHON_VERSION)
 INTERFACES := $(VENV)/.interfaces
 PACKAGE := $(VENV)/.package

@@ -12,8 +12,8 @@ APT_LINE = "sudo apt install git make g++ python3-venv python3-dev"
 # The newest Python with wheels: rclpy's for the tested set, numpy 1.26's for the one of apt.
 NEWEST = {"tested": (3, 13), "apt": (3, 12)}
 OLDEST = (3, 10)
-# What CMake, Ninja and the shell scripts of rosidl take for a part of a path, and nothing else.
-BUILDABLE_PATH = r"[A-Za-z0-9/._+@=,~-]*"
+# In such paths the messages have been built; a comma breaks -Wl,-rpath, and rosidl reads paths as ASCII.
+BUILDABLE_PATH = r"[A-Za-z0-9/._+@=~ -]*"
 # What the demo needs while it is being installed; the tests need as much again.
 NEEDED_BYTES = 2 * 10**9
 
@@ -47,7 +47,7 @@ def path_problem(folder: str) -> str:
     strange = "".join(sorted(set(re.sub(BUILDABLE_PATH, "", folder))))
     return (
         f"Move this folder to a path without {strange!a}, such as ~/yolov5_lifecycle: ROS messages can "
-        f"be built only in a path of the letters A to Z, digits and / . _ + @ = , ~ -, found {folder!a}."
+        f"be built only in a path of letters A to Z, digits, blanks and / . _ + @ = ~ -, found {folder!a}."
     )
 
 

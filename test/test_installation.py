@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import runpy
+import shlex
 import shutil
 import subprocess
 import sys
@@ -77,7 +79,7 @@ def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     "path",
     [
         pytest.param("/home/user/yolov5_lifecycle", id="plain"),
-        pytest.param("/srv/a-b.c_d/e+f@g=h,i/~j", id="every sign that is allowed"),
+        pytest.param("/srv/a-b.c_d/e+f@g=h/~j k", id="every sign that is allowed"),
     ],
 )
 def test_a_path_in_which_the_messages_can_be_built_is_taken(path: str) -> None:
@@ -87,7 +89,7 @@ def test_a_path_in_which_the_messages_can_be_built_is_taken(path: str) -> None:
 @pytest.mark.parametrize(
     ("path", "named"),
     [
-        pytest.param("/home/user/my robot", "' '", id="space"),
+        pytest.param("/home/user/a,b", "','", id="comma"),
         pytest.param("/home/zoé/robot", r"'\xe9'", id="accent"),
         pytest.param("/home/\u0131\u015f\u0131k/robot", r"'\u0131\u015f'", id="Turkish"),
         pytest.param("/home/o'hara", '"\'"', id="apostrophe"),
@@ -190,6 +192,26 @@ def test_another_build_of_torch_makes_the_environment_anew(
     assert shown.returncode == 0, shown.stderr
     assert ("rm -rf .venv\n" in shown.stdout) == anew
     assert ("-r requirements/environment.txt" in shown.stdout) == anew
+
+
+def test_a_path_with_a_space_reaches_cmake_as_one_word(clone: Path) -> None:
+    folder = clone.rename(clone.with_name("my robot"))
+    shown = make(folder, "-n", "demo")
+    assert shown.returncode == 0, shown.stderr
+    words = shlex.split(re.search(r"(?s)\n *[^\n]*cmake -S .*?; ", shown.stdout)[0])
+    assert f"-DCMAKE_PREFIX_PATH={folder}/.venv" in words
+    assert f"-DCMAKE_INSTALL_PREFIX={folder}/.venv;" in words
+    assert [word for word in words if " " in word and not word.startswith("-D")] == []
+
+
+@pytest.mark.parametrize("name", ["PYTHONHOME", "PYTHONPATH", "CONDA_PREFIX", "PIP_USER", "VIRTUAL_ENV"])
+def test_what_another_environment_has_set_changes_nothing(
+    name: str, installed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(name, "/elsewhere")
+    shown = make(installed, "-n", "demo")
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert "pip install" not in shown.stdout
 
 
 def test_an_unknown_build_of_torch_is_refused(clone: Path) -> None:
