@@ -21,6 +21,7 @@ RECORDINGS_FLAGS ?=
 SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
 MUTANTS_FLAGS ?=
+MATRIX_FLAGS ?=
 
 ifeq ($(SET),tested)
 VENV := .venv
@@ -28,8 +29,17 @@ CONSTRAINTS := requirements/constraints.txt
 else ifeq ($(SET),apt)
 VENV := .venv-apt
 CONSTRAINTS := requirements/constraints-apt.txt
+else ifeq ($(SET),kilted)
+VENV := .venv-kilted
+CONSTRAINTS := requirements/constraints-kilted.txt
+SET_REQUIREMENTS := -r requirements/kilted.txt
 else
-$(error SET=$(SET): expected 'tested' (the newest numpy, scipy and OpenCV) or 'apt' (those of Ubuntu 24.04))
+$(error SET=$(SET): expected 'tested' (the newest numpy, scipy and OpenCV), 'apt' (those of Ubuntu 24.04) or 'kilted' (ROS 2 Kilted))
+endif
+PINS := $(CONSTRAINTS) $(addprefix requirements/,$(shell sed -n 's/^-c //p' $(CONSTRAINTS)))
+# VENV=.venv-NAME keeps another environment beside this one. No other folder is accepted, because make deletes it.
+ifneq ($(words $(VENV)) $(findstring /,$(VENV)) $(patsubst .venv-%,.venv,$(VENV)),1  .venv)
+$(error VENV=$(VENV): expected a folder here whose name begins with .venv-, such as .venv-3.12)
 endif
 
 ifneq ($(filter-out cpu cuda,$(TORCH)),)
@@ -63,7 +73,7 @@ PACKAGE := $(VENV)/.package
 TESTS := $(VENV)/.tests
 FUZZER := $(VENV)/.fuzzer
 MUTATOR := $(VENV)/.mutator
-INTERFACES_BUILD := build/interfaces-$(SET)
+INTERFACES_BUILD := build/interfaces$(patsubst .venv%,%,$(VENV))
 INTERFACE_PACKAGES := vision_msgs bond
 ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 # As many processes as the machine has room for; each file of tests is run by one of them.
@@ -79,14 +89,16 @@ endif
 
 # All targets share the virtual environment, and what takes long uses all processors anyway: -j changes nothing.
 .NOTPARALLEL:
-.PHONY: help install demo demo-cameras console test test-all coverage soak fuzz mutants bench bench-families lint docs clean
+.PHONY: help install demo demo-cameras console test test-all test-matrix coverage soak fuzz mutants bench bench-families lint docs clean
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make demo-cameras  two cameras on one detector, with tracks and places in space; result in build/demo'
 	@echo 'make console  camera, detector and console together until Ctrl-C; prints the address for the browser'
 	@echo '              (CONSOLE_FLAGS="--port 8090")'
 	@echo 'make test     the tests, without the long ones  (SET=apt: numpy, scipy, OpenCV of Ubuntu 24.04, in .venv-apt)'
+	@echo '              (SET=kilted: ROS 2 Kilted instead of Jazzy, in .venv-kilted)'
 	@echo 'make test-all all tests'
+	@echo 'make test-matrix  make test with every supported Python and SET, as far as this machine has the Pythons'
 	@echo 'make coverage all tests, with the line coverage of the package, child processes included'
 	@echo 'make bench    how fast each runtime is, quiet and beside a busy process, and how well objects are tracked'
 	@echo '              and what several cameras on one node, masks and many recordings cost, and what int8 saves'
@@ -99,7 +111,7 @@ help:
 	@echo 'make install  .venv with all pinned packages, messages and this package, as for the tests; the demo needs half of them'
 	@echo 'make docs     regenerates what is derived from the settings: YAML file, schema, reference page'
 	@echo 'make clean    removes everything that make has created, .venv included'
-	@echo 'Variables: PYTHON=python3.12  SET=apt  TORCH=cpu|cuda  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"  SOAK_FLAGS="--minutes 5"'
+	@echo 'Variables: PYTHON=python3.12  SET=apt|kilted  TORCH=cpu|cuda  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"  SOAK_FLAGS="--minutes 5"'
 
 install: $(TESTS)
 
@@ -120,6 +132,10 @@ test: $(TESTS)
 
 test-all: $(TESTS)
 	$(PYTEST) $(PYTEST_FLAGS)
+
+# The folder of each environment stays, so a repeated run installs nothing.
+test-matrix:
+	"$(PYTHON)" -m tools.matrix $(MATRIX_FLAGS)
 
 coverage: $(TESTS)
 	rm -rf build/coverage
@@ -159,17 +175,17 @@ docs: $(TESTS)
 	$(VENV)/bin/python -m tools.settings_documents
 
 clean:
-	rm -rf .venv .venv-apt build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-* build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-$(DEPENDENCIES): requirements/environment.txt requirements/pins.txt $(CONSTRAINTS)
+$(DEPENDENCIES): requirements/environment.txt $(lastword $(SET_REQUIREMENTS)) $(PINS)
 	@command -v "$(PYTHON)" > /dev/null || { echo "PYTHON=$(PYTHON): no such program; name a Python 3.10 to 3.13" >&2; exit 1; }
 	@"$(PYTHON)" requirements/check_machine.py $(SET)
 	@echo "Installing what the demo needs into $(VENV): some minutes the first time."
 	rm -rf $(VENV)
 	"$(PYTHON)" -m venv $(VENV)
 	@$(VENV)/bin/python requirements/install_torch.py "$(TORCH)" $(TORCH_INDEX) -c $(CONSTRAINTS) $(PIP_FLAGS)
-	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/environment.txt -c $(CONSTRAINTS)
+	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/environment.txt $(SET_REQUIREMENTS) -c $(CONSTRAINTS)
 	touch $(if $(TORCH),$(VENV)/.torch-$(TORCH)) $@
 
 $(TESTS): $(DEPENDENCIES) requirements/tests.txt | $(PACKAGE)

@@ -9,8 +9,8 @@ import sysconfig
 from typing import List, Tuple
 
 APT_LINE = "sudo apt install git make g++ python3-venv python3-dev"
-# The newest Python with wheels: rclpy's for the tested set, numpy 1.26's for the one of apt.
-NEWEST = {"tested": (3, 13), "apt": (3, 12)}
+# The newest Python with wheels: rclpy's, or numpy 1.26's for the set of apt.
+NEWEST = {"tested": (3, 13), "apt": (3, 12), "kilted": (3, 13)}
 OLDEST = (3, 10)
 # In such paths the messages have been built; a comma breaks -Wl,-rpath, and rosidl reads paths as ASCII.
 BUILDABLE_PATH = r"[A-Za-z0-9/._+@=~ -]*"

@@ -26,7 +26,11 @@ TYPED_COMMANDS = {"ros2launch"}
 """Nobody imports it: it is where `ros2` has the word from that starts the launch files."""
 MODULE_OF_APT = {"python3-numpy": "numpy", "python3-opencv": "cv2", "python3-yaml": "yaml"}
 MODULE_OF_PIP = {"opencv-python-headless": "cv2", "pyyaml": "yaml"}
-SETS = ("constraints.txt", "constraints-apt.txt")
+SETS = {
+    "tested": "constraints.txt",
+    "apt": "constraints-apt.txt",
+    "kilted": "constraints-kilted.txt",
+}
 
 
 @pytest.fixture
@@ -178,14 +182,22 @@ def from_package_index(installed: Distribution) -> bool:
 
 
 def test_torch_is_the_same_in_both_sets_while_numpy_scipy_and_opencv_differ() -> None:
-    newest, apt = map(pins, SETS)
+    newest, apt = pins(SETS["tested"]), pins(SETS["apt"])
     assert newest["torch"] == apt["torch"] == "2.13.0"
-    assert {name for name in newest.keys() | apt.keys() if newest.get(name) != apt.get(name)} == {
-        "numpy",
-        "opencv-python-headless",
-        "scipy",
-    }
+    assert differing(newest, apt) == {"numpy", "opencv-python-headless", "scipy"}
     assert apt["numpy"].startswith("1.26.")
+
+
+def test_with_kilted_only_the_packages_of_ros_differ() -> None:
+    jazzy, kilted = pins(SETS["tested"]), pins(SETS["kilted"])
+    assert "ros-rclpy" in differing(jazzy, kilted)
+    assert all(name.startswith("ros-") for name in differing(jazzy, kilted))
+    assert (jazzy["ros-rclpy"], kilted["ros-rclpy"]) == ("7.1.6", "9.1.2")
+
+
+def differing(one: dict[str, str], other: dict[str, str]) -> set[str]:
+    """The packages that are not at the same version in both, or only in one."""
+    return {name for name in one.keys() | other.keys() if one.get(name) != other.get(name)}
 
 
 def test_every_installed_package_is_pinned() -> None:
@@ -195,7 +207,7 @@ def test_every_installed_package_is_pinned() -> None:
         if from_package_index(found)
     }
     assert installed
-    assert any(installed.items() <= pins(constraints).items() for constraints in SETS)
+    assert any(installed.items() <= pins(constraints).items() for constraints in SETS.values())
 
 
 @pytest.mark.parametrize(
@@ -207,6 +219,8 @@ def test_every_installed_package_is_pinned() -> None:
         pytest.param((3, 14), "tested", False, id="too new"),
         pytest.param((3, 12), "apt", True, id="newest with numpy 1.26"),
         pytest.param((3, 13), "apt", False, id="too new for numpy 1.26"),
+        pytest.param((3, 13), "kilted", True, id="newest with Kilted"),
+        pytest.param((3, 14), "kilted", False, id="too new for Kilted"),
     ],
 )
 def test_an_unsuitable_python_is_named_with_the_suitable_ones(
