@@ -41,6 +41,7 @@ import fuzz.__main__ as fuzz
 import soak.__main__ as soak
 from benchmark import bench, cameras, depth, mask_accuracy
 from benchmark.tracking import __main__ as tracking
+from tools import matrix
 from tools.mutants import options as mutants
 from tools.shapes import dataset
 from yolov5_lifecycle.commands import convert, fetch_weights, official_weights
@@ -84,6 +85,7 @@ PARSERS = {
     "BENCH_FLAGS": bench.parser,
     "CAMERAS_FLAGS": cameras.parser,
     "FUZZ_FLAGS": fuzz.parser,
+    "MATRIX_FLAGS": matrix.parser,
     "MUTANTS_FLAGS": mutants.parser,
     "SOAK_FLAGS": soak.parser,
     "TRACKING_FLAGS": tracking.parser,
