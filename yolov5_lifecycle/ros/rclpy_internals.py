@@ -1,7 +1,7 @@
 """All uses of undocumented rclpy code, each with the source file or issue that it depends on.
 
-Written against rclpy 7.1 (Jazzy). `test/test_architecture.py` forbids private attributes of other packages
-everywhere else.
+Written against rclpy 7.1 (Jazzy) and 9.1 (Kilted). `test/test_architecture.py` forbids private attributes of
+other packages everywhere else.
 """
 
 from __future__ import annotations

@@ -153,15 +153,18 @@ def test_a_node_that_is_no_longer_active_has_ended_its_bond(transition: str) -> 
         )
 
 
+@pytest.mark.parametrize("distribution", ["jazzy", "kilted"])
 def test_configure_says_what_a_bond_needs_where_its_messages_are_missing(
-    monkeypatch: pytest.MonkeyPatch,
+    distribution: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("ROS_DISTRO", distribution)  # as a sourced ROS does
     monkeypatch.setitem(sys.modules, "bond.msg", None)  # as where nobody has installed it
     with served_with("bond_timeout:=4.0") as (served, _):
         assert not served.transition("configure")
         assert served.state() == "unconfigured"
         problem = served.values()["last problem"]
-        assert all(words in problem for words in ("bond_timeout 4", "ros-jazzy-bond", "bond_timeout 0.0"))
+        needed = ("bond_timeout 4", f"ros-{distribution}-bond", "bond_timeout 0.0")
+        assert all(words in problem for words in needed)
     check_bond(0.0)
 
 

@@ -6,6 +6,7 @@ node, like Nav2's nodes, stays active when the manager's stop.
 
 from __future__ import annotations
 
+import os
 import time
 import uuid
 from collections.abc import Callable
@@ -165,8 +166,9 @@ def _status_type(timeout_s: float) -> Any:
     try:
         from bond.msg import Status
     except ImportError as error:
+        package = f"ros-{os.environ.get('ROS_DISTRO', 'jazzy')}-bond"
         raise ValueError(
             f"bond_timeout {timeout_s:g} needs the ROS package 'bond', which is not installed ({error}). "
-            "Restart the node after `sudo apt install ros-jazzy-bond`, or with bond_timeout 0.0."
+            f"Restart the node after `sudo apt install {package}`, or with bond_timeout 0.0."
         ) from None
     return Status
