@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from numpy.typing import NDArray
 from support.colcon_workspace import REPOSITORY
 from support.pages import blocks, table, typed
 
@@ -30,12 +31,21 @@ def test_the_picture_is_what_the_command_draws(tmp_path: Path, monkeypatch: pyte
         (tmp_path / folder).symlink_to(REPOSITORY / folder)
     monkeypatch.chdir(tmp_path)
     assert main(shlex.split(COMMAND)[1:]) == 0
-    drawn, shown = (cv2.imread(str(path)).astype(int) for path in (tmp_path / "regions.jpg", PICTURE))
-    assert drawn.shape == shown.shape
-    assert np.abs(drawn - shown).mean() < 1
     found = yaml.safe_load((tmp_path / "regions.jsonl").read_text())["detections"]
     assert sorted(one["class_name"] for one in found) == ["star", "star", "triangle"]
+    corners = [one["box_xyxy"][:2] for one in found]
+    drawn, shown = (without_labels(path, corners) for path in (tmp_path / "regions.jpg", PICTURE))
+    assert drawn.shape == shown.shape
+    assert np.abs(drawn - shown).mean() < 0.2
     assert PICTURE.stat().st_size < 150_000
+
+
+def without_labels(picture: Path, corners: list[list[float]]) -> NDArray[np.int64]:
+    """The pixels, black above the left corners of the boxes: OpenCV 4 and 5 draw text with other fonts."""
+    pixels: NDArray[np.int64] = cv2.imread(str(picture)).astype(np.int64)
+    for left, top in corners:
+        pixels[max(round(top) - 28, 0) : round(top) + 3, round(left) - 3 : round(left) + 130] = 0
+    return pixels
 
 
 def test_the_table_names_each_parameter_with_its_default() -> None:
