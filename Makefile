@@ -22,6 +22,8 @@ SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
 MUTANTS_FLAGS ?=
 MATRIX_FLAGS ?=
+TAG ?=
+RELEASE_PYTHONS ?=
 
 ifeq ($(SET),tested)
 VENV := .venv
@@ -73,8 +75,15 @@ PACKAGE := $(VENV)/.package
 TESTS := $(VENV)/.tests
 FUZZER := $(VENV)/.fuzzer
 MUTATOR := $(VENV)/.mutator
+RELEASER := $(VENV)/.releaser
 INTERFACES_BUILD := build/interfaces$(patsubst .venv%,%,$(VENV))
 INTERFACE_PACKAGES := vision_msgs bond
+# The compiled messages of a release for this Python, if build/dist has them and no file in interfaces/ is newer; they fit
+# the tested ROS distribution only.
+VERSION := $(shell sed -n 's:.*<version>\(.*\)</version>.*:\1:p' package.xml)
+RELEASED := $(wildcard build/dist/yolov5_lifecycle_interfaces-$(VERSION)-cp$(subst .,,$(PYTHON_VERSION))-*_$(shell uname -m).whl)
+RELEASED := $(if $(filter tested apt,$(SET)),$(if $(RELEASED),$(if $(shell find interfaces -type f -newer $(RELEASED)),,$(RELEASED))))
+INTERFACES_WHEEL ?= $(RELEASED)
 ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 # As many processes as the machine has room for; each file of tests is run by one of them.
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
@@ -90,6 +99,7 @@ endif
 # All targets share the virtual environment, and what takes long uses all processors anyway: -j changes nothing.
 .NOTPARALLEL:
 .PHONY: help install demo demo-cameras console test test-all test-matrix coverage soak fuzz mutants bench bench-families lint docs clean
+.PHONY: release-check package interfaces-wheels release-versions release-metadata release-reproducible release-install
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
 	@echo 'make demo-cameras  two cameras on one detector, with tracks and places in space; result in build/demo'
@@ -107,6 +117,8 @@ help:
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
 	@echo 'make fuzz     coverage-guided fuzzing of what reads images, weights, settings, labels and calibrations, of depth and tracks'
 	@echo 'make mutants  changes the code in small ways, which a test must notice; 20 minutes  (MUTANTS_FLAGS="--only tracking")'
+	@echo 'make release-check  builds a release of the last commit into build/dist and checks it: docs/releasing.md'
+	@echo 'make interfaces-wheels  only the compiled messages  (RELEASE_PYTHONS="python3.11 python3.12")'
 	@echo 'make lint     ruff and mypy --strict'
 	@echo 'make install  .venv with all pinned packages, messages and this package, as for the tests; the demo needs half of them'
 	@echo 'make docs     regenerates what is derived from the settings: YAML file, schema, reference page'
@@ -174,13 +186,38 @@ lint: $(TESTS)
 docs: $(TESTS)
 	$(VENV)/bin/python -m tools.settings_documents
 
+# What `make release-check` does, in this order; a further check is one more target in this list.
+RELEASE_STEPS := release-versions package interfaces-wheels release-metadata release-reproducible release-install
+RELEASE_STEPS += $(shell sed -n 's/^\(docs-site\):.*/\1/p' Makefile)
+
+release-check:
+	for step in $(RELEASE_STEPS); do $(MAKE) --no-print-directory $$step; done
+
+release-versions: $(PACKAGE)
+	$(VENV)/bin/python -m tools.release versions $(TAG)
+
+package: $(PACKAGE) $(RELEASER)
+	$(VENV)/bin/python -m tools.release package
+
+interfaces-wheels: $(PACKAGE) $(RELEASER)
+	$(VENV)/bin/python -m tools.release interfaces $(RELEASE_PYTHONS)
+
+release-metadata: $(PACKAGE) $(RELEASER)
+	$(VENV)/bin/python -m twine check --strict build/dist/*
+
+release-reproducible: $(PACKAGE) $(RELEASER)
+	$(VENV)/bin/python -m tools.release reproducible
+
+release-install: $(PACKAGE)
+	RELEASE_WHEELS=$(abspath build/dist) $(PYTEST) test/test_installed_package.py
+
 clean:
 	rm -rf .venv .venv-* build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-$(DEPENDENCIES): requirements/environment.txt $(lastword $(SET_REQUIREMENTS)) $(PINS)
+$(DEPENDENCIES): requirements/environment.txt requirements/interfaces.txt $(lastword $(SET_REQUIREMENTS)) $(PINS)
 	@command -v "$(PYTHON)" > /dev/null || { echo "PYTHON=$(PYTHON): no such program; name a Python 3.10 to 3.13" >&2; exit 1; }
-	@"$(PYTHON)" requirements/check_machine.py $(SET)
+	@"$(PYTHON)" requirements/check_machine.py $(SET) $(INTERFACES_WHEEL)
 	@echo "Installing what the demo needs into $(VENV): some minutes the first time."
 	rm -rf $(VENV)
 	"$(PYTHON)" -m venv $(VENV)
@@ -193,16 +230,13 @@ $(TESTS): $(DEPENDENCIES) requirements/tests.txt | $(PACKAGE)
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/tests.txt -c $(CONSTRAINTS)
 	touch $@
 
-$(INTERFACES): $(DEPENDENCIES) $(shell find interfaces -type f)
-	@echo "Building $(INTERFACE_PACKAGES) into $(VENV): about a minute."
+$(INTERFACES): $(DEPENDENCIES) $(shell find interfaces -type f) $(INTERFACES_WHEEL)
+	@echo "$(if $(INTERFACES_WHEEL),Installing $(INTERFACE_PACKAGES) from $(INTERFACES_WHEEL).,Building $(INTERFACE_PACKAGES) into $(VENV): about a minute.)"
 	rm -rf $(INTERFACES_BUILD)
-	for package in $(INTERFACE_PACKAGES); do \
-	  $(VENV)/bin/cmake -S interfaces/$$package -B $(INTERFACES_BUILD)/$$package -G Ninja --log-level=WARNING \
-	    -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF "-DPython3_EXECUTABLE=$(abspath $(VENV))/bin/python" \
-	    "-DCMAKE_PREFIX_PATH=$(abspath $(VENV))" "-DCMAKE_INSTALL_PREFIX=$(abspath $(VENV))"; \
-	  $(VENV)/bin/cmake --build $(INTERFACES_BUILD)/$$package; \
-	  $(VENV)/bin/cmake --install $(INTERFACES_BUILD)/$$package > $(INTERFACES_BUILD)/$$package/install.log; \
-	done
+	mkdir -p build
+	cp -r interfaces $(INTERFACES_BUILD)
+	$(VENV)/bin/python -m pip install --no-index --no-build-isolation --force-reinstall --no-deps \
+	  $(or $(INTERFACES_WHEEL),./$(INTERFACES_BUILD))
 	touch $@
 
 $(FUZZER): $(DEPENDENCIES) requirements/fuzz.txt
@@ -212,6 +246,10 @@ $(FUZZER): $(DEPENDENCIES) requirements/fuzz.txt
 $(MUTATOR): $(DEPENDENCIES) requirements/mutants.txt
 	@$(VENV)/bin/python -c 'import sys; sys.exit(sys.version_info < (3, 11) and "PYTHON=$(PYTHON): make mutants needs Python 3.11 or newer")'
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/mutants.txt -c $(CONSTRAINTS)
+	touch $@
+
+$(RELEASER): $(DEPENDENCIES) requirements/release.txt
+	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/release.txt -c $(CONSTRAINTS)
 	touch $@
 
 # Modules and data are used in place, so the package's share/ is this folder; colcon copies what setup.py names.

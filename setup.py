@@ -1,12 +1,22 @@
 """Installs the package with colcon or pip. Name, version, licence and people stand in package.xml, once."""
 
+import gzip
+import os
+import re
+import tarfile
+import time
 from pathlib import Path
 from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
+from setuptools.command.sdist import sdist
 
 manifest = ElementTree.parse("package.xml").getroot()
 name = manifest.findtext("name", "")
+version = manifest.findtext("version", "")
+addresses = {url.get("type", "website"): (url.text or "").strip().rstrip("/") for url in manifest.iter("url")}
+LABELS = {"website": "Documentation", "repository": "Source", "bugtracker": "Issues"}
+RELATIVE_LINK = re.compile(r"(?P<image>!?)\[(?P<text>[^]]*)\]\((?!\w+:|#)(?P<path>[^)]+)\)")
 
 
 def data(folder: str) -> tuple[str, list[str]]:
@@ -16,12 +26,67 @@ def data(folder: str) -> tuple[str, list[str]]:
     ]
 
 
+def absolute_link(link: re.Match[str]) -> str:
+    """A link of README.md to a file beside it: one to the release's tag, or without an address its text."""
+    repository = addresses.get("repository")
+    if not repository:
+        return "" if link["image"] else link["text"]
+    page = "raw" if link["image"] else "blob"
+    return f"{link['image']}[{link['text']}]({repository}/{page}/v{version}/{link['path']})"
+
+
+def long_description() -> str:
+    """README.md as PyPI shows it; "" where .dockerignore has left it out."""
+    readme = Path("README.md")
+    return RELATIVE_LINK.sub(absolute_link, readme.read_text(encoding="utf-8")) if readme.exists() else ""
+
+
+class ReproducibleSdist(sdist):
+    """Packs the same files into the same bytes, dated SOURCE_DATE_EPOCH, as setuptools does for wheels."""
+
+    def make_archive(self, base_name: str, archive_format: str, base_dir: str, **_: object) -> str:
+        """Write `base_name`.tar.gz with the files below `base_dir`, and return its path."""
+        epoch = int(os.environ.get("SOURCE_DATE_EPOCH", time.time()))
+
+        def dated(member: tarfile.TarInfo) -> tarfile.TarInfo:
+            member.mtime = epoch
+            member.mode = 0o755 if member.isdir() or member.mode & 0o100 else 0o644
+            member.uid = member.gid = 0
+            member.uname = member.gname = "root"
+            return member
+
+        path = f"{base_name}.tar.gz"
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with (
+            gzip.GzipFile(path, "wb", mtime=epoch) as packed,
+            tarfile.open(fileobj=packed, mode="w") as archive,
+        ):
+            archive.add(base_dir, filter=dated)  # sorted by name
+        return path
+
+
 setup(
     name=name,
-    version=manifest.findtext("version"),
+    version=version,
     description=manifest.findtext("description"),
+    long_description=long_description(),
+    long_description_content_type="text/markdown",
     license=manifest.findtext("license"),
+    license_files=["LICENSE"],
     maintainer=manifest.findtext("maintainer"),
+    maintainer_email=manifest.find("maintainer").get("email"),
+    project_urls={LABELS[kind]: address for kind, address in addresses.items()},
+    keywords=["ROS 2", "YOLOv5", "object detection", "instance segmentation", "lifecycle node"],
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Intended Audience :: Developers",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3 :: Only",
+        *(f"Programming Language :: Python :: 3.{minor}" for minor in range(10, 14)),
+        "Topic :: Scientific/Engineering :: Image Recognition",
+        "Typing :: Typed",
+    ],
     packages=find_packages(include=[name, f"{name}.*"]),
     package_data={name: ["py.typed", "ros/console/page/*"]},
     data_files=[
@@ -30,8 +95,9 @@ setup(
         *map(data, ["config", "launch", "weights"]),
     ],
     python_requires=">=3.10",
-    # rclpy and the messages come with ROS. OpenCV is needed, yet an extra: on a ROS machine it comes from
-    # apt, unseen by pip, which would install a second one in front of it.
+    # rclpy and the messages come with ROS, or from the extra "ros", which has all that the nodes need. OpenCV
+    # is needed, yet an extra: on a ROS machine it comes from apt, unseen by pip, which would install a second
+    # one in front of it.
     install_requires=[
         "annotated-types",
         "numpy>=1.26",
@@ -55,9 +121,18 @@ setup(
         "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
         "ray": ["ray>=2.40"],
+        # The first has vision_msgs and bond, which no other package of an index has.
+        "ros": [
+            f"{name}_interfaces=={version}",
+            "opencv-python-headless>=4.6",
+            "ros-jazzy-common-interfaces",
+            "ros-jazzy-lifecycle-msgs",
+            "ros-jazzy-rclpy[fastrtps]",
+        ],
         "summary": ["pyarrow>=15"],
         "tracking": ["scipy>=1.11"],
     },
+    cmdclass={"sdist": ReproducibleSdist},
     zip_safe=True,
     entry_points={
         "console_scripts": [

@@ -29,15 +29,15 @@ def python_problem(version: Tuple[int, int], package_set: str) -> str:
     )
 
 
-def missing_tools() -> List[str]:
-    """What the machine lacks to build the messages and to make a virtual environment, in words."""
+def missing_tools(compiles: bool) -> List[str]:
+    """What the machine lacks to make a virtual environment and, if it `compiles`, the messages; in words."""
     header = os.path.join(sysconfig.get_paths()["include"], "Python.h")
-    found = {
+    compilers = {
         "a C++ compiler (c++ or g++)": os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++"),
         f"the headers of this Python ({header})": os.path.isfile(header),
-        "Python's ensurepip module": importlib.util.find_spec("ensurepip"),
     }
-    return [name for name, there in found.items() if not there]
+    found = {"Python's ensurepip module": importlib.util.find_spec("ensurepip")}
+    return [name for name, there in {**(compilers if compiles else {}), **found}.items() if not there]
 
 
 def path_problem(folder: str) -> str:
@@ -63,24 +63,27 @@ def folder_problem(folder: str, writable: bool, free_bytes: int) -> str:
     return ""
 
 
-def machine_problems(package_set: str, folder: str) -> List[str]:
-    """Why the environment cannot be made in `folder`, one line each."""
-    missing = missing_tools()
+def machine_problems(package_set: str, folder: str, compiles: bool) -> List[str]:
+    """Why the environment, for which the machine `compiles` the messages, cannot be made in `folder`."""
+    missing = missing_tools(compiles)
     problems = [
         python_problem((sys.version_info[0], sys.version_info[1]), package_set),
         f"Missing: {', '.join(missing)}. On Debian and Ubuntu: {APT_LINE}" if missing else "",
-        path_problem(folder),
+        path_problem(folder) if compiles else "",
         folder_problem(folder, os.access(folder, os.W_OK), shutil.disk_usage(folder).free),
     ]
     return [problem for problem in problems if problem]
 
 
-def main(package_set: str) -> int:
-    """Exit status: 0 when the environment can be made, else 1 with the reasons on stderr."""
-    problems = machine_problems(package_set, os.getcwd())
+def main(package_set: str, interfaces_wheel: str = "") -> int:
+    """Exit status: 0 when the environment can be made, else 1 with the reasons on stderr.
+
+    With `interfaces_wheel`, the messages already compiled, no compiler is needed.
+    """
+    problems = machine_problems(package_set, os.getcwd(), compiles=not interfaces_wheel)
     sys.stderr.writelines(problem + "\n" for problem in problems)
     return 1 if problems else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(*sys.argv[1:]))

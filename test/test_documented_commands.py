@@ -53,6 +53,9 @@ from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validat
 
 NOT_RUN = {
     "sudo ": "changes the machine",
+    "git tag ": "the release itself",
+    "git push ": "likewise",
+    "~/yolov5_release/bin/": "downloads gigabytes; test_installed_package.py runs the demo of the wheels",
     "git clone ": "the address depends on where the repository is hosted",
     "cd ": "the folder of that clone",
     "mkdir ": "makes the folder that the container is given",

@@ -1,9 +1,13 @@
-"""The wheel of this package runs with what it declares, without ROS, outside of the working tree."""
+"""The wheel of this package runs with what it declares, outside of the working tree, without and with ROS.
+
+The variable RELEASE_WHEELS names a folder with the wheels of a release, which are then tested instead.
+"""
 
 from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -18,15 +22,30 @@ NEEDS_ROS = ("camera", "console", "demo", "detector")
 WITHOUT_ROS = tuple(command for command in COMMANDS if command not in NEEDS_ROS)
 
 
+RELEASE_WHEELS = os.environ.get("RELEASE_WHEELS")
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build_wheel(tmp_path_factory.mktemp("wheel"))
+    if not RELEASE_WHEELS:
+        return build_wheel(tmp_path_factory.mktemp("wheel"))
+    (released,) = Path(RELEASE_WHEELS).glob(f"{PACKAGE}-*.whl")
+    return released
 
 
 @pytest.fixture(scope="module")
 def executables(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("clean") / "environment"
-    return build_environment(folder, wheel, ("bag", "onnxruntime", "opencv"))
+    return build_environment(folder, [wheel], ("bag", "onnxruntime", "opencv"))
+
+
+@pytest.fixture(scope="module")
+def executables_with_ros(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Those of the extra "ros"; the messages are those of the release, or else of the running environment."""
+    folder = tmp_path_factory.mktemp("ros") / "environment"
+    python = f"cp{sys.version_info[0]}{sys.version_info[1]}"
+    messages = Path(RELEASE_WHEELS).glob(f"{PACKAGE}_interfaces-*-{python}-*.whl") if RELEASE_WHEELS else []
+    return build_environment(folder, [wheel, *messages], ("ros",))
 
 
 @pytest.fixture
@@ -34,9 +53,9 @@ def home(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(home: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
+def run(home: Path, *words: str | Path, path: str = os.defpath) -> subprocess.CompletedProcess[str]:
     """Run a command in the folder `home`, without the environment variables of the tests."""
-    environment = {"PATH": os.defpath, "HOME": str(home)}
+    environment = {"PATH": path, "HOME": str(home)}
     return subprocess.run(words, cwd=home, env=environment, capture_output=True, text=True, check=False)
 
 
@@ -103,11 +122,30 @@ def test_a_checkpoint_is_converted(executables: Path, home: Path) -> None:
     assert (home / "model.safetensors").is_file()
 
 
+def test_with_the_extra_ros_the_demo_needs_no_compiler_and_no_ros_from_apt(
+    executables_with_ros: Path, home: Path
+) -> None:
+    told = run(home, executables_with_ros / "demo", path=str(home / "no programs"))
+    assert told.returncode == 0, told.stdout + told.stderr
+    assert told.stdout.splitlines()[-1].startswith("demo ok")
+
+
+def test_the_messages_bring_their_licences(executables_with_ros: Path, home: Path) -> None:
+    program = f"""
+from importlib.metadata import distribution
+for file in distribution("{PACKAGE}_interfaces").files:
+    if file.name == "LICENSE":
+        print(file.parent.name, file.read_text().split()[0])
+"""
+    told = run(home, executables_with_ros / "python", "-c", program)
+    assert sorted(told.stdout.splitlines()) == ["bond Copyright", "vision_msgs Apache"], told.stderr
+
+
 def test_without_opencv_a_command_says_how_to_install_it(
     wheel: Path, home: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("without OpenCV") / "environment"
-    executables = build_environment(folder, wheel, ("bag",))
+    executables = build_environment(folder, [wheel], ("bag",))
     assert run(home, executables / "detect_bag", "--help").returncode == 0
     told = run(home, executables / "detect_bag", "drive.mp4")
     assert (told.returncode, told.stdout) == (1, "")

@@ -166,8 +166,9 @@ def ros_packages() -> set[str]:
 
 
 def pip_requirements() -> dict[str, str]:
-    """Import name -> name for pip of what setup.py asks for, extras included."""
-    names = {Requirement(line).name for line in distribution(PACKAGE).requires or []}
+    """Import name -> name for pip of what setup.py asks for; with the extras, except ROS from pip."""
+    lines = [line for line in distribution(PACKAGE).requires or [] if not line.endswith('extra == "ros"')]
+    names = {Requirement(line).name for line in lines}
     return {MODULE_OF_PIP.get(name.lower(), name.replace("-", "_")): name.lower() for name in names}
 
 
@@ -176,7 +177,7 @@ def from_package_index(installed: Distribution) -> bool:
     name = canonicalize_name(installed.name)
     return (
         installed.read_text("INSTALLER") == "pip\n"
-        and name != canonicalize_name(PACKAGE)
+        and not name.startswith(canonicalize_name(PACKAGE))  # its messages, too
         and not name.startswith(("nvidia-", "cuda-", "triton"))
     )
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterator
-from importlib.metadata import Distribution, distribution
+from collections.abc import Iterator, Sequence
+from importlib.metadata import Distribution, distribution, distributions
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -28,20 +29,21 @@ def build_wheel(folder: Path) -> Path:
     return wheel
 
 
-def build_environment(folder: Path, wheel: Path, extras: tuple[str, ...]) -> Path:
-    """A new environment in `folder` with `wheel` and the distributions that it and its `extras` require.
+def build_environment(folder: Path, wheels: Sequence[Path], extras: tuple[str, ...]) -> Path:
+    """A new environment in `folder` with `wheels` and the distributions that this package's `extras` require.
 
-    They are links to those of the running environment, so nothing is downloaded and what is not declared is
-    missing. Returns the folder of its executables.
+    What is in none of the wheels is linked to the running environment, so nothing is downloaded and what is
+    not declared is missing. Returns the folder of its executables.
     """
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
     executables = folder / "bin"
     python = executables / "python"
-    _pip("--python", python, "install", "--no-index", "--no-deps", "--no-compile", wheel)
+    _pip("--python", python, "install", "--no-index", "--no-deps", "--no-compile", *wheels)
     site_packages = Path(sysconfig.get_path("purelib", vars={"base": str(folder)}))
-    (installed,) = Distribution.discover(name=PACKAGE, path=[str(site_packages)])
-    for required in _required(installed, extras):
-        _link(required, site_packages)
+    installed = {canonicalize_name(each.name): each for each in distributions(path=[str(site_packages)])}
+    for required in _required(installed[canonicalize_name(PACKAGE)], extras):
+        if canonicalize_name(required.name) not in installed:
+            _link(required, site_packages, executables)
     _pip("--python", python, "check")
     return executables
 
@@ -67,11 +69,11 @@ def _requirements(installed: Distribution, extras: tuple[str, ...]) -> Iterator[
             yield requirement
 
 
-def _link(required: Distribution, site_packages: Path) -> None:
+def _link(required: Distribution, site_packages: Path, executables: Path) -> None:
     """Link the files of a distribution, except its executables and compiled modules."""
     for file in required.files or []:
-        if ".." not in file.parts and file.suffix != ".pyc":
-            link = site_packages / file
+        link = Path(os.path.normpath(site_packages / file))
+        if link.parent != executables and file.suffix != ".pyc":
             link.parent.mkdir(parents=True, exist_ok=True)
             link.symlink_to(Path(str(required.locate_file(file))).resolve())
 

@@ -1,0 +1,211 @@
+"""What a release consists of, and what PyPI shows of it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from support.colcon_workspace import PACKAGE, REPOSITORY, published_files
+
+from tools.release.commit import Commit
+from tools.release.package_build import archived_files, build_package, content_problems
+from tools.release.versions import version_problems
+
+ADDRESS = "https://git.example.org/somebody/yolov5"
+RELATIVE = re.compile(r"\]\((?!\w+:|#)")
+
+
+def described(folder: Path, *urls: str) -> str:
+    """The description that setup.py gives to PyPI, with addresses added to package.xml."""
+    for name in ("setup.py", "README.md", "package.xml", "pyproject.toml"):
+        shutil.copy2(REPOSITORY / name, folder)
+    manifest = folder / "package.xml"
+    manifest.write_text(manifest.read_text().replace("</license>", "</license>" + "".join(urls)))
+    command = [sys.executable, "-W", "ignore", "setup.py", "--quiet", "--long-description"]
+    return subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
+
+
+def test_without_an_address_of_the_repository_the_description_has_no_link_into_it(tmp_path: Path) -> None:
+    text = described(tmp_path)
+    assert text.startswith(f"# {PACKAGE}\n")
+    assert "![" not in text
+    assert not RELATIVE.search(text)
+    assert "of v3 to v7" in text
+
+
+def test_with_an_address_the_links_of_the_description_lead_to_the_tag_of_the_release(tmp_path: Path) -> None:
+    text = described(tmp_path, f'<url type="repository">{ADDRESS}</url>')
+    version = distribution(PACKAGE).version
+    assert not RELATIVE.search(text)
+    assert f"({ADDRESS}/blob/v{version}/docs/models.md)" in text
+    assert f"({ADDRESS}/raw/v{version}/docs/images/annotated.png)" in text
+
+
+def test_the_metadata_says_what_the_package_is_for() -> None:
+    metadata = distribution(PACKAGE).metadata
+    assert metadata["Description-Content-Type"] == "text/markdown"
+    assert metadata["License"] == "Apache-2.0"
+    classifiers = metadata.get_all("Classifier") or []
+    assert {f"Programming Language :: Python :: 3.{minor}" for minor in range(10, 14)} <= set(classifiers)
+
+
+def test_the_extra_ros_needs_the_messages_of_the_same_version() -> None:
+    lines = distribution(PACKAGE).requires or []
+    of_ros = {Requirement(line).name: Requirement(line) for line in lines if 'extra == "ros"' in line}
+    assert of_ros[f"{PACKAGE}_interfaces"].specifier.contains(distribution(PACKAGE).version)
+    assert of_ros["ros-jazzy-rclpy"].extras == {"fastrtps"}
+
+
+def test_the_messages_need_the_packages_that_they_were_compiled_with() -> None:
+    try:
+        messages = distribution(f"{PACKAGE}_interfaces")
+    except PackageNotFoundError:
+        pytest.skip("the messages come from apt")
+    requirements = [Requirement(line) for line in messages.requires or []]
+    assert {canonicalize_name(each.name) for each in requirements} >= {"ros-geometry-msgs", "ros-std-msgs"}
+    for each in requirements:
+        assert each.specifier.contains(distribution(each.name).version)
+
+
+def test_nothing_of_the_build_machine_is_in_the_messages() -> None:
+    files = distribution(f"{PACKAGE}_interfaces").files or []
+    compiled = [file for file in files if file.suffix in (".so", ".py", ".idl", "")]
+    assert len(compiled) > 30
+    home = str(REPOSITORY).encode()
+    # What pip writes while it installs names the folder of a wheel that was built here.
+    assert [file for file in compiled if ".dist-info" not in str(file) and home in file.read_binary()] == []
+
+
+def test_a_file_is_missing_in_the_source_archive_or_is_too_much() -> None:
+    generated = {"PKG-INFO", f"{PACKAGE}.egg-info/SOURCES.txt"}
+    assert content_problems({"setup.py", *generated}, {"setup.py"}) == []
+    forgotten, foreign = content_problems({"setup.py", "build/x"}, {"setup.py", "docs/new.md"})
+    assert "docs/new.md: committed, but not in the source archive" in forgotten
+    assert "build/x: in the source archive, but not committed" in foreign
+
+
+def test_the_version_is_the_same_wherever_it_is_written() -> None:
+    assert version_problems(REPOSITORY) == []
+    assert (
+        distribution(PACKAGE).version
+        == re.findall("<version>(.*)</", (REPOSITORY / "package.xml").read_text())[0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "old", "new", "tag", "problem"),
+    [
+        pytest.param("package.xml", "1.2.0", "1.2.0", "v1.2.0", "", id="all agree"),
+        pytest.param("CHANGELOG.md", "[1.2.0]", "[Unreleased]", "", "", id="nothing released yet"),
+        pytest.param(
+            "package.xml", "1.2.0", "1.2.0", "1.2.0", "tag 1.2.0: expected v1.2.0", id="tag without v"
+        ),
+        pytest.param(
+            "package.xml", "1.2.0", "1.2.0", "v1.3.0", "tag v1.3.0: expected v1.2.0", id="other tag"
+        ),
+        pytest.param(
+            "CITATION.cff", "1.2.0", "1.1.0", "", "CITATION.cff: expected version 1.2.0", id="citation"
+        ),
+        pytest.param(
+            "CITATION.cff", "\nversion", "\ncommit", "", "found none", id="citation without version"
+        ),
+        pytest.param(
+            "interfaces/pyproject.toml",
+            "1.2.0",
+            "1.1.0",
+            "",
+            "interfaces/pyproject.toml: expected",
+            id="messages",
+        ),
+        pytest.param("CHANGELOG.md", "[1.2.0]", "[1.1.0]", "", "CHANGELOG.md: expected", id="changelog"),
+        pytest.param(
+            "CHANGELOG.md", "[1.2.0]", "[Unreleased]", "v1.2.0", "found none", id="no release notes"
+        ),
+    ],
+)
+def test_a_version_that_differs_is_named(
+    tmp_path: Path, changed: str, old: str, new: str, tag: str, problem: str
+) -> None:
+    (tmp_path / "interfaces").mkdir()
+    texts = {
+        "package.xml": "<package><version>1.2.0</version></package>",
+        "interfaces/pyproject.toml": '[project]\nversion = "1.2.0"\n',
+        "CITATION.cff": "cff-version: 1.2.1\nversion: 1.2.0\n",
+        "CHANGELOG.md": "# Changelog\n\n## [Unreleased]\n\n## [1.2.0] - 2026-01-01\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text.replace(old, new, 1) if name == changed else text)
+    found = version_problems(tmp_path, tag)
+    assert len(found) == bool(problem)
+    assert problem in "".join(found)
+
+
+def test_a_commit_is_exported_without_what_is_not_committed(tmp_path: Path) -> None:
+    repository = tmp_path / "repository"
+    repository.mkdir()
+    for words in (["init", "-q"], ["config", "user.email", "a@example.org"], ["config", "user.name", "A"]):
+        subprocess.run(["git", *words], cwd=repository, check=True)
+    (repository / "kept").write_text("kept")
+    (repository / "kept").chmod(0o600)
+    subprocess.run(["git", "add", "kept"], cwd=repository, check=True)
+    subprocess.run(["git", "commit", "-q", "-m", "kept"], cwd=repository, check=True)
+    (repository / "new").write_text("new")
+    commit = Commit(repository)
+    folder = commit.export(tmp_path / "exported")
+    assert [file.name for file in folder.iterdir()] == ["kept"]
+    assert (folder / "kept").stat().st_mode & 0o777 == 0o644
+    assert commit.files() == {"kept"}
+    assert commit.uncommitted() == ["?? new"]
+    assert (folder / "kept").stat().st_mtime == commit.time()
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """What a clone of the working tree would hold."""
+    folder = tmp_path / "source"
+    for file in published_files():
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(REPOSITORY / file, folder / file)
+    return folder
+
+
+def packed(source: Path, output: Path) -> Path:
+    """The source archive of the folder `source`, in the new folder `output`."""
+    command = [sys.executable, "-W", "ignore", "setup.py", "--quiet", "sdist", "--dist-dir", str(output)]
+    subprocess.run(command, cwd=source, check=True)
+    (archive,) = output.iterdir()
+    return archive
+
+
+def test_the_source_archive_holds_what_a_clone_holds_and_is_the_same_wherever_it_is_packed(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    first = packed(source, tmp_path / "first")
+    assert content_problems(archived_files(first), {str(file) for file in published_files()}) == []
+    (source / "setup.py").touch()
+    (source / "LICENSE").chmod(0o600)
+    second = packed(source.rename(tmp_path / "elsewhere"), tmp_path / "second")
+    assert first.read_bytes() == second.read_bytes()
+    with tarfile.open(first) as archive:
+        assert {(member.mtime, member.uid, member.uname) for member in archive} == {(1700000000, 0, "root")}
+
+
+@pytest.mark.long
+def test_the_wheel_is_the_same_wherever_it_is_built(source: Path, tmp_path: Path) -> None:
+    pytest.importorskip("build", reason="installed by make release-check")
+    variables = {"SOURCE_DATE_EPOCH": "1700000000"}
+    first = build_package(source, tmp_path / "first", variables)
+    second = build_package(
+        source.rename(tmp_path / "elsewhere"), tmp_path / "second", variables | {"TZ": "Asia/Tokyo"}
+    )
+    assert [file.suffix for file in first] == [".gz", ".whl"]
+    assert [file.read_bytes() for file in first] == [file.read_bytes() for file in second]
