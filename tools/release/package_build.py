@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 import tarfile
 from collections.abc import Mapping
 from pathlib import Path
+
+from tools.release.program import run_quietly
 
 NAME = "yolov5_lifecycle"
 
@@ -21,8 +21,7 @@ def build_package(source: Path, output: Path, variables: Mapping[str, str]) -> l
     output.mkdir(parents=True, exist_ok=True)
     for older in _built(output):
         older.unlink()
-    words = ["-m", "build", "--no-isolation", "--outdir", str(output), str(source)]
-    subprocess.run([sys.executable, *words], env=os.environ | dict(variables), check=True)
+    run_quietly([sys.executable, "-m", "build", "--no-isolation", "--outdir", output, source], variables)
     return _built(output)
 
 
