@@ -15,7 +15,7 @@ from tools.release.program import run_quietly
 
 NAME = "yolov5_lifecycle_interfaces"
 PLATFORM = f"manylinux_2_34_{platform.machine()}"
-"""glibc 2.34 and the libstdc++ of GCC 11, as on Ubuntu 22.04; auditwheel refuses libraries that need newer ones."""
+"""glibc 2.34 and the libstdc++ of GCC 11, as on Ubuntu 22.04; auditwheel refuses what needs newer ones."""
 OF_OTHER_WHEELS = ("lib*__rosidl_*.so", "librosidl_*.so", "librcutils.so", "libfastcdr.so.2")
 """What the libraries are linked to and the required wheels of ROS install."""
 
@@ -49,6 +49,7 @@ def interfaces_environment(python: str, folder: Path, requirements: Path) -> Pat
     """
     run_quietly([python, "-m", "venv", "--without-pip", folder])
     interpreter = folder / "bin" / "python"
-    names = ["-r", requirements / "interfaces.txt", "-c", requirements / "constraints.txt"]
-    run_quietly([sys.executable, "-m", "pip", "--python", interpreter, "install", *names])
+    pip = [sys.executable, "-m", "pip", "--python", str(interpreter)]
+    names, versions = requirements / "interfaces.txt", requirements / "constraints.txt"
+    run_quietly([*pip, "install", "-r", names, "-c", versions])
     return interpreter
