@@ -77,6 +77,8 @@ FUZZER := $(VENV)/.fuzzer
 MUTATOR := $(VENV)/.mutator
 RELEASER := $(VENV)/.releaser
 INTERFACES_BUILD := build/interfaces$(patsubst .venv%,%,$(VENV))
+SITE_VENV := build/site-venv
+WORKFLOW_VENV := build/workflow-venv
 INTERFACE_PACKAGES := vision_msgs bond
 # The compiled messages of a release for this Python, if build/dist has them and no file in interfaces/ is newer; they fit
 # the tested ROS distribution only.
@@ -98,7 +100,7 @@ endif
 
 # All targets share the virtual environment, and what takes long uses all processors anyway: -j changes nothing.
 .NOTPARALLEL:
-.PHONY: help install demo demo-cameras console test test-all test-matrix coverage soak fuzz mutants bench bench-families lint docs clean
+.PHONY: help install demo demo-cameras console test test-all test-matrix coverage soak fuzz mutants bench bench-families lint docs docs-site workflows clean
 .PHONY: release-check package interfaces-wheels release-versions release-metadata release-reproducible release-install
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
@@ -122,6 +124,8 @@ help:
 	@echo 'make lint     ruff and mypy --strict'
 	@echo 'make install  .venv with all pinned packages, messages and this package, as for the tests; the demo needs half of them'
 	@echo 'make docs     regenerates what is derived from the settings: YAML file, schema, reference page'
+	@echo 'make docs-site  the pages as a site with a search, in build/site; fails for a link that leads nowhere'
+	@echo 'make workflows  actionlint on .github/workflows'
 	@echo 'make clean    removes everything that make has created, .venv included'
 	@echo 'Variables: PYTHON=python3.12  SET=apt|kilted  TORCH=cpu|cuda  PIP_FLAGS="..."  PYTEST_FLAGS="-k name"  SOAK_FLAGS="--minutes 5"'
 
@@ -187,8 +191,7 @@ docs: $(TESTS)
 	$(VENV)/bin/python -m tools.settings_documents
 
 # What `make release-check` does, in this order; a further check is one more target in this list.
-RELEASE_STEPS := release-versions package interfaces-wheels release-metadata release-reproducible release-install
-RELEASE_STEPS += $(shell sed -n 's/^\(docs-site\):.*/\1/p' Makefile)
+RELEASE_STEPS := release-versions package interfaces-wheels release-metadata release-reproducible release-install docs-site
 
 release-check:
 	for step in $(RELEASE_STEPS); do $(MAKE) --no-print-directory $$step; done
@@ -210,6 +213,13 @@ release-reproducible: $(PACKAGE) $(RELEASER)
 
 release-install: $(PACKAGE)
 	RELEASE_WHEELS=$(abspath build/dist) $(PYTEST) test/test_installed_package.py
+
+# Neither needs the package: each has an environment of its own.
+docs-site: $(SITE_VENV)/.installed
+	$(SITE_VENV)/bin/mkdocs build
+
+workflows: $(WORKFLOW_VENV)/.installed
+	$(WORKFLOW_VENV)/bin/actionlint
 
 clean:
 	rm -rf .venv .venv-* build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
@@ -250,6 +260,12 @@ $(MUTATOR): $(DEPENDENCIES) requirements/mutants.txt
 
 $(RELEASER): $(DEPENDENCIES) requirements/release.txt
 	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/release.txt -c $(CONSTRAINTS)
+	touch $@
+
+build/%-venv/.installed: requirements/%.txt requirements/pins.txt
+	rm -rf $(@D)
+	"$(PYTHON)" -m venv $(@D)
+	$(@D)/bin/python -m pip install $(PIP_FLAGS) -r $< -c requirements/pins.txt
 	touch $@
 
 # Modules and data are used in place, so the package's share/ is this folder; colcon copies what setup.py names.
