@@ -1,0 +1,112 @@
+"""The documentation site: every page is in it, and every link of the repository is one of the site."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from support.colcon_workspace import REPOSITORY
+from support.pages import PAGES
+
+from tools.site_pages import linked, published, site_path, with_links_of_site
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads mkdocs.yml without what MkDocs computes: environment variables and Python objects."""
+
+
+_Loader.add_multi_constructor("!ENV", lambda *_: "")
+_Loader.add_multi_constructor("tag:yaml.org,2002:python/", lambda *_: "")
+CONFIGURATION: dict[str, Any] = yaml.load(  # a SafeLoader, made above
+    (REPOSITORY / "mkdocs.yml").read_text(), _Loader
+)
+
+
+def pages_of_navigation(entries: object) -> list[str]:
+    """The paths in a navigation, at any depth."""
+    if isinstance(entries, str):
+        return [entries]
+    values = entries.values() if isinstance(entries, dict) else entries if isinstance(entries, list) else []
+    return [page for value in values for page in pages_of_navigation(value)]
+
+
+def test_every_page_is_in_the_navigation_once() -> None:
+    shown = pages_of_navigation(CONFIGURATION["nav"])
+    assert sorted(shown) == sorted(site_path(path) for path in published() if path.endswith(".md"))
+
+
+def test_every_page_of_the_repository_is_published() -> None:
+    assert {page.relative_to(REPOSITORY).as_posix() for page in PAGES} <= published()
+
+
+def test_no_two_files_share_a_place_even_where_case_does_not_count() -> None:
+    places = [site_path(path).lower() for path in published()]
+    assert sorted(set(places)) == sorted(places)
+
+
+@pytest.mark.parametrize(
+    ("page", "text", "expected"),
+    [
+        pytest.param("README.md", "[a](docs/gpu.md)", "[a](gpu.md)", id="from README to a page"),
+        pytest.param("docs/gpu.md", "[a](../README.md)", "[a](index.md)", id="back"),
+        pytest.param("docs/gpu.md", "[a](images.md#encodings)", "[a](images.md#encodings)", id="heading"),
+        pytest.param("docs/gpu.md", "[a](#here)", "[a](#here)", id="heading of the same page"),
+        pytest.param("README.md", "![a](docs/images/shapes.jpg)", "![a](images/shapes.jpg)", id="image"),
+        pytest.param("docs/gpu.md", "[a](../compose.yaml)", "[a](compose.yaml)", id="file"),
+        pytest.param("README.md", "[a](SECURITY.md)", "[a](project/security.md)", id="page beside README"),
+        pytest.param("SECURITY.md", "[a](docs/security.md)", "[a](../security.md)", id="from such a page"),
+        pytest.param("SECURITY.md", "[a](README.md)", "[a](../index.md)", id="from such a page to the first"),
+        pytest.param("weights/README.md", "[a](../docs/int8.md)", "[a](../int8.md)", id="from a folder"),
+        pytest.param("README.md", "[a](https://example.org/a.md)", "[a](https://example.org/a.md)", id="web"),
+        pytest.param("README.md", "[a](docs/no.md)", "[a](docs/no.md)", id="dead: left for MkDocs to refuse"),
+        pytest.param("README.md", "f[0](x)", "f[0](x)", id="no link"),
+        pytest.param("README.md", "", "", id="empty"),
+    ],
+)
+def test_a_link_of_the_repository_becomes_one_of_the_site(page: str, text: str, expected: str) -> None:
+    assert with_links_of_site(text, page) == expected
+
+
+@pytest.mark.parametrize("path", sorted(path for path in published() if path.endswith(".md")))
+def test_a_link_of_a_page_leads_to_a_file_of_the_site(path: str) -> None:
+    text = with_links_of_site((REPOSITORY / path).read_text(), path)
+    places = {site_path(file) for file in published()} | {site_path(file) for file in linked(path)}
+    folder = posixpath.dirname(site_path(path))
+    links = [link for link in re.findall(r"\]\(([^)#\s]+)", text) if "://" not in link]
+    assert [link for link in links if posixpath.normpath(posixpath.join(folder, link)) not in places] == []
+
+
+def test_the_pages_are_built_by_the_hook_and_a_dead_link_is_an_error() -> None:
+    assert CONFIGURATION["strict"] is True
+    assert set(CONFIGURATION["validation"].values()) == {"warn"}  # which `strict` makes errors
+    assert [(REPOSITORY / hook).is_file() for hook in CONFIGURATION["hooks"]] == [True]
+    assert CONFIGURATION["theme"]["font"] is False, "no page loads anything from another host"
+
+
+@pytest.mark.parametrize("path", sorted(path for path in published() if path.endswith(".md")))
+def test_a_list_begins_where_the_site_recognises_it(path: str) -> None:
+    """Python-Markdown takes an item for text of the paragraph above; GitHub does not."""
+    prose = re.sub(r"^ *```.*?^ *```$", "", (REPOSITORY / path).read_text(), flags=re.MULTILINE | re.DOTALL)
+    paragraphs = [block.strip("\n") for block in re.split(r"\n\s*\n", re.sub(r"(?m)^#.*$", "\n", prose))]
+    item = re.compile(r"^ *(?:[-*]|\d+\.) ", re.MULTILINE)
+    late = [block for block in paragraphs if item.search(block) and not item.match(block)]
+    assert late == []
+
+
+@pytest.mark.long
+def test_the_site_is_built_with_the_list_items_of_the_repository(tmp_path: Path) -> None:
+    mkdocs = REPOSITORY / "build" / "site-venv" / "bin" / "mkdocs"
+    if not mkdocs.is_file():
+        pytest.skip("no MkDocs on this machine: `make docs-site` installs it")
+    command = [mkdocs, "build", "--site-dir", tmp_path]
+    run = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    page = (tmp_path / "across-machines" / "index.html").read_text()
+    (items,) = re.findall(r"three things are needed:</p>\n<ul>\n(.*?)\n</ul>\n<p>To check", page, re.DOTALL)
+    assert "ROS_STATIC_PEERS" in items
+    assert items.count("<li>") == 3
