@@ -58,6 +58,7 @@ NOT_RUN = {
     "~/yolov5_release/bin/": "downloads gigabytes; test_installed_package.py runs the demo of the wheels",
     "git clone ": "the address depends on where the repository is hosted",
     "cd ": "the folder of that clone",
+    "pixi ": "no conda channel can be reached here; test_distribution.py checks what pixi.toml names",
     "mkdir ": "makes the folder that the container is given",
     "docker ": "no container engine here; test_docker.py checks the recipe",
     "source ": "the tests run inside of what it sets up",

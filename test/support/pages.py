@@ -22,7 +22,10 @@ PERFORMANCE = REPOSITORY / "docs" / "performance.md"
 MIGRATION = REPOSITORY / "docs" / "migration.md"
 PAGES = [
     README,
-    *(REPOSITORY / name for name in ("CONTRIBUTING.md", "SECURITY.md")),
+    *(
+        REPOSITORY / f"{name}.md"
+        for name in ("CODE_OF_CONDUCT", "CONTRIBUTING", "QUALITY_DECLARATION", "SECURITY")
+    ),
     *sorted((REPOSITORY / "docs").glob("*.md")),
 ]
 CAMERAS = ("front", "rear")
