@@ -143,6 +143,7 @@ setup(
             f"demo = {name}.commands.entry_points:demo",
             f"detect_bag = {name}.commands.entry_points:detect_bag",
             f"detector = {name}.ros.entry_points:detector",
+            f"doctor = {name}.commands.entry_points:doctor",
             f"evaluate = {name}.commands.entry_points:evaluate",
             f"fetch_weights = {name}.commands.entry_points:fetch_weights",
         ]

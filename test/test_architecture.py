@@ -38,11 +38,11 @@ RANKS = (
     ("detection",),
     ("tracking", "evaluation"),
     ("commands",),
-    ("offline",),
+    ("doctor", "offline"),
     ("ros",),
 )
 RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders}
-ROS_RANK = {"": 0, "parameters": 1, "camera": 2, "console": 2, "detector": 2, "demo": 3}
+ROS_RANK = {"": 0, "parameters": 1, "camera": 2, "console": 2, "detector": 2, "demo": 3, "doctor": 4}
 # What a user starts, and what makes a detector, a selection or a tracker from settings.
 EDGE = (
     *("settings.", "commands.", "offline.", "ros."),

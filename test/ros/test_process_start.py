@@ -36,7 +36,7 @@ def test_the_command_line_is_explained(words: list[str], code: int, told: list[s
     assert "Traceback" not in process.output
 
 
-COMMANDS = ("camera", "convert", "demo", "detect_bag", "detector", "fetch_weights")
+COMMANDS = ("camera", "convert", "demo", "detect_bag", "detector", "doctor", "fetch_weights")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

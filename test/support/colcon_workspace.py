@@ -22,6 +22,7 @@ COMMANDS = (
     "demo",
     "detect_bag",
     "detector",
+    "doctor",
     "evaluate",
     "fetch_weights",
 )

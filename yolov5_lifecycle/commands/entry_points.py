@@ -30,6 +30,7 @@ MODULES: Mapping[str, str] = MappingProxyType(
         "convert": "yolov5_lifecycle.commands.convert",
         "demo": "yolov5_lifecycle.ros.demo.command",
         "detect_bag": "yolov5_lifecycle.offline.detect_bag",
+        "doctor": "yolov5_lifecycle.doctor.command",
         "evaluate": "yolov5_lifecycle.offline.evaluate.command",
         "fetch_weights": "yolov5_lifecycle.commands.fetch_weights",
     }
@@ -64,6 +65,10 @@ def demo() -> NoReturn:
 
 def detect_bag() -> NoReturn:
     _run("detect_bag")
+
+
+def doctor() -> NoReturn:
+    _run("doctor")
 
 
 def evaluate() -> NoReturn:

@@ -25,10 +25,10 @@ def resident_mb() -> float | None:
     return pages * os.sysconf("SC_PAGE_SIZE") / _MIB
 
 
-def available_bytes() -> int | None:
-    """Memory of the machine that is available without swapping; None without /proc, as on macOS."""
+def available_bytes(path: Path = _MACHINE) -> int | None:
+    """Memory of the machine that is available without swapping; None without `path`, as on macOS."""
     try:
-        lines = _MACHINE.read_text().splitlines()
+        lines = path.read_text().splitlines()
     except OSError:
         return None
     return next((int(line.split()[1]) << 10 for line in lines if line.startswith("MemAvailable:")), None)

@@ -41,7 +41,7 @@ _APT_PACKAGES = {"cv2": "python3-opencv", "scipy": "python3-scipy"}
 
 def import_problem(error: ImportError) -> str:
     """The failed import, the Python used, and how to install what is missing."""
-    return f"{sys.executable} cannot import what is needed: {in_one_line(str(error))}. {_remedy(error)}"
+    return f"{sys.executable} cannot import what is needed: {in_one_line(str(error))}. {remedy_for(error)}"
 
 
 def absence_of(module: str) -> str:
@@ -53,7 +53,8 @@ def absence_of(module: str) -> str:
     return ""
 
 
-def _remedy(error: ImportError) -> str:
+def remedy_for(error: ImportError) -> str:
+    """How to install what is missing or damaged."""
     module = (error.name or "").partition(".")[0]
     if not isinstance(error, ModuleNotFoundError) or module == __package__.partition(".")[0]:
         return "The installation is damaged or lacks a system library: install that package again."

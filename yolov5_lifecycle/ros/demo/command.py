@@ -40,7 +40,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         if given.console:
             show_live(_commands(autostart=True), port=given.port, report=report)
             return 0
-        outcome = demonstrate_cameras(given.frames or FRAMES, report) if given.cameras else _run(report)
+        outcome = (
+            demonstrate_cameras(given.frames or FRAMES, report)
+            if given.cameras
+            else demonstrate_one_camera(report)
+        )
     except (DemonstrationError, NoAnswerError, ProcessError, OSError, RuntimeError) as error:
         _say(f"demo failed: {error}")
         return 1
@@ -124,7 +128,8 @@ def _commands(*, autostart: bool = False) -> dict[str, list[str]]:
     }
 
 
-def _run(report: Callable[[str], None]) -> Outcome:
+def demonstrate_one_camera(report: Callable[[str], None]) -> Outcome:
+    """Run the demonstration; writes the image below OUTPUT. Raises what `demonstrated` raises."""
     found = demonstrated(
         _commands(),
         lambda observer, detector: Demonstration(observer, detector, report=report).run(),

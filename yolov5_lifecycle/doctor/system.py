@@ -1,0 +1,138 @@
+"""The machine: operating system, Python, processor, memory, limits, and the folder of the cache."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import resource
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+
+from yolov5_lifecycle.doctor.control_group import cores, memory_bytes
+from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
+from yolov5_lifecycle.process.environment import compute_threads, thread_problem
+from yolov5_lifecycle.process.memory import available_bytes
+from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, write_cache
+from yolov5_lifecycle.runtimes.processor_abilities import abilities
+
+_GIB = 1 << 30
+_OLDEST, _NEWEST = (3, 10), (3, 13)
+_NEEDED_FILES, _ENOUGH_FILES = 256, 1024
+_NEEDED_MEMORY, _ENOUGH_MEMORY = _GIB // 2, 2 * _GIB
+_ADDRESS_SPACE = 16 * _GIB
+_THREADS = 64
+_FREE_DISK = _GIB  # the most that compiled models may take
+
+
+def _system(machine: Machine) -> Iterator[Finding]:
+    fields = dict(line.split("=", 1) for line in machine.text("/etc/os-release").splitlines() if "=" in line)
+    name = fields.get("PRETTY_NAME", platform.system()).strip('"')
+    is_contained = any(machine.path(mark).exists() for mark in ("/.dockerenv", "/run/.containerenv"))
+    where = ", in a container" if is_contained else ""
+    found = f"{name}, {platform.system()} {platform.release()}, {platform.machine()}{where}"
+    if platform.system() == "Linux":
+        yield ok(found)
+    else:
+        yield warning(found, remedy="Use Linux: nobody has tried this package on another system.")
+
+
+def _python(_: Machine) -> Iterator[Finding]:
+    inside = [name for name in ("VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONPATH") if os.environ.get(name)]
+    found = f"Python {platform.python_version()}, {sys.executable}"
+    found += f"; {', '.join(inside)} set" if inside else ""
+    if _OLDEST <= sys.version_info[:2] <= _NEWEST:
+        yield ok(found)
+    elif sys.version_info[:2] > _NEWEST:
+        yield warning(found, remedy="Use Python 3.10 to 3.13: nobody has tried a newer one.")
+    else:
+        yield error(found, remedy="Install Python 3.10 to 3.13, and this package into it.")
+
+
+def _processor(machine: Machine) -> Iterator[Finding]:
+    count, quota, known = compute_threads(), cores(machine), abilities()
+    found = f"{count} processors, {', '.join(known) or 'no vector instructions known'}"
+    if quota is not None and quota < min(count, int(os.environ.get("OMP_NUM_THREADS", "")[:4] or count)):
+        threads = max(1, math.floor(quota))
+        yield warning(
+            f"{found}; the control group allows {quota:g}",
+            remedy=f"Start the node with OMP_NUM_THREADS={threads}, because more threads wait for each other, "
+            "or raise the limit (--cpus of Docker, CPUQuota= of systemd).",
+        )
+    elif platform.machine() == "x86_64" and "avx2" not in known:
+        yield warning(found, remedy="Use a small image_size and model: without AVX2 inference is slow.")
+    else:
+        yield ok(found)
+
+
+def _memory(machine: Machine) -> Iterator[Finding]:
+    limits = {"is available": available_bytes(machine.path("/proc/meminfo"))}
+    limits["is the limit of the control group"] = memory_bytes(machine)
+    known = {name: value for name, value in limits.items() if value is not None}
+    found = ", ".join(f"{value / _GIB:.1f} GiB {name}" for name, value in known.items()) or "not known"
+    least = min(known.values(), default=_ENOUGH_MEMORY)
+    remedy = (
+        "End other programs or raise the limit (--memory of Docker, MemoryMax= of systemd): with too little, "
+        "the kernel kills the detector."
+    )
+    if least >= _ENOUGH_MEMORY:
+        yield ok(found)
+    else:
+        yield (error if least < _NEEDED_MEMORY else warning)(found, remedy=remedy)
+    space, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if space != resource.RLIM_INFINITY and space < _ADDRESS_SPACE:
+        yield warning(
+            f"{space / _GIB:.1f} GiB of address space",
+            remedy="Raise the limit with `ulimit -v unlimited` (LimitAS= of systemd), because torch and Fast DDS "
+            "reserve more addresses than they use.",
+        )
+
+
+def _limits(_: Machine) -> Iterator[Finding]:
+    files, _hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    shown = "any number of" if files == resource.RLIM_INFINITY else f"{files}"
+    remedy = (
+        "Raise the limit with `ulimit -n 4096` (LimitNOFILE=4096 of systemd, --ulimit nofile=4096 of Docker), "
+        "because every peer in the ROS domain takes some."
+    )
+    if files == resource.RLIM_INFINITY or files >= _ENOUGH_FILES:
+        yield ok(f"{shown} open files")
+    else:
+        yield (error if files < _NEEDED_FILES else warning)(f"{shown} open files", remedy=remedy)
+    if problem := thread_problem(_THREADS):
+        found, _, remedy = problem.partition(": ")
+        yield error(found, remedy=remedy)
+
+
+def _cache(_: Machine) -> Iterator[Finding]:
+    file = cache_folder("choices") / "doctor"
+    try:
+        write_cache(file)
+        file.expanduser().unlink()
+        free = shutil.disk_usage(file.expanduser().parent).free
+    except NO_PLACE as problem:
+        yield warning(
+            f"the folder of the cache cannot be written: {problem}",
+            remedy="Give this user the right to write it, or set XDG_CACHE_HOME to another folder: without a "
+            "cache, each start compiles the model and compares the runtimes again.",
+        )
+        return
+    found = f"{file.parent.expanduser()} can be written, {free / _GIB:.1f} GiB free"
+    if free >= _FREE_DISK:
+        yield ok(found)
+    else:
+        yield warning(found, remedy="Free 1 GiB, or set XDG_CACHE_HOME to a folder on a larger disk.")
+
+
+CHECKS: Mapping[str, Check] = MappingProxyType(
+    {
+        "system": _system,
+        "Python": _python,
+        "processor": _processor,
+        "memory": _memory,
+        "limits": _limits,
+        "cache": _cache,
+    }
+)

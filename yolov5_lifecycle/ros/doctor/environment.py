@@ -1,0 +1,202 @@
+"""ROS as this terminal sees it: distribution, middleware, discovery, shared memory, log, other packages."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from xml.etree import ElementTree
+
+from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
+from yolov5_lifecycle.input_file import resolve_package
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.process.missing_package import remedy_for
+from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES, free_bytes, shared_memory_problems
+
+PROFILE = "package://yolov5_lifecycle/config/shm.xml"
+_DEFAULT_RMW = "rmw_fastrtps_cpp"
+_DISTRIBUTIONS = {"7": "jazzy", "9": "kilted"}
+"""By the first number of rclpy's version."""
+_RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
+_LAST_DOMAIN, _LAST_FREE_DOMAIN = 232, 101
+_MODULES = ("rclpy", "sensor_msgs.msg", "diagnostic_msgs.msg", "lifecycle_msgs.srv", "vision_msgs.msg")
+_COMPANIONS = {
+    "tf2_ros_py": "TF",
+    "nav2_lifecycle_manager": "Nav2",
+    "rviz2": "RViz",
+    "rqt_image_view": "image viewer",
+    "foxglove_bridge": "Foxglove",
+}
+
+
+def prefixes() -> list[Path]:
+    """The folders in which ROS packages are installed, in the order of the search."""
+    sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    return [Path(prefix) for prefix in dict.fromkeys([*sourced, sys.prefix])]
+
+
+def _distribution(_: Machine) -> Iterator[Finding]:
+    for module in _MODULES:
+        try:
+            import_module(module)
+        except ImportError as problem:
+            yield error(in_one_line(str(problem), 400), remedy=_ros_remedy(problem))
+            return
+    version = next(filter(None, map(_version_of_rclpy, prefixes())), "unknown")
+    known = _DISTRIBUTIONS.get(version.partition(".")[0], "")
+    sourced = os.environ.get("ROS_DISTRO", known)
+    found = f"ROS 2 {known or sourced}, rclpy {version}"
+    if not known:
+        yield warning(found, remedy="Use ROS 2 Jazzy: nobody has tried this package with another rclpy.")
+    elif sourced != known:
+        yield error(
+            f"{found}, but ROS_DISTRO is {in_one_line(sourced, 40)}",
+            remedy="Use a terminal in which one ROS is sourced, or in which .venv is active, but not both.",
+        )
+    else:
+        yield ok(found)
+
+
+def _ros_remedy(problem: ImportError) -> str:
+    if (problem.name or "").startswith("vision_msgs"):
+        return "Install the messages with `sudo apt install ros-jazzy-vision-msgs`."
+    return remedy_for(problem)
+
+
+def _version_of_rclpy(prefix: Path) -> str:
+    try:
+        return ElementTree.parse(prefix / "share/rclpy/package.xml").getroot().findtext("version", "")
+    except (OSError, ElementTree.ParseError):
+        return ""
+
+
+def _middleware(_: Machine) -> Iterator[Finding]:
+    name = os.environ.get("RMW_IMPLEMENTATION") or _DEFAULT_RMW
+    installed = sorted(
+        {
+            file.name
+            for prefix in prefixes()
+            for file in (prefix / "share/ament_index/resource_index/rmw_typesupport").glob("rmw_*_cpp")
+        }
+    )
+    if name not in installed:
+        yield error(
+            f"RMW_IMPLEMENTATION is {in_one_line(name, 60)}, installed are {', '.join(installed) or 'none'}",
+            remedy=f"`export RMW_IMPLEMENTATION={next(iter(installed), _DEFAULT_RMW)}`, or install the other one "
+            f"with `sudo apt install ros-jazzy-{in_one_line(name, 60).replace('_', '-')}`.",
+        )
+    else:
+        yield ok(f"{name}; installed are {', '.join(installed)}")
+    yield from _settings_of_middleware()
+
+
+def _settings_of_middleware() -> Iterator[Finding]:
+    for variable in (*PROFILE_VARIABLES, "CYCLONEDDS_URI"):
+        value = os.environ.get(variable, "")
+        path = value.removeprefix("file://")
+        if not value or path.lstrip().startswith("<"):  # Cyclone DDS takes the text itself
+            continue
+        if Path(path).is_file():
+            yield ok(f"{variable} is {in_one_line(path, 200)}")
+        else:
+            yield error(
+                f"{variable} is {in_one_line(path, 200)}, which is no file",
+                remedy=f"Correct the path, or `unset {variable}`: without the file its settings do not apply.",
+            )
+
+
+def _discovery(_: Machine) -> Iterator[Finding]:
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "SUBNET"
+    problems = [*_domain_problems(domain), *_reach_problems(reach)]
+    yield from problems or [ok(f"domain {domain}, discovery range {reach}")]
+
+
+def _domain_problems(domain: str) -> Iterator[Finding]:
+    number = int(domain) if domain.isascii() and domain.isdigit() and len(domain) < 9 else -1
+    remedy = f"`export ROS_DOMAIN_ID=` a number from 0 to {_LAST_FREE_DOMAIN}, the same for all nodes."
+    if not 0 <= number <= _LAST_DOMAIN:
+        yield error(f"ROS_DOMAIN_ID is {in_one_line(domain, 40)}: no node can start", remedy=remedy)
+    elif number > _LAST_FREE_DOMAIN:
+        yield warning(
+            f"ROS_DOMAIN_ID is {number}: Linux may give the ports of this domain to other programs",
+            remedy=remedy,
+        )
+
+
+def _reach_problems(reach: str) -> Iterator[Finding]:
+    if reach not in _RANGES:
+        yield error(
+            f"ROS_AUTOMATIC_DISCOVERY_RANGE is {in_one_line(reach, 40)}, which means LOCALHOST to ROS",
+            remedy=f"`export ROS_AUTOMATIC_DISCOVERY_RANGE=` one of {', '.join(_RANGES)}.",
+        )
+    elif reach == "OFF":
+        yield warning(
+            "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: nodes do not find each other, even on this machine",
+            remedy="`unset ROS_AUTOMATIC_DISCOVERY_RANGE`, unless ROS_STATIC_PEERS names all machines.",
+        )
+    if os.environ.get("ROS_LOCALHOST_ONLY", "0") == "1":
+        yield warning(
+            "ROS_LOCALHOST_ONLY is set, which is out of date and overrides the discovery range",
+            remedy="`unset ROS_LOCALHOST_ONLY`, and `export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` instead.",
+        )
+
+
+def _shared_memory(machine: Machine) -> Iterator[Finding]:
+    folder = machine.path("/dev/shm")
+    if not folder.is_dir():
+        yield warning(
+            "/dev/shm does not exist, so images go over UDP, which loses large ones",
+            remedy="Mount it with `sudo mount -t tmpfs tmpfs /dev/shm`, or start the container with --ipc=host.",
+        )
+        return
+    with_profile = {PROFILE_VARIABLES[0]: resolve_package(PROFILE)}
+    for problem in shared_memory_problems(folder) or shared_memory_problems(folder, environment=with_profile):
+        found, _, remedy = problem.partition(". ")
+        yield warning(found, remedy=remedy)
+        return
+    yield ok(f"{free_bytes(folder) >> 20} MiB free in /dev/shm")
+
+
+def _log(_: Machine) -> Iterator[Finding]:
+    home = os.environ.get("ROS_HOME") or "~/.ros"
+    folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log")
+    try:
+        folder = folder.expanduser()
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, RuntimeError) as problem:
+        yield error(
+            f"the folder of ROS's log cannot be written: {problem}",
+            remedy="Give this user the right to write it, or set ROS_LOG_DIR to another folder: without a log, "
+            "no node starts.",
+        )
+    else:
+        yield ok(f"{folder} can be written")
+
+
+def _companions(_: Machine) -> Iterator[Finding]:
+    index = "share/ament_index/resource_index/packages"
+    present = {
+        name for name in _COMPANIONS if any((prefix / index / name).is_file() for prefix in prefixes())
+    }
+    words = [f"{what} ({name})" for name, what in _COMPANIONS.items() if name in present]
+    absent = [f"{what} ({name})" for name, what in _COMPANIONS.items() if name not in present]
+    yield ok(f"present: {', '.join(words) or 'none'}; optional and absent: {', '.join(absent) or 'none'}")
+
+
+CHECKS: Mapping[str, Check] = MappingProxyType(
+    {
+        "ROS": _distribution,
+        "middleware": _middleware,
+        "discovery": _discovery,
+        "shared memory": _shared_memory,
+        "log": _log,
+        "other packages": _companions,
+    }
+)

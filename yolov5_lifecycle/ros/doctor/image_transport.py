@@ -1,0 +1,124 @@
+"""Images of a camera process that arrive in this one, with the middleware and the settings of the user."""
+
+from __future__ import annotations
+
+import os
+import re
+import statistics
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Image
+
+from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
+from yolov5_lifecycle.input_file import resolve_package
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
+from yolov5_lifecycle.ros.demo.ground_truth import stamp_ns
+from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.doctor.environment import PROFILE
+from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES
+from yolov5_lifecycle.unfinished import temporary_folder
+
+SIZE_HW = (720, 1280)
+RATE_HZ = 15.0
+_WATCHED_S = 4.0
+_DISCOVERY_S = 20.0
+_FEW_LOST = 0.05
+_SEGMENT = re.compile(r"/dev/shm/(fastrtps_[0-9a-f]+)$", re.MULTILINE)
+
+
+@dataclass
+class Arrivals:
+    """Images that arrived: their numbers, given by the publisher, and the time since their stamps."""
+
+    numbers: list[int] = field(default_factory=list)
+    latencies_ms: list[float] = field(default_factory=list)
+    has_shared_memory: bool = False
+
+    def take(self, message: Image, info: Mapping[str, int | None]) -> None:
+        """Count an image; one without a number is counted as the next."""
+        number = info["publication_sequence_number"]
+        self.numbers.append(len(self.numbers) if number is None else number)
+        self.latencies_ms.append((time.time_ns() - stamp_ns(message.header)) / 1e6)
+
+    @property
+    def lost(self) -> float:
+        """The share of the images between the first and the last that did not arrive."""
+        sent = self.numbers[-1] - self.numbers[0] + 1 if self.numbers else 1
+        return 1 - len(self.numbers) / sent
+
+    def __str__(self) -> str:
+        width, height = SIZE_HW[::-1]
+        rate_hz = len(self.numbers) / _WATCHED_S
+        memory = "through shared memory" if self.has_shared_memory else "without shared memory"
+        return (
+            f"{self.lost:.0%} of the images of {width}x{height} lost, {rate_hz:.1f} of {RATE_HZ:g} Hz received, "
+            f"{statistics.median(self.latencies_ms):.1f} ms each, {memory}"
+        )
+
+
+def _transport(_: Machine) -> Iterator[Finding]:
+    if not (found := watched()).numbers:
+        yield error(
+            f"no image arrived from another process within {_DISCOVERY_S:g} s",
+            remedy="Check the settings above (middleware, discovery), and that a firewall lets UDP to this "
+            "machine pass: `ros2 doctor --report` shows the network.",
+        )
+    elif found.lost <= _FEW_LOST:
+        yield ok(str(found))
+    else:
+        yield warning(str(found), remedy=_remedy())
+
+
+def _remedy() -> str:
+    """What helps, tried: the profile for large images, unless the user has one."""
+    overloaded = (
+        "Lower the camera's rate or size, or send compressed images: the machine is too busy for these."
+    )
+    if any(os.environ.get(variable) for variable in PROFILE_VARIABLES):
+        return overloaded
+    profile = resolve_package(PROFILE)
+    os.environ[PROFILE_VARIABLES[0]] = profile
+    found = watched()
+    if not found.numbers or found.lost > _FEW_LOST:
+        return overloaded
+    return f"Start cameras with `export {PROFILE_VARIABLES[0]}={profile}`; tried here: {found}."
+
+
+def watched() -> Arrivals:
+    """The images of a new camera process on a domain of its own, watched for some seconds from the first."""
+    arrivals = Arrivals()
+    height, width = SIZE_HW
+    values = {"width": width, "height": height, "rate": RATE_HZ, "reliability": "best_effort"}
+    words = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
+    with own_domain() as domain, temporary_folder() as folder:
+        environment = isolated(os.environ, domain) | {"ROS_LOG_DIR": str(folder)}
+        os.environ.clear()
+        os.environ.update(environment)
+        with (
+            ChildProcess("camera", [entry_point("camera"), "--ros-args", *words], environment) as camera,
+            closing(Observer("doctor", domain=domain, check=camera.check_running)) as observer,
+        ):
+            observer.create_subscription(Image, "/image_raw", arrivals.take, qos_profile_sensor_data)
+            end_s = time.monotonic() + _DISCOVERY_S
+            observer.wait_for(
+                lambda: bool(arrivals.numbers) or time.monotonic() > end_s, "time", timeout_s=2 * _DISCOVERY_S
+            )
+            if arrivals.numbers:
+                observer.work_for(_WATCHED_S)
+            arrivals.has_shared_memory = _has_foreign_segment()
+    return arrivals
+
+
+def _has_foreign_segment() -> bool:
+    """Whether Fast DDS has mapped a segment of another process besides this one's own."""
+    return len(set(_SEGMENT.findall(Path("/proc/self/maps").read_text()))) > 1
+
+
+CHECKS: Mapping[str, Check] = MappingProxyType({"image transport": _transport})
