@@ -47,8 +47,8 @@ def main(argv: Sequence[str] | None = None, *, root: Path = Path("/")) -> int:
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = CommandParser(
         "doctor",
-        description="Check this machine: system, packages, ROS, devices, runtimes, cameras, image transport and "
-        "the node's whole life. The report has no names of people or machines: paste it into an issue.",
+        description="Check this machine: system, packages, ROS, devices, runtimes, cameras, image transport "
+        "and the node's whole life. The report has no names of people or machines: paste it into an issue.",
     )
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     parser.add_argument(

@@ -37,8 +37,8 @@ def _build(machine: Machine) -> Iterator[Finding]:
         reason = in_one_line(str(told[0].message), 300) if told else "torch does not say why"
         yield error(
             f"{built} for CUDA {torch.version.cuda} finds no usable GPU: {reason}",
-            remedy="Update NVIDIA's driver, or install torch built for an older CUDA from its installation page; "
-            "without either, set device to cpu.",
+            remedy="Update NVIDIA's driver, or install torch built for an older CUDA from its installation "
+            "page; without either, set device to cpu.",
         )
 
 

@@ -28,7 +28,10 @@ _DEATH_S = 2.0
 
 @dataclass(frozen=True)
 class Examination:
-    """The checks of `module`, for `target` if there is one; `suspect` says what to do if it hangs or crashes."""
+    """The checks of `module`, for `target` if there is one.
+
+    `suspect`: what to do if they hang or crash.
+    """
 
     name: str
     module: str

@@ -53,13 +53,14 @@ def _absence(machine: Machine, libraries: set[str]) -> Finding:
     if has_gpu(machine):
         return warning(
             "an NVIDIA GPU without a driver",
-            remedy="Install the driver (on Ubuntu `sudo ubuntu-drivers install`) and restart; give a container "
-            "the GPU with --gpus all. Until then the detector uses the CPU.",
+            remedy="Install the driver (on Ubuntu `sudo ubuntu-drivers install`) and restart; give a "
+            "container the GPU with --gpus all. Until then the detector uses the CPU.",
         )
     if libraries:
         return warning(
             f"libcuda.so of {', '.join(sorted(libraries))}, but no driver in the kernel",
-            remedy="Load the driver with `sudo modprobe nvidia`, or give the container the GPU with --gpus all.",
+            remedy="Load the driver with `sudo modprobe nvidia`, or give the container the GPU with "
+            "--gpus all.",
         )
     return ok("no NVIDIA GPU: the detector uses the CPU")
 

@@ -6,6 +6,7 @@ import os
 import pwd
 import re
 import socket
+from contextlib import suppress
 from pathlib import Path
 
 # Names that images and installers give to everybody, and that occur in paths and messages.
@@ -34,10 +35,8 @@ _IDENTIFIERS = (
 def this_user() -> set[str]:
     """The names of the user who runs this process."""
     names = {os.environ.get(variable, "") for variable in ("USER", "LOGNAME")}
-    try:
+    with suppress(KeyError):  # a container with a user id that has no entry
         names.add(pwd.getpwuid(os.geteuid()).pw_name)
-    except KeyError:  # a container with a user id that has no entry
-        pass
     return names
 
 

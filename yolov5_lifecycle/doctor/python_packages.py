@@ -27,7 +27,7 @@ _OPENCV = re.compile(r"opencv[-_](?:contrib[-_])?python(?:[-_]headless)?")
 
 @dataclass(frozen=True)
 class Requirement:
-    """A package that pip installs, its oldest version that is supported, and whether only an extra needs it."""
+    """A package of pip and its oldest supported version; optional if only an extra needs it."""
 
     package: str
     oldest: str
@@ -76,7 +76,7 @@ def _version(module: str, package: str) -> str:
     if module in _IMPORTED:
         try:
             found = getattr(import_module(module), "__version__", None)
-        except (Exception, SystemExit) as problem:  # noqa: BLE001 - a broken package raises anything
+        except (Exception, SystemExit) as problem:
             if isinstance(problem, ImportError):
                 raise
             raise ImportError(
@@ -132,8 +132,8 @@ def _opencv(_: Machine) -> Iterator[Finding]:
         if len(names) > 1:
             yield warning(
                 f"{' and '.join(names)} are in the same folder cv2 of {entry}",
-                remedy=f"Uninstall both with `{sys.executable} -m pip uninstall {' '.join(names)}`, then install "
-                "opencv-python-headless.",
+                remedy=f"Uninstall both with `{sys.executable} -m pip uninstall {' '.join(names)}`, then "
+                "install opencv-python-headless.",
             )
 
 

@@ -25,8 +25,8 @@ def _runtime(machine: Machine) -> Iterator[Finding]:
     )
     try:
         found = detected(runtime=machine.target)
-    except RuntimeAbsentError as problem:
-        yield error(str(problem), remedy=remedy)
+    except RuntimeAbsentError as refusal:
+        yield error(str(refusal), remedy=remedy)
         return
     expected = detected(runtime="torch")
     if problem := difference(expected.detections, found.detections, EXACT):
@@ -55,8 +55,8 @@ def _precision(precision: str, expected: Detections, fp32: str) -> Finding:
     remedy = f"Keep precision at auto or fp32, because {precision} is not usable here; docs/int8.md has more."
     try:
         found = detected(runtime=COARSE_RUNTIME, precision=precision)
-    except CalibrationError as problem:
-        return warning(f"{precision}: {problem}", remedy=remedy)
+    except CalibrationError as refusal:
+        return warning(f"{precision}: {refusal}", remedy=remedy)
     if problem := difference(expected, found.detections, COARSE):
         return warning(f"{precision} differs from fp32: {problem}", remedy=remedy)
     return ok(f"{precision}: same detections as fp32, {found.median_ms:.1f} ms an image ({fp32})")

@@ -58,8 +58,8 @@ def _processor(machine: Machine) -> Iterator[Finding]:
         threads = max(1, math.floor(quota))
         yield warning(
             f"{found}; the control group allows {quota:g}",
-            remedy=f"Start the node with OMP_NUM_THREADS={threads}, because more threads wait for each other, "
-            "or raise the limit (--cpus of Docker, CPUQuota= of systemd).",
+            remedy=f"Start the node with OMP_NUM_THREADS={threads}, because more threads wait for each "
+            "other, or raise the limit (--cpus of Docker, CPUQuota= of systemd).",
         )
     elif platform.machine() == "x86_64" and "avx2" not in known:
         yield warning(found, remedy="Use a small image_size and model: without AVX2 inference is slow.")
@@ -81,29 +81,29 @@ def _memory(machine: Machine) -> Iterator[Finding]:
         yield ok(found)
     else:
         yield (error if least < _NEEDED_MEMORY else warning)(found, remedy=remedy)
-    space, _ = resource.getrlimit(resource.RLIMIT_AS)
+    space = resource.getrlimit(resource.RLIMIT_AS)[0]
     if space != resource.RLIM_INFINITY and space < _ADDRESS_SPACE:
         yield warning(
             f"{space / _GIB:.1f} GiB of address space",
-            remedy="Raise the limit with `ulimit -v unlimited` (LimitAS= of systemd), because torch and Fast DDS "
-            "reserve more addresses than they use.",
+            remedy="Raise the limit with `ulimit -v unlimited` (LimitAS= of systemd), because torch and Fast "
+            "DDS reserve more addresses than they use.",
         )
 
 
 def _limits(_: Machine) -> Iterator[Finding]:
-    files, _hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     shown = "any number of" if files == resource.RLIM_INFINITY else f"{files}"
     remedy = (
-        "Raise the limit with `ulimit -n 4096` (LimitNOFILE=4096 of systemd, --ulimit nofile=4096 of Docker), "
-        "because every peer in the ROS domain takes some."
+        "Raise the limit with `ulimit -n 4096` (LimitNOFILE=4096 of systemd, --ulimit nofile=4096 of "
+        "Docker), because every peer in the ROS domain takes some."
     )
     if files == resource.RLIM_INFINITY or files >= _ENOUGH_FILES:
         yield ok(f"{shown} open files")
     else:
         yield (error if files < _NEEDED_FILES else warning)(f"{shown} open files", remedy=remedy)
     if problem := thread_problem(_THREADS):
-        found, _, remedy = problem.partition(": ")
-        yield error(found, remedy=remedy)
+        found, told = problem.split(": ", 1)
+        yield error(found, remedy=told)
 
 
 def _cache(_: Machine) -> Iterator[Finding]:

@@ -38,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     try:
         if given.console:
-            show_live(_commands(autostart=True), port=given.port, report=report)
+            show_live(commands(autostart=True), port=given.port, report=report)
             return 0
         outcome = (
             demonstrate_cameras(given.frames or FRAMES, report)
@@ -116,7 +116,7 @@ def _row(phase: Phase) -> list[str]:
     ]
 
 
-def _commands(*, autostart: bool = False) -> dict[str, list[str]]:
+def commands(*, autostart: bool = False) -> dict[str, list[str]]:
     """Command lines of camera and detector by the names of their processes."""
     camera_arguments = ["--ros-args", "-p", f"seed:={SEED}", "-r", f"image_raw:={DETECTOR}/image_raw"]
     detector_arguments = ["--ros-args", "--params-file", str(project_file("config/demo.yaml"))]
@@ -131,7 +131,7 @@ def _commands(*, autostart: bool = False) -> dict[str, list[str]]:
 def demonstrate_one_camera(report: Callable[[str], None]) -> Outcome:
     """Run the demonstration; writes the image below OUTPUT. Raises what `demonstrated` raises."""
     found = demonstrated(
-        _commands(),
+        commands(),
         lambda observer, detector: Demonstration(observer, detector, report=report).run(),
         report=report,
     )

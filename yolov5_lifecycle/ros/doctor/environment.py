@@ -40,12 +40,12 @@ def prefixes() -> list[Path]:
 
 
 def _distribution(_: Machine) -> Iterator[Finding]:
-    for module in _MODULES:
-        try:
+    try:
+        for module in _MODULES:
             import_module(module)
-        except ImportError as problem:
-            yield error(in_one_line(str(problem), 400), remedy=_ros_remedy(problem))
-            return
+    except ImportError as problem:
+        yield error(in_one_line(str(problem), 400), remedy=_ros_remedy(problem))
+        return
     version = next(filter(None, map(_version_of_rclpy, prefixes())), "unknown")
     known = _DISTRIBUTIONS.get(version.partition(".")[0], "")
     sourced = os.environ.get("ROS_DISTRO", known)
@@ -86,8 +86,8 @@ def _middleware(_: Machine) -> Iterator[Finding]:
     if name not in installed:
         yield error(
             f"RMW_IMPLEMENTATION is {in_one_line(name, 60)}, installed are {', '.join(installed) or 'none'}",
-            remedy=f"`export RMW_IMPLEMENTATION={next(iter(installed), _DEFAULT_RMW)}`, or install the other one "
-            f"with `sudo apt install ros-jazzy-{in_one_line(name, 60).replace('_', '-')}`.",
+            remedy=f"`export RMW_IMPLEMENTATION={next(iter(installed), _DEFAULT_RMW)}`, or install the other "
+            f"one with `sudo apt install ros-jazzy-{in_one_line(name, 60).replace('_', '-')}`.",
         )
     else:
         yield ok(f"{name}; installed are {', '.join(installed)}")
@@ -105,7 +105,8 @@ def _settings_of_middleware() -> Iterator[Finding]:
         else:
             yield error(
                 f"{variable} is {in_one_line(path, 200)}, which is no file",
-                remedy=f"Correct the path, or `unset {variable}`: without the file its settings do not apply.",
+                remedy=f"Correct the path, or `unset {variable}`: without the file its settings do not "
+                "apply.",
             )
 
 
@@ -142,7 +143,8 @@ def _reach_problems(reach: str) -> Iterator[Finding]:
     if os.environ.get("ROS_LOCALHOST_ONLY", "0") == "1":
         yield warning(
             "ROS_LOCALHOST_ONLY is set, which is out of date and overrides the discovery range",
-            remedy="`unset ROS_LOCALHOST_ONLY`, and `export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` instead.",
+            remedy="`unset ROS_LOCALHOST_ONLY`, and `export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` "
+            "instead.",
         )
 
 
@@ -151,7 +153,8 @@ def _shared_memory(machine: Machine) -> Iterator[Finding]:
     if not folder.is_dir():
         yield warning(
             "/dev/shm does not exist, so images go over UDP, which loses large ones",
-            remedy="Mount it with `sudo mount -t tmpfs tmpfs /dev/shm`, or start the container with --ipc=host.",
+            remedy="Mount it with `sudo mount -t tmpfs tmpfs /dev/shm`, or start the container with "
+            "--ipc=host.",
         )
         return
     with_profile = {PROFILE_VARIABLES[0]: resolve_package(PROFILE)}
@@ -173,8 +176,8 @@ def _log(_: Machine) -> Iterator[Finding]:
     except (OSError, RuntimeError) as problem:
         yield error(
             f"the folder of ROS's log cannot be written: {problem}",
-            remedy="Give this user the right to write it, or set ROS_LOG_DIR to another folder: without a log, "
-            "no node starts.",
+            remedy="Give this user the right to write it, or set ROS_LOG_DIR to another folder: without a "
+            "log, no node starts.",
         )
     else:
         yield ok(f"{folder} can be written")

@@ -58,8 +58,8 @@ class Arrivals:
         rate_hz = len(self.numbers) / _WATCHED_S
         memory = "through shared memory" if self.has_shared_memory else "without shared memory"
         return (
-            f"{self.lost:.0%} of the images of {width}x{height} lost, {rate_hz:.1f} of {RATE_HZ:g} Hz received, "
-            f"{statistics.median(self.latencies_ms):.1f} ms each, {memory}"
+            f"{self.lost:.0%} of the images of {width}x{height} lost, {rate_hz:.1f} of {RATE_HZ:g} Hz "
+            f"received, {statistics.median(self.latencies_ms):.1f} ms each, {memory}"
         )
 
 
@@ -78,9 +78,7 @@ def _transport(_: Machine) -> Iterator[Finding]:
 
 def _remedy() -> str:
     """What helps, tried: the profile for large images, unless the user has one."""
-    overloaded = (
-        "Lower the camera's rate or size, or send compressed images: the machine is too busy for these."
-    )
+    overloaded = "Lower the camera's rate or size, or send compressed images: this machine is too busy."
     if any(os.environ.get(variable) for variable in PROFILE_VARIABLES):
         return overloaded
     profile = resolve_package(PROFILE)
