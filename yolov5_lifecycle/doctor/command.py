@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -20,24 +20,29 @@ EXIT_ERRORS = 1
 _LEAST_S, _MOST_S = 10.0, 3600.0
 
 
-def main(argv: Sequence[str] | None = None, *, root: Path = Path("/")) -> int:
+def main(
+    argv: Sequence[str] | None = None,
+    *,
+    root: Path = Path("/"),
+    now_s: Callable[[], float] = time.monotonic,
+) -> int:
     """Run the examinations; return 0 without errors, 1 with errors, or that of an output that failed.
 
     `root`: the folder in which /proc, /sys, /etc and /dev of the machine lie.
     """
     given = _arguments(argv)
-    begun_s = time.monotonic()
+    begun_s = now_s()
     code = (
         0
         if given.json
         else write_output("doctor", f"{version_line('doctor')}: takes at most {given.time:g} s\n")
     )
     lines = []
-    for line in _examined(root, given.only or NAMES, given.time):
+    for line in _examined(root, given.only or NAMES, given.time, now_s):
         lines.append(line)
         if not given.json and code == 0:
             code = write_output("doctor", as_text(line) + "\n")
-    duration_s = time.monotonic() - begun_s
+    duration_s = now_s() - begun_s
     end = as_json(lines, duration_s) if given.json else summary(lines, duration_s)
     code = code or write_output("doctor", end + "\n")
     has_errors = any(line.finding.level == "error" for line in lines)
@@ -67,19 +72,18 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     return given
 
 
-def _examined(root: Path, names: Sequence[str], time_s: float) -> Iterator[Line]:
+def _examined(root: Path, names: Sequence[str], time_s: float, now_s: Callable[[], float]) -> Iterator[Line]:
     """The lines of the examinations, as soon as each is known."""
-    end_s = time.monotonic() + time_s
+    end_s = now_s() + time_s
     with ThreadPoolExecutor(MOST_CAMERAS) as pool:
         for group in planned(root):
             wanted = [examination for examination in group if examination.name in names]
             run = pool.map if len(wanted) > 1 else map  # a signal interrupts what runs in this thread
-            for lines in run(lambda each: _lines(each, root, time_s, end_s), wanted):
+            for lines in run(lambda each: _lines(each, root, time_s, end_s - now_s()), wanted):
                 yield from map(public, lines)
 
 
-def _lines(examination: Examination, root: Path, time_s: float, end_s: float) -> list[Line]:
-    left_s = end_s - time.monotonic()
+def _lines(examination: Examination, root: Path, time_s: float, left_s: float) -> list[Line]:
     if left_s <= 0:
         finding = error(
             f"not examined, because the {time_s:g} s are over",

@@ -44,11 +44,29 @@ class Examination:
 
 
 def examine(examination: Examination, *, root: Path, patience_s: float) -> list[Line]:
-    """What the checks found within `patience_s`; then their process and its children are killed."""
-    command = [sys.executable, "-c", PROGRAM]
-    command += [examination.module, str(root), examination.target, sys.argv[0]]
+    """What the checks found within `patience_s`; then their process and its children are killed.
+
+    If a check ends the process, another process makes the checks behind it.
+    """
+    end_s = time.monotonic() + patience_s
+    lines: list[Line] = []
+    begun, is_over = 0, False
+    while not is_over:
+        found, count, is_over = _examined(examination, root, begun, end_s)
+        lines += found
+        begun += count
+        is_over |= count == 0 or time.monotonic() > end_s
+    return lines
+
+
+def _examined(
+    examination: Examination, root: Path, skipped: int, end_s: float
+) -> tuple[list[Line], int, bool]:
+    """What all checks but the first `skipped` found, how many began, and whether the last of them ended."""
+    patience_s = max(0.0, end_s - time.monotonic())
+    command = [sys.executable, "-c", PROGRAM, examination.module, str(root), examination.target]
     process = subprocess.Popen(
-        command,
+        [*command, str(skipped), sys.argv[0]],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -61,12 +79,12 @@ def examine(examination: Examination, *, root: Path, patience_s: float) -> list[
         code = process.poll()
     finally:
         _kill(process)
-    lines, under_way = _lines(answer)
-    if code != 0:
-        text = f"no answer within {patience_s:.0f} s" if code is None else f"it ended with {_reason(code)}"
-        found = f"{text}. {_shortened(last_words)}".removesuffix(". ")
-        lines.append(Line(under_way or str(examination), error(found, remedy=examination.suspect)))
-    return lines
+    lines, begun, has_ended = _lines(answer)
+    if not has_ended:
+        found = f"{_reason(code, patience_s)}. {_shortened(last_words)}".removesuffix(". ")
+        subject = begun[-1] if begun else str(examination)
+        lines.append(Line(subject, error(found, remedy=examination.suspect)))
+    return lines, len(begun), has_ended
 
 
 def _heard(
@@ -106,20 +124,24 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
             stream.close()
 
 
-def _lines(answer: bytes) -> tuple[list[Line], str]:
-    """The findings of the complete lines, and the subject of the last check that began."""
-    lines, subject = [], ""
+def _lines(answer: bytes) -> tuple[list[Line], list[str], bool]:
+    """The findings, the subjects of the checks that began, and whether the last of them ended."""
+    lines, begun = [], list[str]()
     for text in answer.decode(errors="replace").split("\n")[:-1]:
         fields = json.loads(text)
+        if not fields:
+            return lines, begun, True
         if "subject" in fields:
-            subject = fields["subject"]
+            begun.append(fields["subject"])
         else:
-            lines.append(Line(subject, Finding(**fields)))
-    return lines, subject
+            lines.append(Line(begun[-1], Finding(**fields)))
+    return lines, begun, False
 
 
-def _reason(code: int) -> str:
-    return signal.strsignal(-code) or f"signal {-code}" if code < 0 else f"exit code {code}"
+def _reason(code: int | None, patience_s: float) -> str:
+    if code is None:
+        return f"no answer within {patience_s:.0f} s; what follows in this group was not checked"
+    return f"it ended with {signal.strsignal(-code) if code < 0 else f'exit code {code}'}"
 
 
 def _shortened(last_words: bytes) -> str:

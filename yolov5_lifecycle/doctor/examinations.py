@@ -11,13 +11,14 @@ TIME_S = 120.0
 MOST_CAMERAS = 8
 """The others are not opened."""
 _REPORT = "Run `doctor --only {} --time 600`, which waits longer; if that fails, too, report its output."
+_FIRST = "Correct the errors above first."
 _RUNTIME = (
     "Uninstall the package {}, or set runtime to torch, because `auto` may choose a runtime that hangs."
 )
 _EXAMINATIONS = (
     Examination("system", "yolov5_lifecycle.doctor.system", 10, _REPORT.format("system")),
     Examination("packages", "yolov5_lifecycle.doctor.python_packages", 30, _REPORT.format("packages")),
-    Examination("ros", "yolov5_lifecycle.ros.doctor.environment", 20, _REPORT.format("ros")),
+    Examination("ros", "yolov5_lifecycle.ros.doctor.environment", 20, f"{_FIRST} {_REPORT.format('ros')}"),
     Examination(
         "driver",
         "yolov5_lifecycle.doctor.nvidia_driver",
@@ -32,13 +33,18 @@ _EXAMINATIONS = (
         + _REPORT.format("devices"),
     ),
     *(
-        Examination("runtimes", "yolov5_lifecycle.doctor.runtimes", 30, _RUNTIME.format(name), name)
+        Examination("runtime", "yolov5_lifecycle.doctor.runtimes", 30, _RUNTIME.format(name), name)
         for name in ("onnxruntime", "openvino")
     ),
-    Examination("transport", "yolov5_lifecycle.ros.doctor.image_transport", 35, _REPORT.format("transport")),
-    Examination("node", "yolov5_lifecycle.ros.doctor.node_life", 75, _REPORT.format("node")),
+    Examination(
+        "transport",
+        "yolov5_lifecycle.ros.doctor.image_transport",
+        35,
+        f"{_FIRST} {_REPORT.format('transport')}",
+    ),
+    Examination("node", "yolov5_lifecycle.ros.doctor.node_life", 75, f"{_FIRST} {_REPORT.format('node')}"),
 )
-NAMES = tuple(dict.fromkeys(["cameras", *(each.name for each in _EXAMINATIONS)]))
+NAMES = tuple(dict.fromkeys(["camera", *(each.name for each in _EXAMINATIONS)]))
 """What `--only` takes."""
 
 
@@ -57,7 +63,7 @@ def _cameras(root: Path) -> list[str]:
 
 def _camera(device: str) -> Examination:
     return Examination(
-        "cameras",
+        "camera",
         "yolov5_lifecycle.doctor.cameras",
         10,
         "Plug the camera in again, at another port or without a hub, because it is open but sends nothing.",

@@ -20,23 +20,24 @@ PROGRAM = (
     "import sys; sys.path[:] = filter(None, sys.path); "  # no modules from the current folder
     "from yolov5_lifecycle.doctor.examined import main; main()"
 )
-"""Runs `main`; its arguments are the module, the root of the machine, the target and the command's path."""
+"""Runs `main`; its arguments: module, root of the machine, target, number of checks to skip, command."""
 
 
 def main() -> None:
-    """Write, one JSON object a line, the subject of each check before it begins, then its findings.
+    """Write JSON lines: the subject of each check before it begins, then its findings; {} at the end.
 
     A check that raises becomes an error. Whatever else writes to stdout goes to stderr. Ends the process.
     """
-    name, root, target, command = sys.argv[1:5]
+    name, root, target, skipped, command = sys.argv[1:6]
     sys.argv = [command]  # beside it lie the other commands
     prepare_environment()
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    for subject, check in _checks(name).items():
+    for subject, check in list(_checks(name).items())[int(skipped) :]:
         _write(answers, subject=f"{subject} {target}".strip())
         for finding in _found(check, Machine(Path(root), target)):
             _write(answers, **asdict(finding))
+    _write(answers)
     os._exit(0)  # the libraries of a broken machine may crash or hang when they are unloaded
 
 

@@ -26,7 +26,12 @@ _GENERIC = {
 _HOME_OF_OTHERS = re.compile(r"(/home/|/Users/)[^/\s:'\"]+")
 _IDENTIFIERS = (
     (re.compile(r"\b(?:[0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}\b"), "(address)"),
-    (re.compile(r"\b(?:10|127|192\.168|172\.(?:1[6-9]|2\d|3[01]))(?:\.\d{1,3}){2,3}\b"), "(address)"),
+    (
+        re.compile(
+            r"(?<![\d.])(?:(?:10|127)\.\d{1,3}|192\.168|172\.(?:1[6-9]|2\d|3[01]))(?:\.\d{1,3}){2}(?![\d]|\.\d)"
+        ),
+        "(address)",
+    ),
     (re.compile(r"\b(?:GPU|MIG)-[0-9a-fA-F-]{32,36}"), "(serial)"),
     (re.compile(r"/dev/(?:v4l|serial)/by-id/\S+"), "/dev/(serial)"),
 )

@@ -8,10 +8,11 @@ from types import MappingProxyType
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.doctor.built_in_image import COARSE, EXACT, detected, difference
 from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.quantization.calibration_file import CalibrationError
 from yolov5_lifecycle.runtimes.cache import installed_build
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
-from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, REQUIREMENTS, RuntimeAbsentError
+from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, REQUIREMENTS
 
 
 def _runtime(machine: Machine) -> Iterator[Finding]:
@@ -21,12 +22,12 @@ def _runtime(machine: Machine) -> Iterator[Finding]:
         return
     remedy = (
         f"Install it again with pip install --force-reinstall {' '.join(packages)}, or set runtime to torch; "
-        "until then `auto` may choose it."
+        "until then `auto` may fail."
     )
     try:
         found = detected(runtime=machine.target)
-    except RuntimeAbsentError as refusal:
-        yield error(str(refusal), remedy=remedy)
+    except Exception as refusal:  # noqa: BLE001 - a broken package raises anything
+        yield error(in_one_line(f"{type(refusal).__name__}: {refusal}", 400), remedy=remedy)
         return
     expected = detected(runtime="torch")
     if problem := difference(expected.detections, found.detections, EXACT):

@@ -103,7 +103,7 @@ def _limits(_: Machine) -> Iterator[Finding]:
         yield (error if files < _NEEDED_FILES else warning)(f"{shown} open files", remedy=remedy)
     if problem := thread_problem(_THREADS):
         found, told = problem.split(": ", 1)
-        yield error(found, remedy=told)
+        yield error(found, remedy=told[0].upper() + told[1:])
 
 
 def _cache(_: Machine) -> Iterator[Finding]:

@@ -195,11 +195,11 @@ def _companions(_: Machine) -> Iterator[Finding]:
 
 CHECKS: Mapping[str, Check] = MappingProxyType(
     {
-        "ROS": _distribution,
         "middleware": _middleware,
         "discovery": _discovery,
         "shared memory": _shared_memory,
         "log": _log,
         "other packages": _companions,
+        "ROS": _distribution,  # last: with a wrong middleware, importing rclpy ends the process
     }
 )

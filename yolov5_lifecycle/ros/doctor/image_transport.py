@@ -49,7 +49,7 @@ class Arrivals:
 
     @property
     def lost(self) -> float:
-        """The share of the images between the first and the last that did not arrive."""
+        """The share of the images between the first and the last that did not arrive; 1 if none did."""
         sent = self.numbers[-1] - self.numbers[0] + 1 if self.numbers else 1
         return 1 - len(self.numbers) / sent
 

@@ -1,0 +1,129 @@
+"""`doctor` in a terminal whose ROS is set up wrongly says what is wrong and what helps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.doctor_process import Row, doctor, of, planted
+
+from yolov5_lifecycle.doctor.finding import Machine
+from yolov5_lifecycle.ros.doctor.environment import CHECKS
+
+SUBJECTS = ["middleware", "discovery", "shared memory", "log", "other packages", "ROS"]
+WRONG = {
+    "RMW_IMPLEMENTATION": "rmw_nothing_cpp",
+    "FASTRTPS_DEFAULT_PROFILES_FILE": "/nowhere/shm.xml",
+    "CYCLONEDDS_URI": "file:///nowhere/dds.xml",
+    "ROS_DOMAIN_ID": "233",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "subnet",
+    "ROS_LOCALHOST_ONLY": "1",
+    "ROS_LOG_DIR": "/dev/null/log",
+}
+"""Every variable, each in a way of its own."""
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+    """The report of a terminal with all of them, on a machine without /dev/shm."""
+    return doctor("--only", "ros", environment=WRONG, root=tmp_path_factory.mktemp("root"))
+
+
+@pytest.mark.parametrize(
+    ("subject", "level", "found", "remedy"),
+    [
+        pytest.param(
+            *("middleware", "error", "RMW_IMPLEMENTATION is rmw_nothing_cpp, installed are rmw_"),
+            "sudo apt install ros-jazzy-rmw-nothing-cpp",
+            id="middleware",
+        ),
+        pytest.param(
+            *("middleware", "error", "FASTRTPS_DEFAULT_PROFILES_FILE is /nowhere/shm.xml, which is no file"),
+            "unset FASTRTPS_DEFAULT_PROFILES_FILE",
+            id="profile of Fast DDS",
+        ),
+        pytest.param(
+            *("middleware", "error", "CYCLONEDDS_URI is /nowhere/dds.xml", "unset CYCLONEDDS_URI"),
+            id="settings of Cyclone DDS",
+        ),
+        pytest.param(
+            *("discovery", "error", "ROS_DOMAIN_ID is 233: no node can start", "from 0 to 101"), id="domain"
+        ),
+        pytest.param(
+            *("discovery", "error", "is subnet, which means LOCALHOST to ROS", "one of SUBNET, LOCALHOST"),
+            id="range",
+        ),
+        pytest.param(
+            *("discovery", "warning", "overrides the discovery range", "unset ROS_LOCALHOST_ONLY"),
+            id="the old variable",
+        ),
+        pytest.param(*("shared memory", "warning", "/dev/shm does not exist", "--ipc=host"), id="/dev/shm"),
+        pytest.param(*("log", "error", "cannot be written", "set ROS_LOG_DIR to another folder"), id="log"),
+        pytest.param(
+            *("ROS", "error", "Expected RMW implementation identifier", "Correct the errors above first"),
+            id="the process ends",
+        ),
+    ],
+)
+def test_what_is_wrong_is_found(rows: list[Row], subject: str, level: str, found: str, remedy: str) -> None:
+    (row,) = [row for row in rows if row.subject == subject and found in row.found]
+    assert row.level == level
+    assert remedy in row.remedy
+
+
+def test_a_process_that_ends_hides_no_other_check(rows: list[Row]) -> None:
+    assert list(dict.fromkeys(row.subject for row in rows)) == SUBJECTS
+
+
+@pytest.mark.parametrize(
+    ("domain", "level"),
+    [
+        *(("", "ok"), ("0", "ok"), ("101", "ok"), ("102", "warning"), ("232", "warning")),
+        *(("233", "error"), ("-1", "error"), ("two", "error"), ("1.5", "error"), ("9" * 30, "error")),
+    ],
+)
+def test_a_domain_has_limits(domain: str, level: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    (finding,) = CHECKS["discovery"](Machine())
+    assert finding.level == level
+
+
+def test_no_discovery_two_distributions_and_settings_as_text_are_told() -> None:
+    wrong = {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF",
+        "ROS_DISTRO": "humble",
+        "CYCLONEDDS_URI": "<CycloneDDS/>",
+    }
+    rows = doctor("--only", "ros", environment=wrong)
+    assert of(rows, "middleware").level == "ok"
+    row = of(rows, "discovery")
+    assert (row.level, "nodes do not find each other" in row.found) == ("warning", True)
+    row = of(rows, "ROS")
+    assert (row.level, "but ROS_DISTRO is humble" in row.found) == ("error", True)
+    assert "one ROS is sourced" in row.remedy
+
+
+def test_a_full_dev_shm_is_found(tmp_path: Path) -> None:
+    (tmp_path / "dev").mkdir()
+    (tmp_path / "dev" / "shm").symlink_to("/proc")  # a file system without a free byte
+    (finding,) = CHECKS["shared memory"](Machine(tmp_path))
+    assert finding.level == "warning"
+    assert "has 0 KiB free and Fast DDS needs 656 KiB" in finding.found
+    assert finding.remedy.startswith("Give the container more")
+
+
+def test_a_python_without_ros_is_told_to_source_it(tmp_path: Path) -> None:
+    absent = "raise ModuleNotFoundError(\"No module named 'rclpy'\", name='rclpy')"
+    planted(tmp_path, {"rclpy/__init__.py": absent})
+    rows = doctor("--only", "ros", "transport", "node", environment={"PYTHONPATH": str(tmp_path)})
+    for subject in ("ROS", "image_transport", "node_life"):
+        assert "No module named 'rclpy'" in of(rows, subject).found
+        assert "source /opt/ros/jazzy/setup.bash" in of(rows, subject).remedy
+
+
+def test_what_else_is_installed_is_listed(tmp_path: Path) -> None:
+    planted(tmp_path, {"share/ament_index/resource_index/packages/rviz2": ""})
+    rows = doctor("--only", "ros", environment={"AMENT_PREFIX_PATH": str(tmp_path)})
+    row = of(rows, "other packages")
+    assert row.found.startswith("present: RViz (rviz2); optional and absent: TF (tf2_ros_py), Nav2 (")
+    assert [row.level for row in rows] == ["ok"] * len(SUBJECTS)

@@ -1,0 +1,70 @@
+"""`doctor` in a process of its own, on a machine that is broken in some way."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+_PROGRAM = """
+import resource, sys
+from pathlib import Path
+root, limits, *words = sys.argv[1:]
+for name, value in eval(limits).items():
+    resource.setrlimit(getattr(resource, name), (value, value))
+from yolov5_lifecycle.doctor.command import main
+sys.exit(main(["--json", *words], root=Path(root)))
+"""
+
+
+class Row(NamedTuple):
+    """A line of the report."""
+
+    subject: str
+    level: str
+    found: str
+    remedy: str
+
+
+def doctor(
+    *words: str,
+    root: Path = Path("/"),
+    environment: Mapping[str, str] = {},
+    limits: Mapping[str, int] = {},
+    python: Path | str = sys.executable,
+) -> list[Row]:
+    """The report with the arguments `words`; the exit code is that of a report with or without errors.
+
+    `limits`: by name, such as RLIMIT_NOFILE. `root`: the machine's, see `main`.
+    """
+    run = subprocess.run(
+        [python, "-c", _PROGRAM, str(root), repr(dict(limits)), *words],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.stdout, run.stderr
+    rows = [Row(**line) for line in json.loads(run.stdout)["lines"]]
+    assert run.returncode == any(row.level == "error" for row in rows), run.stderr
+    return rows
+
+
+def of(rows: Sequence[Row], subject: str) -> Row:
+    """The first line about `subject` that is not ok, else the first one about it."""
+    about = [row for row in rows if row.subject == subject]
+    assert about, rows
+    return next((row for row in about if row.level != "ok"), about[0])
+
+
+def planted(root: Path, files: Mapping[str, str]) -> Path:
+    """`root` with these files in it, by absolute path on the machine; returns `root`."""
+    for name, content in files.items():
+        file = root / name.lstrip("/")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(content)
+    return root
