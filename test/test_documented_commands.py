@@ -80,6 +80,7 @@ NOT_RUN = {
     "camera --ros-args -p source:=rtsp:": "needs a network camera; test_network_stream.py has one of HTTP",
     'camera --ros-args -p "source:=v4l2src ': "needs a webcam and GStreamer",
     "detector --ros-args -p device:=cuda ": "needs a GPU",
+    "doctor": "takes a minute; test/doctor/ and test/ros/doctor/ run it",
     "console": "serves until Ctrl-C; test/ros/console/ starts it with these options",
 }
 """How a command begins, and why it is not tried."""

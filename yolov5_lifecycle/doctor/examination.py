@@ -126,7 +126,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 def _lines(answer: bytes) -> tuple[list[Line], list[str], bool]:
     """The findings, the subjects of the checks that began, and whether the last of them ended."""
-    lines, begun = [], list[str]()
+    lines, begun = list[Line](), list[str]()
     for text in answer.decode(errors="replace").split("\n")[:-1]:
         fields = json.loads(text)
         if not fields:

@@ -15,6 +15,7 @@ WRONG = {
     "RMW_IMPLEMENTATION": "rmw_nothing_cpp",
     "FASTRTPS_DEFAULT_PROFILES_FILE": "/nowhere/shm.xml",
     "CYCLONEDDS_URI": "file:///nowhere/dds.xml",
+    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
     "ROS_DOMAIN_ID": "233",
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "subnet",
     "ROS_LOCALHOST_ONLY": "1",
@@ -45,6 +46,10 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
         pytest.param(
             *("middleware", "error", "CYCLONEDDS_URI is /nowhere/dds.xml", "unset CYCLONEDDS_URI"),
             id="settings of Cyclone DDS",
+        ),
+        pytest.param(
+            *("middleware", "warning", "is UDPv4: images go over UDP", "unset FASTDDS_BUILTIN_TRANSPORTS"),
+            id="transports",
         ),
         pytest.param(
             *("discovery", "error", "ROS_DOMAIN_ID is 233: no node can start", "from 0 to 101"), id="domain"

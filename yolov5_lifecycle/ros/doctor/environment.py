@@ -108,6 +108,13 @@ def _settings_of_middleware() -> Iterator[Finding]:
                 remedy=f"Correct the path, or `unset {variable}`: without the file its settings do not "
                 "apply.",
             )
+    transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "")
+    if transports.startswith("UDP"):
+        yield warning(
+            f"FASTDDS_BUILTIN_TRANSPORTS is {in_one_line(transports, 40)}: images go over UDP, which loses "
+            "large ones, even on this machine",
+            remedy="`unset FASTDDS_BUILTIN_TRANSPORTS`, unless all images leave this machine.",
+        )
 
 
 def _discovery(_: Machine) -> Iterator[Finding]:

@@ -1,4 +1,8 @@
-"""Images of a camera process that arrive in this one, with the middleware and the settings of the user."""
+"""Images of a camera process that arrive in this one, with the middleware and the settings of the user.
+
+The discovery range is LOCALHOST, so that no other machine sees the camera. FASTDDS_BUILTIN_TRANSPORTS then
+has no effect, because rmw_fastrtps chooses the transports itself, in its `src/participant.cpp`.
+"""
 
 from __future__ import annotations
 
@@ -110,13 +114,13 @@ def watched() -> Arrivals:
             )
             if arrivals.numbers:
                 observer.work_for(_WATCHED_S)
-            arrivals.has_shared_memory = _has_foreign_segment()
+            arrivals.has_shared_memory = has_foreign_segment(Path("/proc/self/maps").read_text())
     return arrivals
 
 
-def _has_foreign_segment() -> bool:
-    """Whether Fast DDS has mapped a segment of another process besides this one's own."""
-    return len(set(_SEGMENT.findall(Path("/proc/self/maps").read_text()))) > 1
+def has_foreign_segment(maps: str) -> bool:
+    """Whether a process with the memory map `maps` has a segment of Fast DDS besides its own."""
+    return len(set(_SEGMENT.findall(maps))) > 1
 
 
 CHECKS: Mapping[str, Check] = MappingProxyType({"image transport": _transport})
