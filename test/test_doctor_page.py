@@ -40,7 +40,7 @@ def checks() -> dict[str, Check]:
 def texts(tree: ast.AST) -> list[str]:
     """The texts in `tree`, each whole; what an f-string inserts is {}."""
     if isinstance(tree, ast.JoinedStr):
-        return ["".join(part.value if isinstance(part, ast.Constant) else "{}" for part in tree.values)]
+        return ["".join(str(part.value) if isinstance(part, ast.Constant) else "{}" for part in tree.values)]
     if isinstance(tree, ast.Constant):
         return [tree.value] if isinstance(tree.value, str) else []
     return [text for node in ast.iter_child_nodes(tree) for text in texts(node)]
