@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import yaml
 from rclpy.parameter import Parameter
-from support.colcon_workspace import REPOSITORY
+from support.colcon_workspace import PACKAGE, REPOSITORY, published_files
 from support.good_status import GOOD, OF_CAMERAS
 from support.pages import (
     IMAGES,
@@ -53,6 +53,8 @@ FILES_OF_USERS = {
     "detections_in_frame.py",
 }
 """What a user gives to `evaluate`, what it writes, and what a user saves from a page."""
+POINTER = re.compile(r"\bdocs/[\w-]+\.md(?:#[\w-]+)?")
+"""How a message, a comment or a docstring names a page or a section of a page."""
 SOURCE_FOLDERS = [REPOSITORY, REPOSITORY / "yolov5_lifecycle"]
 
 
@@ -96,6 +98,30 @@ def test_a_source_file_that_is_named_exists(page: Path) -> None:
     pattern = r"(?!build/|found/)[\w/.-]+\.(py|md|yaml|xml|json|txt)"
     named = [span for span in spans(page) if re.fullmatch(pattern, span) and span not in FILES_OF_USERS]
     assert [name for name in named if not any((folder / name).is_file() for folder in SOURCE_FOLDERS)] == []
+
+
+def test_a_page_that_the_code_names_exists() -> None:
+    missing, found = [], 0
+    for file in (file for file in published_files() if file.suffix != ".md"):
+        text = (REPOSITORY / file).read_text(errors="ignore")
+        for path, _, heading in (pointer.partition("#") for pointer in POINTER.findall(text)):
+            found += 1
+            page = REPOSITORY / path
+            if not page.is_file() or (heading and heading not in anchors(page)):
+                missing.append(f"{file}: {path}#{heading}")
+    assert found > 20
+    assert missing == []
+
+
+def test_what_is_installed_names_a_heading_of_the_readme_rather_than_the_readme() -> None:
+    installed = [
+        file
+        for file in published_files()
+        if file.parts[0] in (PACKAGE, "config", "launch") and file.suffix != ".md"
+    ]
+    texts = {file: (REPOSITORY / file).read_text(errors="ignore") for file in installed}
+    assert len(texts) > 100
+    assert [file for file, text in texts.items() if re.search(r"README(?!\.md#)", text)] == []
 
 
 @every_page
