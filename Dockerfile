@@ -1,5 +1,5 @@
-# The nodes on apt's ROS 2 Jazzy. The tests have no container engine and never build this image: docs/docker.md lists
-# what they check instead.
+# The nodes on apt's ROS 2 Jazzy. The tests do not build this image: docker/try-build does, on stand-ins of both bases, and
+# docs/tested.md lists what those cannot show.
 #
 #   docker build -t yolov5_lifecycle .
 #   docker run --rm --network host --ipc host -v yolov5_weights:/home/ubuntu/.ros/yolov5 yolov5_lifecycle fetch_weights n
@@ -29,7 +29,10 @@ RUN python3 -m venv --system-site-packages /opt/venv \
 COPY . .
 WORKDIR /workspace
 # The interpreter that runs colcon is written into the executables' first line: use this environment's, which has torch.
-RUN . /opt/ros/jazzy/setup.sh && /opt/venv/bin/python /usr/bin/colcon build
+# Look for an executable, because colcon also succeeds when it finds no package.
+RUN . /opt/ros/jazzy/setup.sh && /opt/venv/bin/python /usr/bin/colcon build \
+ && if [ ! -x install/yolov5_lifecycle/lib/yolov5_lifecycle/detector ]; then \
+      echo "colcon built no detector. Has BUILD_BASE colcon's packages for ROS, python3-colcon-ros?" >&2; exit 1; fi
 
 FROM ${BASE}
 # hadolint ignore=DL3008

@@ -1,4 +1,4 @@
-"""The image's recipe agrees with the package; whether it builds is not tried here."""
+"""The image's recipe agrees with the package; docker/try-build builds the image."""
 
 from __future__ import annotations
 
@@ -17,12 +17,19 @@ import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
+from support.pages import typed
 from support.pinned_versions import pins
 
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings
 
-ENTRYPOINT = REPOSITORY / "docker" / "entrypoint"
+DOCKER = REPOSITORY / "docker"
+ENTRYPOINT = DOCKER / "entrypoint"
+STAND_INS = DOCKER / "stand-ins"
+SCRIPTS = [
+    *(DOCKER / name for name in ("entrypoint", "own-podman", "try-build", "try-image", "try-units")),
+    STAND_INS / "make-archive",
+]
 SHARE = f"/workspace/install/{PACKAGE}/share/{PACKAGE}/"
 FROM_APT = {"numpy": "python3-numpy", "pyyaml": "python3-yaml"}
 
@@ -100,6 +107,38 @@ def test_torch_is_taken_from_where_the_makefile_takes_it(
     assert [f"--index-url {index[1]} " in install for install in installs] == uses_cpu_builds
 
 
+@pytest.mark.parametrize(
+    ("colcon", "code"),
+    [
+        pytest.param("true", 1, id="no package found"),
+        pytest.param(f"install -D /dev/null install/{PACKAGE}/lib/{PACKAGE}/detector", 0, id="package built"),
+    ],
+)
+def test_a_build_that_makes_no_executable_fails(colcon: str, code: int, tmp_path: Path) -> None:
+    (run,) = (argument for argument in arguments_of("RUN") if "colcon build" in argument)
+    script = run.replace("/opt/venv/bin/python /usr/bin/colcon build", colcon)
+    script = script.replace("/opt/ros/jazzy/setup.sh", "/dev/null")
+    tried = subprocess.run(["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert tried.returncode == code
+    assert ("colcon built no detector" in tried.stderr) == bool(code)
+
+
+def test_the_stand_ins_have_every_package_of_ros_that_the_image_installs() -> None:
+    script = (STAND_INS / "make-archive").read_text()
+    messages = re.search(r"^for interface in (.*); do$", script, re.MULTILINE)
+    assert messages is not None
+    made = {f"ros-jazzy-{name.replace('_', '-')}" for name in messages[1].split()}
+    made |= set(re.findall(r"^pack (ros-jazzy-\S+)$", script, re.MULTILINE))
+    assert made == set(re.findall(r"ros-jazzy-[\w-]+", " ".join(arguments_of("RUN"))))
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.name)
+def test_bash_can_parse_a_script(script: Path) -> None:
+    assert os.access(script, os.X_OK)
+    run = subprocess.run(["bash", "-n", script], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
 def test_what_the_page_gives_a_build_is_an_argument_of_it() -> None:
     page = (REPOSITORY / "docs" / "docker.md").read_text()
     declared = {argument.partition("=")[0] for argument in arguments_of("ARG")}
@@ -172,6 +211,13 @@ def test_a_node_that_is_not_active_is_not_healthy() -> None:
     states = ["unconfigured [1]", "inactive [2]", "active [3]", "Node not found"]
     assert [state for state in states if re.search(pattern, state)] == ["active [3]"]
     assert variables()["YOLOV5_NODE"] == "/yolov5"
+
+
+def test_what_builds_with_podman_keeps_the_health_check() -> None:
+    lines = [*typed(REPOSITORY / "docs" / "docker.md"), *(DOCKER / "try-build").read_text().splitlines()]
+    builds = [line for line in lines if re.search(r"\b(podman|buildah) (build|bud)\b", line)]
+    assert len(builds) == 2
+    assert [line for line in builds if "--format docker" not in line] == []
 
 
 def entered(workspace: Path, *words: str) -> subprocess.CompletedProcess[str]:
