@@ -28,7 +28,7 @@ class Background:
     def __init__(self, node: Node, name: str = "background") -> None:
         self._node = node
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=name)
-        # The pool starts its thread with the first task: then the node's number of threads never changes later.
+        # The pool starts its thread with the first task; later the node's number of threads stays constant.
         self._thread.submit(lambda: None)
         self._unfinished: set[Future[Any]] = set()
 
