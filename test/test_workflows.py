@@ -34,6 +34,8 @@ ACTIONS = {
 }
 """Where code of others runs in our name: a new one needs a reason, because a `run` step usually does."""
 JOBS = [(name, job) for name, workflow in WORKFLOWS.items() for job in workflow["jobs"]]
+MACHINES = [job for job in JOBS if "runs-on" in WORKFLOWS[job[0]]["jobs"][job[1]]]
+"""The jobs that are no other workflow."""
 RUNS = [step for step in STEPS if step.script]
 every_workflow = pytest.mark.parametrize("name", WORKFLOWS)
 every_job = pytest.mark.parametrize(("name", "job"), JOBS, ids=lambda value: value)
@@ -61,7 +63,7 @@ def test_every_right_belongs_to_a_job() -> None:
     assert WRITES.keys() <= set(JOBS)
 
 
-@every_job
+@pytest.mark.parametrize(("name", "job"), MACHINES, ids=lambda value: value)
 def test_a_job_ends(name: str, job: str) -> None:
     assert 0 < job_of(name, job)["timeout-minutes"] <= 360
 
@@ -70,7 +72,8 @@ def test_a_job_ends(name: str, job: str) -> None:
 def test_no_workflow_gives_the_rights_of_this_repository_to_a_change_of_strangers(name: str) -> None:
     triggers = WORKFLOWS[name]["on"]
     assert {"pull_request_target", "workflow_run", "issue_comment"}.isdisjoint(triggers)
-    on_own_machine = [job for job in WORKFLOWS[name]["jobs"].values() if "self-hosted" in job["runs-on"]]
+    jobs = WORKFLOWS[name]["jobs"].values()
+    on_own_machine = [job for job in jobs if "self-hosted" in job.get("runs-on", "")]
     assert not on_own_machine or "pull_request" not in triggers
 
 
@@ -85,6 +88,18 @@ def test_an_action_is_pinned_by_one_digest_with_its_version_behind_it(name: str)
 
 def test_no_other_action_is_used() -> None:
     assert {step.uses.partition("@")[0] for step in STEPS if step.uses} == ACTIONS
+
+
+def test_a_release_needs_all_tests() -> None:
+    assert job_of("release", "tests")["uses"] == "./.github/workflows/test.yml"
+    assert "workflow_call" in WORKFLOWS["test"]["on"]
+    assert job_of("release", "publish")["needs"] == ["tests", "build"]
+    assert job_of("release", "announce")["needs"] == "publish"
+
+
+def test_a_job_calls_no_workflow_of_others() -> None:
+    called = [job_of(*job)["uses"] for job in JOBS if job not in MACHINES]
+    assert [name for name in called if not (name.startswith("./") and (REPOSITORY / name).is_file())] == []
 
 
 def test_no_checkout_leaves_the_token_for_what_runs_after_it() -> None:
@@ -144,6 +159,22 @@ def test_a_step_runs_and_starts_what_it_is_there_for(step: Step, tmp_path: Path)
     assert done.commands, "it started nothing"
 
 
+@pytest.mark.parametrize(
+    ("environment", "reason"),
+    [
+        pytest.param({"HEALTH": "unhealthy"}, "found 'unhealthy'; its log is above", id="never healthy"),
+        pytest.param({"EXIT_CODE": "137"}, "expected exit code 0 after SIGTERM, found 137", id="killed"),
+    ],
+)
+def test_an_image_that_does_not_work_is_not_pushed(
+    environment: dict[str, str], reason: str, tmp_path: Path
+) -> None:
+    done = recorded(at_tag("image", "push", "Try"), tmp_path, environment)
+    assert done.returncode == 1
+    assert reason in done.stderr
+    assert done.commands[-1] == "docker rm --force try-camera try-detector"
+
+
 def test_a_tag_pushes_each_architecture_under_its_own_name(tmp_path: Path) -> None:
     commands = recorded(at_tag("image", "push", "Push"), tmp_path).commands
     image = "ghcr.io/owner/robot.repository:1.2.3-arm64"
@@ -186,10 +217,8 @@ def test_a_release_without_notes_stops_before_anything_is_built(tmp_path: Path) 
 
 
 def test_everything_that_is_uploaded_for_users_is_attested() -> None:
-    jobs = WORKFLOWS["release"]["jobs"]
-    (attested,) = [
-        step["with"]["subject-path"] for step in jobs["publish"]["steps"] if "attest@" in step.get("uses", "")
-    ]
-    uploaded = "\n".join(step.get("run", "") for job in jobs.values() for step in job["steps"])
-    assert f'twine" upload --non-interactive --attestations {attested}' in uploaded
-    assert f"notes.md {attested}" in uploaded
+    steps = [step for step in STEPS if step.workflow == "release"]
+    (attested,) = [step.inputs["subject-path"] for step in steps if step.uses.startswith("actions/attest@")]
+    scripts = "\n".join(step.script for step in steps)
+    assert f'twine" upload --non-interactive --attestations {attested}' in scripts
+    assert f"notes.md {attested}" in scripts

@@ -15,7 +15,7 @@ import yaml
 
 from support.colcon_workspace import REPOSITORY
 
-PROGRAMS = ("docker", "gh", "git", "make", "nvidia-smi", "python3")
+PROGRAMS = ("docker", "gh", "git", "make", "nvidia-smi", "python3", "sleep")
 """Of the machines of the site, or with effects of their own: recorded, but python3 runs a file of tools/."""
 RUNNER = {
     "GITHUB_ACTOR": "somebody",
@@ -32,8 +32,8 @@ printf ' %s' "$@" >> "$RECORD"
 printf '\\n' >> "$RECORD"
 case "${0##*/} $*" in
   *"imagetools inspect"*) echo "sha256:$(printf 'a%.0s' {1..64})" ;;
-  *"State.Health.Status"*) echo healthy ;;
-  *"State.ExitCode"*) echo 0 ;;
+  *"State.Health.Status"*) echo "${HEALTH:-healthy}" ;;
+  *"State.ExitCode"*) echo "${EXIT_CODE:-0}" ;;
 esac
 """
 _PYTHON = """\
@@ -108,7 +108,7 @@ STEPS = [
     )
     for workflow, content in WORKFLOWS.items()
     for name, job in content["jobs"].items()
-    for step in job["steps"]
+    for step in job.get("steps", [])
 ]
 
 
