@@ -103,7 +103,7 @@ def test_the_site_is_built_with_the_list_items_of_the_repository(tmp_path: Path)
     mkdocs = REPOSITORY / "build" / "site-venv" / "bin" / "mkdocs"
     if not mkdocs.is_file():
         pytest.skip("no MkDocs on this machine: `make docs-site` installs it")
-    command = [mkdocs, "build", "--site-dir", tmp_path]
+    command = [str(mkdocs), "build", "--site-dir", str(tmp_path)]
     run = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     page = (tmp_path / "across-machines" / "index.html").read_text()
