@@ -81,6 +81,13 @@ def test_a_limit_of_the_process_is_found(
     assert remedy in row.remedy
 
 
+def test_a_cache_is_tried_and_left_as_it_was(tmp_path: Path) -> None:
+    row = of(doctor("--only", "system", environment={"XDG_CACHE_HOME": str(tmp_path)}), "cache")
+    assert row.level in ("ok", "warning")  # the disk may be full
+    assert f"{tmp_path}/yolov5_lifecycle/choices can be written" in row.found
+    assert [file for file in tmp_path.rglob("*") if file.is_file()] == []
+
+
 def test_a_cache_that_cannot_be_written_is_found(tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("a file where a folder should be")
     row = of(doctor("--only", "system", environment={"XDG_CACHE_HOME": f"{tmp_path}/cache"}), "cache")

@@ -6,16 +6,18 @@ import getpass
 import itertools
 import json
 import os
+import select
+import signal
 import socket
 import subprocess
 from pathlib import Path
 
 import pytest
-from support.doctor_process import doctor
+from support.doctor_process import command, doctor
 
 from yolov5_lifecycle.doctor.command import main
 from yolov5_lifecycle.doctor.examinations import NAMES, TIME_S, planned
-from yolov5_lifecycle.ros.demo.child_process import entry_point
+from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 
 
 def test_the_report_ends_with_a_summary_and_says_the_remedy_below_the_line(tmp_path: Path) -> None:
@@ -81,13 +83,26 @@ def test_every_examination_can_be_asked_for_and_has_a_patience(tmp_path: Path) -
     (tmp_path / "dev").mkdir()
     for number in range(20):
         (tmp_path / "dev" / f"video{number}").touch()
-    groups = planned(tmp_path)
-    examinations = [each for group in groups for each in group]
+    examinations = planned(tmp_path)
     assert {each.name for each in examinations} == set(NAMES)
     assert all(0 < each.patience_s < TIME_S for each in examinations)
     assert [each.target for each in examinations if each.name == "camera"] == [
         f"/dev/video{number}" for number in range(8)
     ]
+
+
+def test_the_end_of_the_doctor_ends_its_checks(tmp_path: Path) -> None:
+    (tmp_path / "dev").mkdir()
+    os.mkfifo(camera := tmp_path / "dev" / "video0")
+    with ChildProcess(
+        "doctor", command("--only", "camera", "--time", "3600", root=tmp_path), os.environ
+    ) as process:
+        sending = os.open(camera, os.O_WRONLY)  # waits until the check has opened it
+        assert process.stop(signal.SIGTERM) == 143
+        poll = select.poll()
+        poll.register(sending, 0)  # an error without a reader
+        assert poll.poll(60_000) == [(sending, select.POLLERR)]
+        os.close(sending)
 
 
 @pytest.mark.long  # the whole command

@@ -17,7 +17,9 @@ root, limits, *words = sys.argv[1:]
 for name, value in eval(limits).items():
     resource.setrlimit(getattr(resource, name), (value, value))
 from yolov5_lifecycle.doctor.command import main
-sys.exit(main(["--json", *words], root=Path(root)))
+from yolov5_lifecycle.process.termination import on_termination
+on_termination(lambda number: sys.exit(128 + number))
+sys.exit(main(words, root=Path(root)))
 """
 
 
@@ -28,6 +30,16 @@ class Row(NamedTuple):
     level: str
     found: str
     remedy: str
+
+
+def command(
+    *words: str,
+    root: Path = Path("/"),
+    limits: Mapping[str, int] = {},
+    python: Path | str = sys.executable,
+) -> list[str]:
+    """The command line of `doctor` with the arguments `words`; other arguments as below."""
+    return [str(python), "-c", _PROGRAM, str(root), repr(dict(limits)), *words]
 
 
 def doctor(
@@ -42,7 +54,7 @@ def doctor(
     `limits`: by name, such as RLIMIT_NOFILE. `root`: the machine's, see `main`.
     """
     run = subprocess.run(
-        [python, "-c", _PROGRAM, str(root), repr(dict(limits)), *words],
+        command("--json", *words, root=root, limits=limits, python=python),
         env=os.environ | environment,
         capture_output=True,
         text=True,

@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser, version_line
 from yolov5_lifecycle.doctor.examination import Examination, examine
-from yolov5_lifecycle.doctor.examinations import MOST_CAMERAS, NAMES, TIME_S, planned
+from yolov5_lifecycle.doctor.examinations import NAMES, TIME_S, planned
 from yolov5_lifecycle.doctor.finding import Line, error
 from yolov5_lifecycle.doctor.report import as_json, as_text, public, summary
 from yolov5_lifecycle.process.standard_streams import write_output
@@ -75,12 +74,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def _examined(root: Path, names: Sequence[str], time_s: float, now_s: Callable[[], float]) -> Iterator[Line]:
     """The lines of the examinations, as soon as each is known."""
     end_s = now_s() + time_s
-    with ThreadPoolExecutor(MOST_CAMERAS) as pool:
-        for group in planned(root):
-            wanted = [examination for examination in group if examination.name in names]
-            run = pool.map if len(wanted) > 1 else map  # a signal interrupts what runs in this thread
-            for lines in run(lambda each: _lines(each, root, time_s, end_s - now_s()), wanted):
-                yield from map(public, lines)
+    for examination in planned(root):
+        if examination.name in names:
+            yield from map(public, _lines(examination, root, time_s, end_s - now_s()))
 
 
 def _lines(examination: Examination, root: Path, time_s: float, left_s: float) -> list[Line]:

@@ -44,15 +44,13 @@ _EXAMINATIONS = (
     ),
     Examination("node", "yolov5_lifecycle.ros.doctor.node_life", 75, f"{_FIRST} {_REPORT.format('node')}"),
 )
-NAMES = tuple(dict.fromkeys(["camera", *(each.name for each in _EXAMINATIONS)]))
+NAMES = tuple(dict.fromkeys([*(each.name for each in _EXAMINATIONS), "camera"]))
 """What `--only` takes."""
 
 
-def planned(root: Path) -> list[list[Examination]]:
-    """All examinations; those of a list are made at the same time."""
-    alone = [[examination] for examination in _EXAMINATIONS]
-    cameras = [_camera(device) for device in _cameras(root)[:MOST_CAMERAS]]
-    return [*alone[:-2], *([cameras] if cameras else []), *alone[-2:]]
+def planned(root: Path) -> list[Examination]:
+    """All examinations in their order; the cameras come last, because several may take their whole time."""
+    return [*_EXAMINATIONS, *map(_camera, _cameras(root)[:MOST_CAMERAS])]
 
 
 def _cameras(root: Path) -> list[str]:
