@@ -47,5 +47,5 @@ def main(wanted: str, index: str, pip_words: Sequence[str], driver: str) -> int:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # an interrupt is no reason for the usual build
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends at once, without a traceback
     sys.exit(main(sys.argv[1], sys.argv[2], sys.argv[3:], nvidia_driver()))

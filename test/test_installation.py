@@ -7,8 +7,10 @@ import re
 import runpy
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 import zipfile
 from collections.abc import Iterator
 from importlib.metadata import distribution, packages_distributions
@@ -27,6 +29,8 @@ CONSTRAINTS = REPOSITORY / "requirements" / "constraints.txt"
 WHEEL = "torch-2.13.0+cpu-py3-none-any.whl"
 NO_INDEX = "http://127.0.0.1:9"
 """Nobody listens on the port that is reserved for discarding."""
+
+PATIENCE_S = 60.0
 
 
 def names_in(requirements: str) -> list[Requirement]:
@@ -297,6 +301,33 @@ def test_an_index_that_cannot_be_reached_leaves_torch_to_pip_and_says_so(
 @pytest.mark.usefixtures("plain_pip")
 def test_the_cpu_build_that_was_asked_for_is_replaced_by_no_other(tmp_path: Path) -> None:
     assert install("cpu", NO_INDEX, tmp_path / "installed") != 0
+
+
+@pytest.mark.usefixtures("plain_pip")
+@pytest.mark.skipif(bool(TORCH["nvidia_driver"]()), reason="this machine has a driver of NVIDIA's")
+def test_an_interrupt_is_no_reason_for_another_build(tmp_path: Path) -> None:
+    asked = threading.Event()
+
+    def serve(request: ServedRequest) -> None:
+        asked.set()
+        request.server.closing.wait()
+
+    with FileServer(serve) as server:
+        program = [sys.executable, REPOSITORY / "requirements" / "install_torch.py", "", server.address]
+        words = ["-c", str(CONSTRAINTS), "--target", str(tmp_path / "installed")]
+        with subprocess.Popen(
+            [*program, *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        ) as installation:
+            assert asked.wait(PATIENCE_S)
+            os.killpg(installation.pid, signal.SIGINT)
+            told, _ = installation.communicate(timeout=PATIENCE_S)
+    assert installation.returncode == -signal.SIGINT
+    assert "usual build" not in told
+    assert "Traceback" not in told
 
 
 def test_a_driver_is_found_by_what_it_leaves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
