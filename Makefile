@@ -225,14 +225,15 @@ clean:
 	rm -rf .venv .venv-* build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
+# Python compiles what is imported; pip would compile all modules, which takes half a minute and 200 MB, mostly unused.
 $(DEPENDENCIES): requirements/environment.txt requirements/interfaces.txt $(lastword $(SET_REQUIREMENTS)) $(PINS)
 	@command -v "$(PYTHON)" > /dev/null || { echo "PYTHON=$(PYTHON): no such program; name a Python 3.10 to 3.13" >&2; exit 1; }
 	@"$(PYTHON)" requirements/check_machine.py $(SET) $(INTERFACES_WHEEL)
 	@echo "Installing what the demo needs into $(VENV): some minutes the first time."
 	rm -rf $(VENV)
 	"$(PYTHON)" -m venv $(VENV)
-	@$(VENV)/bin/python requirements/install_torch.py "$(TORCH)" $(TORCH_INDEX) -c $(CONSTRAINTS) $(PIP_FLAGS)
-	$(VENV)/bin/python -m pip install $(PIP_FLAGS) -r requirements/environment.txt $(SET_REQUIREMENTS) -c $(CONSTRAINTS)
+	@$(VENV)/bin/python requirements/install_torch.py "$(TORCH)" $(TORCH_INDEX) -c $(CONSTRAINTS) $(PIP_FLAGS) --no-compile
+	$(VENV)/bin/python -m pip install $(PIP_FLAGS) --no-compile -r requirements/environment.txt $(SET_REQUIREMENTS) -c $(CONSTRAINTS)
 	touch $(if $(TORCH),$(VENV)/.torch-$(TORCH)) $@
 
 $(TESTS): $(DEPENDENCIES) requirements/tests.txt | $(PACKAGE)
