@@ -3,6 +3,8 @@ SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
+# All targets share the virtual environment, and what takes long uses all processors anyway: -j changes nothing.
+.NOTPARALLEL:
 
 PYTHON ?= python3
 SET ?= tested
@@ -91,15 +93,6 @@ ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
-# The environment has another build of torch than TORCH asks for: it is made anew.
-ifneq ($(TORCH),)
-ifeq ($(wildcard $(VENV)/.torch-$(TORCH)),)
-.PHONY: $(DEPENDENCIES)
-endif
-endif
-
-# All targets share the virtual environment, and what takes long uses all processors anyway: -j changes nothing.
-.NOTPARALLEL:
 .PHONY: help install demo demo-cameras console test test-all test-matrix coverage soak fuzz mutants bench bench-families lint docs docs-site workflows clean
 .PHONY: release-check package interfaces-wheels release-versions release-metadata release-reproducible release-install
 help:
@@ -276,3 +269,10 @@ $(PACKAGE): $(INTERFACES) Makefile setup.py setup.cfg package.xml
 	ln -sfnT ../.. $(VENV)/share/yolov5_lifecycle
 	ln -sfT ../../../../../resource/yolov5_lifecycle $(VENV)/share/ament_index/resource_index/packages/yolov5_lifecycle
 	touch $@
+
+# The environment has another build of torch than TORCH asks for: it is made anew.
+ifneq ($(TORCH),)
+ifeq ($(wildcard $(VENV)/.torch-$(TORCH)),)
+.PHONY: $(DEPENDENCIES)
+endif
+endif
