@@ -202,7 +202,8 @@ def test_a_path_with_a_space_reaches_cmake_as_one_word(clone: Path) -> None:
     folder = clone.rename(clone.with_name("my robot"))
     shown = make(folder, "-n", "demo")
     assert shown.returncode == 0, shown.stderr
-    words = shlex.split(re.search(r"(?s)\n *[^\n]*cmake -S .*?; ", shown.stdout)[0])
+    (configure,) = re.findall(r"(?s)cmake -S .*?; ", shown.stdout)
+    words = shlex.split(configure)
     assert f"-DCMAKE_PREFIX_PATH={folder}/.venv" in words
     assert f"-DCMAKE_INSTALL_PREFIX={folder}/.venv;" in words
     assert [word for word in words if " " in word and not word.startswith("-D")] == []
@@ -313,7 +314,7 @@ def test_an_interrupt_is_no_reason_for_another_build(tmp_path: Path) -> None:
         request.server.closing.wait()
 
     with FileServer(serve) as server:
-        program = [sys.executable, REPOSITORY / "requirements" / "install_torch.py", "", server.address]
+        program = [sys.executable, str(REPOSITORY / "requirements" / "install_torch.py"), "", server.address]
         words = ["-c", str(CONSTRAINTS), "--target", str(tmp_path / "installed")]
         with subprocess.Popen(
             [*program, *words],
