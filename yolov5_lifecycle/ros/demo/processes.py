@@ -10,8 +10,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from ament_index_python.packages import get_package_share_directory
-
+from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess
 from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
 from yolov5_lifecycle.ros.demo.driven_detector import DrivenDetector
@@ -51,7 +50,7 @@ def demonstrated(
 def project_file(path: str) -> Path:
     """`path` in the checkout that contains this file, else in the installed share folder."""
     checkout = Path(__file__).parents[3] / path
-    return checkout if checkout.is_file() else Path(get_package_share_directory("yolov5_lifecycle")) / path
+    return checkout if checkout.is_file() else Path(resolve_package(f"package://yolov5_lifecycle/{path}"))
 
 
 def _driven(
