@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import re
 import shutil
 import subprocess
@@ -165,6 +167,62 @@ def test_a_commit_is_exported_without_what_is_not_committed(tmp_path: Path) -> N
     assert commit.files() == {"kept"}
     assert commit.uncommitted() == ["?? new"]
     assert (folder / "kept").stat().st_mtime == commit.time()
+
+
+MESSAGES = (
+    f"build/dist/{PACKAGE}_interfaces-{{version}}-cp{{python}}-cp{{python}}-manylinux_2_34_{{machine}}.whl"
+)
+HERE = {
+    "version": distribution(PACKAGE).version,
+    "python": f"{sys.version_info[0]}{sys.version_info[1]}",
+    "machine": platform.machine(),
+}
+
+
+@pytest.mark.parametrize(
+    ("wheel", "is_newer", "is_used"),
+    [
+        pytest.param(HERE, True, True, id="of this release"),
+        pytest.param(HERE, False, False, id="older than the messages"),
+        pytest.param(HERE | {"version": "9.9.9"}, True, False, id="of another version"),
+        pytest.param(HERE | {"python": "39"}, True, False, id="for another Python"),
+        pytest.param(HERE | {"machine": "riscv64"}, True, False, id="for another processor"),
+    ],
+)
+def test_make_installs_the_messages_of_a_release_if_they_fit(
+    tmp_path: Path, wheel: dict[str, str], is_newer: bool, is_used: bool
+) -> None:
+    for name in ("Makefile", "package.xml"):
+        shutil.copy2(REPOSITORY / name, tmp_path)
+    shutil.copytree(REPOSITORY / "interfaces", tmp_path / "interfaces")
+    file = tmp_path / MESSAGES.format_map(wheel)
+    file.parent.mkdir(parents=True)
+    file.touch()
+    newest = max(source.stat().st_mtime for source in tmp_path.rglob("interfaces/**/*"))
+    os.utime(file, (newest + 1, newest + (1 if is_newer else -1)))
+    # Neither made nor looked at: what the environment is made from.
+    old = [f"--old-file=.venv/.dependencies-{sys.version_info[0]}.{sys.version_info[1]}"]
+    command = ["make", "--dry-run", *old, f"PYTHON={sys.executable}", ".venv/.interfaces"]
+    told = subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    assert (f"Installing vision_msgs bond from {file.relative_to(tmp_path)}." in told) == is_used
+    assert ("Building vision_msgs bond into .venv" in told) != is_used
+
+
+@pytest.mark.parametrize(
+    ("wheel", "problem"),
+    [
+        pytest.param([], "a C++ compiler", id="to be compiled"),
+        pytest.param(["messages.whl"], "", id="compiled already"),
+    ],
+)
+def test_a_compiler_is_needed_only_if_the_messages_are_not_compiled_yet(
+    wheel: list[str], problem: str
+) -> None:
+    program = REPOSITORY / "requirements" / "check_machine.py"
+    command = [sys.executable, "-I", str(program), "tested", *wheel]
+    told = subprocess.run(command, env={"PATH": ""}, capture_output=True, text=True, check=False)
+    assert problem in told.stderr
+    assert told.returncode == bool(problem)
 
 
 @pytest.fixture
