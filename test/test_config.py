@@ -158,6 +158,44 @@ def test_systemd_restarts_what_has_failed_alone() -> None:
     assert 0 not in (EXIT_DEVICE_LOST, EXIT_ABANDONED_THREADS)
 
 
+def test_a_unit_leaves_the_shared_memory_of_other_nodes_alone() -> None:
+    """RemoveIPC= deletes what the user has in /dev/shm; a private network or IP filter hides other nodes."""
+    harmful = {"RemoveIPC", "PrivateNetwork", "IPAddressDeny", "TemporaryFileSystem", "InaccessiblePaths"}
+    assert [name for name in UNITS if harmful & unit(name).keys()] == []
+
+
+def test_the_detector_may_use_a_gpu_and_the_code_that_runtimes_generate() -> None:
+    entries = unit("yolov5")
+    assert {"PrivateDevices", "MemoryDenyWriteExecute", "ProcSubset"} & entries.keys() == set()
+    assert entries["DeviceAllow"] == ["char-nvidia* rw"]
+    assert "modprobe@nvidia_uvm.service" in entries["Wants"][0].split()
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [("yolov5", {"ROS_LOG_DIR", "XDG_CACHE_HOME"}), ("yolov5_console", {"ROS_LOG_DIR", "XDG_STATE_HOME"})],
+)
+def test_a_unit_can_write_the_folders_that_it_names(name: str, written: set[str]) -> None:
+    entries = unit(name)
+    assert (entries["ProtectSystem"], entries["ProtectHome"]) == (["strict"], ["read-only"])
+    kinds = {"%L": "LogsDirectory", "%C": "CacheDirectory", "%S": "StateDirectory"}
+    folders = dict(entry.split("=", 1) for entry in entries["Environment"] if "=%" in entry)
+    assert folders.keys() == written
+    for folder in folders.values():
+        kind, _, subfolder = folder.partition("/")
+        assert entries[kinds[kind]] == [subfolder]
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+@pytest.mark.parametrize("name", UNITS)
+def test_systemd_finds_a_unit_little_exposed(name: str) -> None:
+    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=25", UNITS[name]]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    if "--offline" in run.stderr:
+        pytest.skip("systemd 250 or newer is needed")
+    assert run.returncode == 0, run.stdout
+
+
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
 @pytest.mark.parametrize("name", UNITS)
 def test_systemd_understands_the_unit(name: str, tmp_path: Path) -> None:
