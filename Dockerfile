@@ -29,10 +29,11 @@ RUN python3 -m venv --system-site-packages /opt/venv \
 COPY . .
 WORKDIR /workspace
 # The interpreter that runs colcon is written into the executables' first line: use this environment's, which has torch.
-# Look for an executable, because colcon also succeeds when it finds no package.
+# Look for what the entry point runs, because colcon also succeeds when it finds no package or lacks an extension.
 RUN . /opt/ros/jazzy/setup.sh && /opt/venv/bin/python /usr/bin/colcon build \
- && if [ ! -x install/yolov5_lifecycle/lib/yolov5_lifecycle/detector ]; then \
-      echo "colcon built no detector. Has BUILD_BASE colcon's packages for ROS, python3-colcon-ros?" >&2; exit 1; fi
+ && for made in install/setup.bash install/yolov5_lifecycle/lib/yolov5_lifecycle/detector; do \
+      if [ ! -f "${made}" ]; then \
+        echo "colcon made no ${made}. Has BUILD_BASE python3-colcon-common-extensions?" >&2; exit 1; fi; done
 
 FROM ${BASE}
 # hadolint ignore=DL3008

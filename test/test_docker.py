@@ -6,8 +6,10 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
+from fnmatch import fnmatch
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ from yolov5_lifecycle.settings.settings import SETTINGS, Settings
 
 DOCKER = REPOSITORY / "docker"
 ENTRYPOINT = DOCKER / "entrypoint"
+BUILT = f"install/{PACKAGE}/lib/{PACKAGE}/detector"
 STAND_INS = DOCKER / "stand-ins"
 SCRIPTS = [
     *(DOCKER / name for name in ("entrypoint", "own-podman", "try-build", "try-image", "try-units")),
@@ -111,16 +114,18 @@ def test_torch_is_taken_from_where_the_makefile_takes_it(
     ("colcon", "code"),
     [
         pytest.param("true", 1, id="no package found"),
-        pytest.param(f"install -D /dev/null install/{PACKAGE}/lib/{PACKAGE}/detector", 0, id="package built"),
+        pytest.param(f"install -D /dev/null {BUILT}", 1, id="without colcon-bash"),
+        pytest.param("install -D /dev/null install/setup.bash", 1, id="without colcon-ros"),
+        pytest.param(f"install -D /dev/null {BUILT} && touch install/setup.bash", 0, id="package built"),
     ],
 )
-def test_a_build_that_makes_no_executable_fails(colcon: str, code: int, tmp_path: Path) -> None:
+def test_a_build_that_lacks_what_the_entry_point_runs_fails(colcon: str, code: int, tmp_path: Path) -> None:
     (run,) = (argument for argument in arguments_of("RUN") if "colcon build" in argument)
     script = run.replace("/opt/venv/bin/python /usr/bin/colcon build", colcon)
     script = script.replace("/opt/ros/jazzy/setup.sh", "/dev/null")
     tried = subprocess.run(["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert tried.returncode == code
-    assert ("colcon built no detector" in tried.stderr) == bool(code)
+    assert ("colcon made no install/" in tried.stderr) == bool(code)
 
 
 def test_the_stand_ins_have_every_package_of_ros_that_the_image_installs() -> None:
@@ -168,6 +173,22 @@ def test_what_is_copied_is_not_ignored() -> None:
     tops = copied | {Path(name).parts[0] for name in named if name != "."}
     assert {file.parts[0] for file in published_files()} >= tops
     assert tops.isdisjoint(ignored)
+
+
+def is_ignored(file: Path) -> bool:
+    """By .dockerignore, whose last pattern that fits decides; `file` lies at the top."""
+    patterns = (REPOSITORY / ".dockerignore").read_text().splitlines()
+    fitting = [pattern for pattern in patterns if fnmatch(file.name, pattern.removeprefix("!"))]
+    return bool(fitting) and not fitting[-1].startswith("!")
+
+
+def test_setup_needs_nothing_that_is_ignored(tmp_path: Path) -> None:
+    for file in published_files():
+        if len(file.parts) == 1 and not is_ignored(file):
+            shutil.copy(REPOSITORY / file, tmp_path)
+    command = [sys.executable, "setup.py", "--name", "--description", "--long-description"]
+    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout.splitlines()[:1]) == (0, [PACKAGE]), run.stderr
 
 
 def check_command(words: list[str]) -> None:

@@ -2,7 +2,7 @@
 ARG IMAGE=localhost/yolov5_lifecycle
 FROM ${IMAGE}
 # hadolint ignore=DL3002
-USER root
+USER 0
 # hadolint ignore=DL3008
 RUN apt-get update \
  && apt-get install -y --no-install-recommends systemd \
