@@ -1,4 +1,4 @@
-"""Waits a minute at most until /yolov5/detections has had all given classes. For docker/try-image."""
+"""Waits two minutes at most until /yolov5/detections has had all given classes. For docker/try-image."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 import rclpy
 from vision_msgs.msg import Detection2DArray
 
-LIMIT_S = 60.0
+LIMIT_S = 120.0
 
 
 def main(wanted: set[str]) -> int:

