@@ -149,8 +149,13 @@ def test_systemd_starts_a_node_of_a_workspace(name: str) -> None:
     (executable,) = re.findall(rf"install/{PACKAGE}/lib/{PACKAGE}/(\w+)", script)
     assert executable in COMMANDS
     assert set(re.findall(r"-p (\w+):=", script)) <= {setting.name for setting in SETTINGS}
-    variables = {entry.partition("=")[0] for entry in unit(name)["Environment"]}
+    variables = {entry.lstrip('"').partition("=")[0] for entry in unit(name)["Environment"]}
     assert set(re.findall(r"\$(\w+)", script)) <= variables
+
+
+def test_the_arguments_of_the_console_may_be_several_words() -> None:
+    """Without quotation marks systemd takes the second word for another variable."""
+    assert '"CONSOLE_ARGUMENTS="' in unit("yolov5_console")["Environment"]
 
 
 def test_systemd_restarts_what_has_failed_alone() -> None:
