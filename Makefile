@@ -91,6 +91,8 @@ INTERFACES_WHEEL ?= $(RELEASED)
 ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 # As many processes as the machine has room for; each file of tests is run by one of them.
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
+DEMO_FOLDER = mkdir -p build/demo && test -w build/demo || { \
+  echo 'Run "$(abspath $(VENV))/bin/demo" in a folder of your own: this user cannot write to build/demo.' >&2; exit 1; }
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
 .PHONY: help install demo demo-cameras console test test-all test-matrix coverage soak fuzz mutants bench bench-families lint docs docs-site workflows clean
@@ -125,15 +127,15 @@ help:
 install: $(TESTS)
 
 demo: $(PACKAGE)
-	@mkdir -p build/demo
+	@$(DEMO_FOLDER)
 	@XDG_CACHE_HOME="$(abspath build/cache)" $(VENV)/bin/demo
 
 demo-cameras: $(PACKAGE)
-	@mkdir -p build/demo
+	@$(DEMO_FOLDER)
 	@XDG_CACHE_HOME="$(abspath build/cache)" $(VENV)/bin/demo --cameras
 
 console: $(PACKAGE)
-	@mkdir -p build/demo
+	@$(DEMO_FOLDER)
 	@XDG_CACHE_HOME="$(abspath build/cache)" $(VENV)/bin/demo --console $(CONSOLE_FLAGS)
 
 test: $(TESTS)

@@ -219,6 +219,13 @@ def test_what_another_environment_has_set_changes_nothing(
     assert "pip install" not in shown.stdout
 
 
+def test_where_the_demo_cannot_write_make_says_where_it_can_run(installed: Path) -> None:
+    (installed / "build").write_text("a file where a folder should be")
+    refused = make(installed, "demo")
+    assert refused.returncode != 0
+    assert f'Run "{installed}/.venv/bin/demo" in a folder of your own' in refused.stderr
+
+
 def test_an_unknown_build_of_torch_is_refused(clone: Path) -> None:
     refused = make(clone, "-n", "demo", "TORCH=gpu")
     assert refused.returncode != 0
