@@ -338,6 +338,14 @@ def test_an_interrupt_is_no_reason_for_another_build(tmp_path: Path) -> None:
     assert "Traceback" not in told
 
 
+def test_a_fresh_machine_needs_the_name_of_a_release() -> None:
+    script = REPOSITORY / "docker" / "fresh-machine"
+    assert subprocess.run(["bash", "-n", script], check=False).returncode == 0
+    refused = subprocess.run([script], capture_output=True, text=True, check=False)
+    assert refused.returncode != 0
+    assert "a release of Debian, such as bookworm or trixie" in refused.stderr
+
+
 def test_a_driver_is_found_by_what_it_leaves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nvidia_driver: Any = TORCH["nvidia_driver"]
     monkeypatch.setenv("PATH", str(tmp_path))
