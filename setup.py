@@ -15,7 +15,7 @@ manifest = ElementTree.parse("package.xml").getroot()
 name = manifest.findtext("name", "")
 version = manifest.findtext("version", "")
 addresses = {url.get("type", "website"): (url.text or "").strip().rstrip("/") for url in manifest.iter("url")}
-LABELS = {"website": "Documentation", "repository": "Source", "bugtracker": "Issues"}
+LABELS = {"website": "Homepage", "repository": "Source", "bugtracker": "Issues"}
 RELATIVE_LINK = re.compile(r"(?P<image>!?)\[(?P<text>[^]]*)\]\((?!\w+:|#)(?P<path>[^)]+)\)")
 
 

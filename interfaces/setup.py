@@ -1,5 +1,6 @@
 """Compiles the messages with CMake into one wheel with what Python needs, laid out like those of ROS."""
 
+import os
 import shlex
 import shutil
 import subprocess
@@ -36,12 +37,18 @@ def compile_messages(package: str, build: Path, prefix: Path) -> None:
         "CMAKE_INSTALL_PREFIX": prefix.resolve(),
         "CMAKE_MAKE_PROGRAM": programs / "ninja",
         "CMAKE_PREFIX_PATH": sys.prefix,
+        "CMAKE_SKIP_RPATH": "ON",  # folders of the build machine, whose lengths would remain in the libraries
         "Python3_EXECUTABLE": sys.executable,
     }
     configure = [cmake, "-S", package, "-B", build, "-G", "Ninja", "--log-level=WARNING"]
-    subprocess.run([*configure, *(f"-D{name}={value}" for name, value in definitions.items())], check=True)
-    subprocess.run([cmake, "--build", build], check=True)
-    subprocess.run([cmake, "--install", build, "--strip"], check=True)
+    defined = [f"-D{name}={value}" for name, value in definitions.items()]
+    environment = os.environ | {"AMENT_PREFIX_PATH": sys.prefix}  # where rosidl looks for its generators
+    for command in (
+        [*configure, *defined],
+        [cmake, "--build", build],
+        [cmake, "--install", build, "--strip"],
+    ):
+        subprocess.run(command, env=environment, check=True)
 
 
 def files_by_folder(prefix: Path) -> list[tuple[str, list[str]]]:
