@@ -194,7 +194,14 @@ def test_a_unit_can_write_the_folders_that_it_names(name: str, written: set[str]
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
 @pytest.mark.parametrize("name", UNITS)
 def test_systemd_finds_a_unit_little_exposed(name: str) -> None:
-    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=25", UNITS[name]]
+    command = [
+        "systemd-analyze",
+        "security",
+        "--offline=true",
+        "--no-pager",
+        "--threshold=25",
+        str(UNITS[name]),
+    ]
     run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     if "--offline" in run.stderr:
         pytest.skip("systemd 250 or newer is needed")

@@ -59,5 +59,7 @@ def test_only_small_arrays_may_be_packed() -> None:
     largest = helper.make_tensor("grid", TensorProto.FLOAT, [MAX_PACKED], np.ones(MAX_PACKED, np.float32))
     assert read(largest).numbers().sum() == MAX_PACKED
     larger = helper.make_tensor("grid", TensorProto.FLOAT, [MAX_PACKED + 1], np.ones(MAX_PACKED + 1))
-    with pytest.raises(WeightsError, match=f"{MAX_PACKED + 1} numbers that are not raw, at most {MAX_PACKED}"):
+    with pytest.raises(
+        WeightsError, match=f"{MAX_PACKED + 1} numbers that are not raw, at most {MAX_PACKED}"
+    ):
         read(larger)
