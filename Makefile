@@ -206,7 +206,7 @@ release-metadata: $(PACKAGE) $(RELEASER)
 release-reproducible: $(PACKAGE) $(RELEASER)
 	$(VENV)/bin/python -m tools.release reproducible
 
-release-install: $(PACKAGE)
+release-install: $(TESTS)
 	RELEASE_WHEELS=$(abspath build/dist) $(PYTEST) test/test_installed_package.py
 
 # Neither needs the package: each has an environment of its own.
