@@ -243,6 +243,15 @@ def test_a_node_that_is_not_active_is_not_healthy() -> None:
     assert variables()["YOLOV5_NODE"] == "/yolov5"
 
 
+def test_the_health_check_leaves_time_for_discovery_and_for_the_answer() -> None:
+    (check,) = arguments_of("HEALTHCHECK")
+    discovery_s = re.search(r" --spin-time (\d+) ", check)
+    limit_s = re.search(r"--timeout=(\d+)s ", check)
+    assert discovery_s is not None, "ros2 waits for half a second, and a busy machine needs more"
+    assert limit_s is not None
+    assert 5 <= int(discovery_s[1]) <= int(limit_s[1]) / 3
+
+
 def test_what_builds_with_podman_keeps_the_health_check() -> None:
     lines = [*typed(REPOSITORY / "docs" / "docker.md"), *(DOCKER / "try-build").read_text().splitlines()]
     builds = [line for line in lines if re.search(r"\b(podman|buildah) (build|bud)\b", line)]
