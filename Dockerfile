@@ -53,8 +53,8 @@ USER 1000
 ENV HOME=/home/ubuntu
 VOLUME /home/ubuntu/.ros/yolov5
 
-# Half a second, ros2's default, is often too short on a busy machine: then the node is not found.
 ENV YOLOV5_NODE=/yolov5
+# Half a second, ros2's default, is often too short on a busy machine: then the node is not found.
 HEALTHCHECK --interval=30s --timeout=20s --start-period=60s \
   CMD ["/entrypoint", "bash", "-c", "ros2 lifecycle get --no-daemon --spin-time 5 $YOLOV5_NODE | grep -q '^active'"]
 ENTRYPOINT ["/entrypoint"]
