@@ -55,7 +55,7 @@ FILES_OF_USERS = {
 """What a user gives to `evaluate`, what it writes, and what a user saves from a page."""
 POINTER = re.compile(r"\bdocs/[\w-]+\.md(?:#[\w-]+)?")
 """How a message, a comment or a docstring names a page or a section of a page."""
-SOURCE_FOLDERS = [REPOSITORY, REPOSITORY / "yolov5_lifecycle", REPOSITORY / "requirements"]
+SOURCE_FOLDERS = [REPOSITORY, REPOSITORY / "yolov5_lifecycle"]
 
 
 def settings_of(text: str) -> dict[str, Any]:

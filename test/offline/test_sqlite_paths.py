@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -31,7 +32,7 @@ def stored_topics(recording: Path) -> set[str]:
     """The topics in the database of a result, read without rosbags."""
     (file,) = recording.glob("*.db3")
     plain = shutil.copy(file, "plain.db3")
-    with sqlite3.connect(plain) as database:
+    with closing(sqlite3.connect(plain)) as database:
         return {name for (name,) in database.execute("SELECT name FROM topics")}
 
 
