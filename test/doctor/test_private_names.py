@@ -28,8 +28,8 @@ from yolov5_lifecycle.doctor.report import public
     ],
 )
 def test_private_names_are_replaced(text: str, expected: str) -> None:
-    hosts = {"walle", "walle.lab.example"}
-    assert without_private_names(text, home="/home/ada", users={"ada"}, hosts=hosts) == expected
+    hosts = ("walle", "walle.lab.example")
+    assert without_private_names(text, home="/home/ada", users=("ada",), hosts=hosts) == expected
 
 
 def test_names_that_everybody_has_are_kept() -> None:

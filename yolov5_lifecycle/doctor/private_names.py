@@ -6,6 +6,7 @@ import os
 import pwd
 import re
 import socket
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
@@ -52,7 +53,11 @@ def this_host() -> set[str]:
 
 
 def without_private_names(
-    text: str, *, home: str | None = None, users: set[str] | None = None, hosts: set[str] | None = None
+    text: str,
+    *,
+    home: str | None = None,
+    users: Collection[str] | None = None,
+    hosts: Collection[str] | None = None,
 ) -> str:
     """`text` with ~ for the home folder, and without users, hosts, addresses and serial numbers.
 
@@ -67,7 +72,7 @@ def without_private_names(
     for pattern, replacement in _IDENTIFIERS:
         text = pattern.sub(replacement, text)
     for names, replacement in ((hosts or this_host(), "(host)"), (users or this_user(), "(user)")):
-        for name in names:
+        for name in sorted(names, key=len, reverse=True):  # a whole name before its first part
             if len(name) > 1 and name.lower() not in _GENERIC:
                 text = re.sub(rf"(?<![\w-]){re.escape(name)}(?![\w-])", replacement, text)
     return text
