@@ -121,13 +121,13 @@ setup(
         "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
         "ray": ["ray>=2.40"],
-        # The first has vision_msgs and bond, which no other package of an index has.
+        # The first has vision_msgs and bond, which no other package of an index has; the versions are those of Jazzy.
         "ros": [
             f"{name}_interfaces=={version}",
             "opencv-python-headless>=4.6",
-            "ros-jazzy-common-interfaces",
-            "ros-jazzy-lifecycle-msgs",
-            "ros-jazzy-rclpy[fastrtps]",
+            "ros-common-interfaces~=5.3",
+            "ros-lifecycle-msgs~=2.0",
+            "ros-rclpy[fastrtps]~=7.1",
         ],
         "summary": ["pyarrow>=15"],
         "tracking": ["scipy>=1.11"],
