@@ -121,7 +121,7 @@ setup(
         "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
         "ray": ["ray>=2.40"],
-        # The first has vision_msgs and bond, which no other package of an index has; the versions are those of Jazzy.
+        # The first has vision_msgs and bond, which no other package has; the versions are those of Jazzy.
         "ros": [
             f"{name}_interfaces=={version}",
             "opencv-python-headless>=4.6",

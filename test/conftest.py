@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,12 @@ from support.colcon_workspace import REPOSITORY, build_workspace
 from support.worker import made_once, run_folder, suitable_count, worker_domain
 
 from yolov5_lifecycle.ros.demo.domain import isolated
+
+# The variables of the `make` that starts the tests would reach each `make` that a test starts.
+for name in [*re.findall(r"^(\w+) \?=", (REPOSITORY / "Makefile").read_text(), re.MULTILINE), "MFLAGS"]:
+    os.environ.pop(name, None)
+for name in [name for name in os.environ if name.startswith("MAKE")]:
+    del os.environ[name]
 
 pytest_plugins = ["support.page_fixtures", "support.shared_fixtures"]
 

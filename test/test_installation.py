@@ -69,11 +69,9 @@ def clone(tmp_path: Path) -> Path:
 
 
 def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
     return subprocess.run(
         ["make", f"PYTHON={sys.executable}", *words],
         cwd=folder,
-        env=kept,
         capture_output=True,
         text=True,
         check=False,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -15,16 +14,11 @@ from support.colcon_workspace import REPOSITORY
 from tools.matrix import COMBINATIONS, Combination, find_python, main, run_all
 
 MAKEFILE = REPOSITORY / "Makefile"
-OF_MAKE = ("MAKEFLAGS", "MAKELEVEL", "MAKEOVERRIDES", "MFLAGS")
 OWN = "{}.{}".format(*sys.version_info)
 
 
 def make(*words: str) -> subprocess.CompletedProcess[str]:
-    """The outcome of `make`, which knows nothing of the `make` that has started the tests."""
-    environment = {name: value for name, value in os.environ.items() if name not in OF_MAKE}
-    return subprocess.run(
-        ["make", *words], cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=False
-    )
+    return subprocess.run(["make", *words], cwd=REPOSITORY, capture_output=True, text=True, check=False)
 
 
 def program(path: Path, script: str) -> Path:
