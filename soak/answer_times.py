@@ -16,35 +16,31 @@ from soak.subject import Subject, camera
 _RATE_HZ = 30.0
 _LIMIT_MS = 20.0
 _ROUNDS = 3
+ROUNDS_NOTE = f"the middle one of {_ROUNDS} rounds"
 _PAUSE_S = 0.002
 _SIZES = (416, 320)
 
 
 def answers_during_inference(subject: Subject, count: int, *, is_timed: bool = True) -> Finding:
-    """Request the state and a parameter alternately: `count` times during detection, a tenth as often while
+    """Request the state and a parameter alternately: `count` times during detection, a third as often while
     models are loaded and while inference hangs; time is only judged if `is_timed`.
 
     All detections must also be received here.
     """
     subject.reset()
     subject.bring_to("active")
-    times_ms, detected = _while_detecting(subject, count)
-    size = math.ceil(count / _ROUNDS)
+    while_detecting, detected = _while_detecting(subject, count)
     p99_ms = {
-        "detecting": statistics.median(
-            p99(times_ms[begin : begin + size]) for begin in range(0, count, size)
-        ),
-        "loading": p99(_while_loading(subject, math.ceil(count / 10))),
-        "hung": p99(_while_hung(subject, math.ceil(count / 10))),
+        "detecting": usual_p99(while_detecting),
+        "loading": usual_p99(_while_loading(subject, math.ceil(count / 3))),
+        "hung": usual_p99(_while_hung(subject, math.ceil(count / 3))),
     }
     subject.reset()
     return Finding(
         claim="services answer during inference, and all that is detected comes out",
-        done=f"{count} requests while {detected} images were detected, a tenth as many in the other cases",
+        done=f"{count} requests while {detected} images were detected, a third as many in the other cases",
         result="p99 " + ", ".join(f"{case} {time_ms:.1f} ms" for case, time_ms in p99_ms.items()),
-        limit=f"p99 < {_LIMIT_MS:g} ms (detecting: the middle one of {_ROUNDS} rounds)"
-        if is_timed
-        else "answered",
+        limit=f"p99 < {_LIMIT_MS:g} ms ({ROUNDS_NOTE})" if is_timed else "answered",
         is_met=max(p99_ms.values()) < _LIMIT_MS or not is_timed,
     )
 
@@ -99,5 +95,14 @@ def _detected(subject: Subject) -> int:
     return int(subject.status()["frames detected"])
 
 
-def p99(times_ms: Sequence[float]) -> float:
+def usual_p99(times_ms: Sequence[float]) -> float:
+    """The median of the 99th percentiles of three rounds in a row, because one pause of the machine decides a
+    percentile of few responses.
+    """
+    size = math.ceil(len(times_ms) / _ROUNDS)
+    rounds = (times_ms[begin : begin + size] for begin in range(0, len(times_ms), size))
+    return statistics.median(_p99(of_round) for of_round in rounds)
+
+
+def _p99(times_ms: Sequence[float]) -> float:
     return sorted(times_ms)[math.ceil(0.99 * len(times_ms)) - 1]
