@@ -19,6 +19,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
 
 from launch import LaunchContext, LaunchDescription
+from yolov5_lifecycle.process.missing_package import apt_package_of
 
 SHARE = FindPackageShare("yolov5_lifecycle")
 DEFAULT_PARAMETERS = PathJoinSubstitution([SHARE, "config", "demo.yaml"])
@@ -68,6 +69,6 @@ def check_rviz(context: LaunchContext) -> None:
         ExecutableInPackage(package="rviz2", executable="rviz2").perform(context)
     except (KeyError, SubstitutionFailure) as error:  # no such package, no such file in it
         raise RuntimeError(
-            "rviz:=true: RViz is not installed. Install it with `sudo apt install ros-jazzy-rviz2`, "
-            "or leave out rviz:=true."
+            "rviz:=true: RViz is not installed. "
+            f"Install it with `sudo apt install {apt_package_of('rviz2')}`, or leave out rviz:=true."
         ) from error

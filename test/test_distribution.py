@@ -14,8 +14,6 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.colcon_workspace import PACKAGE, REPOSITORY
 
-from tools.release_notes import manifest_version
-
 MANIFEST = ElementTree.parse(REPOSITORY / "package.xml")
 OF_CONDA = {"torch": "pytorch", "opencv-python-headless": "py-opencv"}
 FORMS = sorted(
@@ -71,10 +69,9 @@ def test_ros_documentation_is_built_from_the_pages() -> None:
     assert (REPOSITORY / builder["sphinx"]["user_doc_dir"] / "parameters.md").is_file()
 
 
-def test_the_citation_names_the_version_the_licence_and_the_people_of_the_manifest() -> None:
+def test_the_citation_names_the_licence_and_the_people_of_the_manifest() -> None:
     citation: dict[str, Any] = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
     assert citation["cff-version"] == "1.2.0"
-    assert citation["version"] == manifest_version((REPOSITORY / "package.xml").read_text())
     assert citation["license"] == MANIFEST.findtext("license")
     assert [author["name"] for author in citation["authors"]] == [MANIFEST.findtext("maintainer")]
     assert citation["message"]

@@ -159,20 +159,10 @@ def test_a_step_runs_and_starts_what_it_is_there_for(step: Step, tmp_path: Path)
     assert done.commands, "it started nothing"
 
 
-@pytest.mark.parametrize(
-    ("environment", "reason"),
-    [
-        pytest.param({"HEALTH": "unhealthy"}, "found 'unhealthy'; its log is above", id="never healthy"),
-        pytest.param({"EXIT_CODE": "137"}, "expected exit code 0 after SIGTERM, found 137", id="killed"),
-    ],
-)
-def test_an_image_that_does_not_work_is_not_pushed(
-    environment: dict[str, str], reason: str, tmp_path: Path
-) -> None:
-    done = recorded(at_tag("image", "push", "Try"), tmp_path, environment)
-    assert done.returncode == 1
-    assert reason in done.stderr
-    assert done.commands[-1] == "docker rm --force try-camera try-detector"
+def test_an_image_is_tried_before_it_is_pushed() -> None:
+    names = [step.name for step in RUNS if (step.workflow, step.job) == ("image", "push")]
+    assert names == ["Build", "Try", "Push"]
+    assert "docker/try-image yolov5_lifecycle" in at_tag("image", "push", "Try").script
 
 
 def test_a_tag_pushes_each_architecture_under_its_own_name(tmp_path: Path) -> None:
@@ -213,7 +203,7 @@ def test_a_release_without_notes_stops_before_anything_is_built(tmp_path: Path) 
     assert steps[0].name == "Notes"
     done = recorded(steps[0], tmp_path, environment={"GITHUB_REF_NAME": "v999.0.0"})
     assert done.returncode == 1
-    assert "expected 'v" in done.stderr
+    assert "expected changes below a heading" in done.stderr
 
 
 def test_everything_that_is_uploaded_for_users_is_attested() -> None:

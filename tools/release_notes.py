@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
-from xml.etree import ElementTree
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -17,20 +16,15 @@ class ReleaseNotesError(ValueError):
     """A release that cannot be announced, with the remedy."""
 
 
-def manifest_version(manifest: str) -> str:
-    """The version in the text of a package.xml."""
-    return ElementTree.fromstring(manifest).findtext("version", "").strip()
+def notes(changelog: str, tag: str) -> str:
+    """The text below the heading of the version of `tag`, such as v0.1.0, in `changelog`.
 
-
-def notes(changelog: str, tag: str, version: str) -> str:
-    """The text below the heading of `version` in `changelog`, for the tag of that version.
-
-    Raises ReleaseNotesError if the tag is not that of `version`, or nothing is said about `version`.
+    Raises ReleaseNotesError if the tag does not begin with v, or nothing is said about its version.
     """
-    if tag != f"v{version}":
+    version = tag.removeprefix("v")
+    if version == tag:
         raise ReleaseNotesError(
-            f"tag {tag!r}: expected 'v{version}', because package.xml has version {version}. "
-            "Change package.xml or the tag."
+            f"tag {tag!r}: expected a version behind 'v', such as v0.1.0. Rename the tag."
         )
     section = re.search(
         rf"^## \[{re.escape(version)}\][^\n]*\n(.*?)(?=^## |^\[[^\]\n]+\]: |\Z)",
@@ -51,9 +45,8 @@ def main(arguments: list[str]) -> int:
         sys.stderr.write("usage: python3 tools/release_notes.py TAG, for example v0.1.0\n")
         return 2
     changelog = (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
-    version = manifest_version((REPOSITORY / "package.xml").read_text(encoding="utf-8"))
     try:
-        sys.stdout.write(notes(changelog, arguments[0], version))
+        sys.stdout.write(notes(changelog, arguments[0]))
     except ReleaseNotesError as error:
         sys.stderr.write(f"{error}\n")
         return 1

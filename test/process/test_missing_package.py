@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from yolov5_lifecycle.commands.entry_points import ARGUMENTS
-from yolov5_lifecycle.process.missing_package import import_problem
+from yolov5_lifecycle.process.missing_package import apt_package_of, import_problem
 
 
 @pytest.mark.parametrize(
@@ -45,6 +45,12 @@ def test_the_remedy_fits_what_is_missing(error: ImportError, remedy: str) -> Non
     assert problem.startswith(f"{sys.executable} cannot import what is needed: {error}. ")
     assert remedy in problem
     assert problem.isprintable()
+
+
+def test_a_remedy_names_the_distribution_that_is_sourced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DISTRO", "kilted")
+    assert "source /opt/ros/kilted/setup.bash" in import_problem(ModuleNotFoundError("no", name="rclpy"))
+    assert apt_package_of("nav2_msgs") == "ros-kilted-nav2-msgs"
 
 
 def run_without(modules: tuple[str, ...], command: str, *words: str) -> subprocess.CompletedProcess[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -59,8 +60,20 @@ def remedy_for(error: ImportError) -> str:
     if not isinstance(error, ModuleNotFoundError) or module == __package__.partition(".")[0]:
         return "The installation is damaged or lacks a system library: install that package again."
     if module not in PIP_PACKAGES:
-        return f"If '{module}' belongs to ROS, source ROS first: source /opt/ros/jazzy/setup.bash"
+        return (
+            f"If '{module}' belongs to ROS, source ROS first: source /opt/ros/{ros_distribution()}/setup.bash"
+        )
     remedy = f"Install it with {sys.executable} -m pip install {PIP_PACKAGES[module]}"
     if module in _APT_PACKAGES:
         remedy += f", or for a ROS from apt with sudo apt install {_APT_PACKAGES[module]}"
     return remedy
+
+
+def ros_distribution() -> str:
+    """Name of the ROS distribution that this environment has sourced; without one jazzy."""
+    return in_one_line(os.environ.get("ROS_DISTRO", "jazzy"), 40)
+
+
+def apt_package_of(ros_package: str) -> str:
+    """The package of apt that holds `ros_package`, in the distribution that this environment has sourced."""
+    return f"ros-{ros_distribution()}-{in_one_line(ros_package, 60).replace('_', '-')}"

@@ -6,7 +6,6 @@ node, like Nav2's nodes, stays active when the manager's stop.
 
 from __future__ import annotations
 
-import os
 import time
 import uuid
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from yolov5_lifecycle.process.missing_package import apt_package_of
 from yolov5_lifecycle.ros.rclpy_internals import take_message
 
 TOPIC = "bond"
@@ -166,9 +166,8 @@ def _status_type(timeout_s: float) -> Any:
     try:
         from bond.msg import Status
     except ImportError as error:
-        package = f"ros-{os.environ.get('ROS_DISTRO', 'jazzy')}-bond"
         raise ValueError(
             f"bond_timeout {timeout_s:g} needs the ROS package 'bond', which is not installed ({error}). "
-            f"Restart the node after `sudo apt install {package}`, or with bond_timeout 0.0."
+            f"Restart the node after `sudo apt install {apt_package_of('bond')}`, or with bond_timeout 0.0."
         ) from None
     return Status

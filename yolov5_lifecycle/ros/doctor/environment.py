@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.process.missing_package import remedy_for
+from yolov5_lifecycle.process.missing_package import apt_package_of, remedy_for
 from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES, free_bytes, shared_memory_problems
 
 PROFILE = "package://yolov5_lifecycle/config/shm.xml"
@@ -51,7 +51,9 @@ def _distribution(_: Machine) -> Iterator[Finding]:
     sourced = os.environ.get("ROS_DISTRO", known)
     found = f"ROS 2 {known or sourced}, rclpy {version}"
     if not known:
-        yield warning(found, remedy="Use ROS 2 Jazzy: nobody has tried this package with another rclpy.")
+        yield warning(
+            found, remedy="Use ROS 2 Jazzy or Kilted: nobody has tried this package with another rclpy."
+        )
     elif sourced != known:
         yield error(
             f"{found}, but ROS_DISTRO is {in_one_line(sourced, 40)}",
@@ -63,7 +65,7 @@ def _distribution(_: Machine) -> Iterator[Finding]:
 
 def _ros_remedy(problem: ImportError) -> str:
     if (problem.name or "").startswith("vision_msgs"):
-        return "Install the messages with `sudo apt install ros-jazzy-vision-msgs`."
+        return f"Install the messages with `sudo apt install {apt_package_of('vision_msgs')}`."
     return remedy_for(problem)
 
 
@@ -87,7 +89,7 @@ def _middleware(_: Machine) -> Iterator[Finding]:
         yield error(
             f"RMW_IMPLEMENTATION is {in_one_line(name, 60)}, installed are {', '.join(installed) or 'none'}",
             remedy=f"`export RMW_IMPLEMENTATION={next(iter(installed), _DEFAULT_RMW)}`, or install the other "
-            f"one with `sudo apt install ros-jazzy-{in_one_line(name, 60).replace('_', '-')}`.",
+            f"one with `sudo apt install {apt_package_of(name)}`.",
         )
     else:
         yield ok(f"{name}; installed are {', '.join(installed)}")
