@@ -5,6 +5,8 @@ ros2 launch yolov5_lifecycle demo.launch.py rviz:=true
 
 from __future__ import annotations
 
+import os
+
 from launch.actions import (
     DeclareLaunchArgument,
     IncludeLaunchDescription,
@@ -19,7 +21,6 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
 
 from launch import LaunchContext, LaunchDescription
-from yolov5_lifecycle.process.missing_package import apt_package_of
 
 SHARE = FindPackageShare("yolov5_lifecycle")
 DEFAULT_PARAMETERS = PathJoinSubstitution([SHARE, "config", "demo.yaml"])
@@ -68,7 +69,8 @@ def check_rviz(context: LaunchContext) -> None:
     try:
         ExecutableInPackage(package="rviz2", executable="rviz2").perform(context)
     except (KeyError, SubstitutionFailure) as error:  # no such package, no such file in it
+        package = f"ros-{os.environ.get('ROS_DISTRO', 'jazzy')}-rviz2"
         raise RuntimeError(
-            "rviz:=true: RViz is not installed. "
-            f"Install it with `sudo apt install {apt_package_of('rviz2')}`, or leave out rviz:=true."
+            f"rviz:=true: RViz is not installed. Install it with `sudo apt install {package}`, "
+            "or leave out rviz:=true."
         ) from error

@@ -15,8 +15,10 @@ from support.runtime_names import EVERY_RUNTIME
 
 from yolov5_lifecycle.models.cost import cost_of
 
-MAX_RATIO = 1.6
-"""Of the measured memory to the computed one: there are also the pixels, the engine and its threads."""
+MAX_RATIO = 1.9 if sys.version_info < (3, 11) else 1.6
+"""Of the measured memory to the computed one: there are also the pixels, the engine and its threads. The last
+ONNX Runtime for Python 3.10 (1.23) takes 1.8, later ones 1.45.
+"""
 
 
 @pytest.mark.parametrize("runtime", EVERY_RUNTIME)
