@@ -109,6 +109,9 @@ class FaultyRuntime:
     def twin(self) -> FaultyRuntime:
         return FaultyRuntime(self._runtime.twin())
 
+    def lanes(self, count: int, threads: int) -> list[FaultyRuntime]:
+        return [FaultyRuntime(lane) for lane in self._runtime.lanes(count, threads)]
+
     def close(self) -> None:
         self._runtime.close()
 

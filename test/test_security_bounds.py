@@ -31,6 +31,7 @@ NO_COST = {
     "ros.demo.camera_figures.MAX_MEDIAN_ERROR_PERCENT",
     "ros.demo.camera_figures.MAX_SWITCHES",
     "ros.demo.several_cameras.MAX_RATE_HZ",
+    "settings.settings.MAX_PARALLEL_FRAMES",  # the limit of a setting, which the table names
     "spatial.depth_image.MAX_DEPTH_M",
     "spatial.intrinsics.MAX_PX",
     "tracking.motion.MAX_MARGIN",

@@ -22,6 +22,7 @@ ALLOWED = {
     "ros.detector.model_loader.load": DONE,
     "ros.detector.reconfiguration._reload_now": DONE,
     "ros.detector.reconfiguration._replace": DONE,
+    "ros.detector.reconfiguration._replace_now": DONE,
 }
 
 

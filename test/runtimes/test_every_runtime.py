@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from support.random_model import random_frame, random_model
 from support.runtime_names import EVERY_RUNTIME
 from support.scripted_camera import PATIENCE_S
@@ -15,7 +16,8 @@ from support.scripted_camera import PATIENCE_S
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.runtimes.networks_by_shape import are_zero
+from yolov5_lifecycle.runtimes.compiler import Compiler, Loaded, Threads
+from yolov5_lifecycle.runtimes.networks_by_shape import Shape, are_zero
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
@@ -84,6 +86,93 @@ def test_a_twin_outlives_the_runtime_that_it_comes_from(runtime: Runtime) -> Non
     np.testing.assert_array_equal(twin(random_frame(), "rgb").rows, expected)
     with pytest.raises(InferenceError, match="closed"):
         runtime.twin()
+
+
+def test_lanes_give_the_same_predictions_at_the_same_time(runtime: Runtime) -> None:
+    frames = [np.roll(random_frame(), shift, axis=0) for shift in range(4)]
+    first, *others = runtime.lanes(3, threads=1)
+    expected = [first(frame, "rgb").rows for frame in frames]
+    np.testing.assert_allclose(expected[0], runtime(frames[0], "rgb").rows, rtol=1e-3, atol=1e-3)
+    together = threading.Barrier(3)
+
+    def run(each: Runtime) -> bool:
+        together.wait(PATIENCE_S)
+        return all(
+            np.array_equal(each(frames[index % 4], "rgb").rows, expected[index % 4]) for index in range(100)
+        )
+
+    with ThreadPoolExecutor(3) as threads:
+        assert list(threads.map(run, (first, *others))) == [True, True, True]
+
+
+def test_lanes_are_closed_one_by_one_and_outlive_the_runtime_that_they_come_from(runtime: Runtime) -> None:
+    left, right = runtime.lanes(2, threads=1)
+    expected = left(random_frame(), "rgb").rows
+    left.close()
+    runtime.close()
+    np.testing.assert_array_equal(right(random_frame(), "rgb").rows, expected)
+    with pytest.raises(InferenceError, match="closed"):
+        left(random_frame(), "rgb")
+    with pytest.raises(InferenceError, match="closed"):
+        runtime.lanes(2, threads=1)
+
+
+@pytest.mark.parametrize("name", ["onnxruntime", "openvino"])
+def test_lanes_share_one_compiled_network(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled: list[Threads] = []
+    original = Compiler.network
+
+    def counted(compiler: Compiler, shape: Shape, threads: Threads) -> Loaded:
+        compiled.append(threads)
+        return original(compiler, shape, threads)
+
+    monkeypatch.setattr(Compiler, "network", counted)
+    for lane in loaded(random_model(1), name).lanes(3, threads=2):
+        lane(random_frame(), "rgb")
+    assert compiled == [Threads(each=2, at_once=3)]
+
+
+def test_torch_uses_the_threads_of_a_lane_only_in_the_lane(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, seen = torch.get_num_threads(), list[int]()
+    original = Network.features
+
+    def watched(*arguments: Any) -> Any:
+        seen.append(torch.get_num_threads())
+        return original(*arguments)
+
+    monkeypatch.setattr(Network, "features", watched)
+    runtime = loaded(random_model(1), "torch")
+    (lane,) = runtime.lanes(1, threads=before + 1)
+    lane(random_frame(), "rgb")
+    runtime(random_frame(), "rgb")
+    assert seen == [before + 1, before]
+    assert torch.get_num_threads() == before
+
+
+def test_a_thread_that_begins_while_a_lane_runs_has_all_threads_for_the_whole_network(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """torch hands the number of threads that was set last on to every new thread."""
+    before, seen = torch.get_num_threads(), list[int]()
+    original = Network.features
+    with ThreadPoolExecutor(1) as late:
+
+        def watched(*arguments: Any) -> Any:
+            monkeypatch.setattr(Network, "features", noted)
+            late.submit(runtime, random_frame(), "rgb").result()
+            return original(*arguments)
+
+        def noted(*arguments: Any) -> Any:
+            seen.append(torch.get_num_threads())
+            return original(*arguments)
+
+        monkeypatch.setattr(Network, "features", watched)
+        runtime = loaded(random_model(1), "torch")
+        (lane,) = runtime.lanes(1, threads=before + 1)
+        lane(random_frame(), "rgb")
+    assert seen == [before]
+    with ThreadPoolExecutor(1) as later:
+        assert later.submit(torch.get_num_threads).result() == before
 
 
 def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(

@@ -14,7 +14,7 @@ from support.scripted_camera import PATIENCE_S
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Pipeline, Send
+from yolov5_lifecycle.streaming.pipeline import Networks, Pipeline, Send
 from yolov5_lifecycle.streaming.worker import Worker
 
 CAMERAS = 4
@@ -53,8 +53,8 @@ class Fate:
 class RandomCamera:
     """A feed, what was offered to it, and what it was told."""
 
-    def __init__(self, worker: Worker[int, int], fate: Fate) -> None:
-        self.network = self
+    def __init__(self, worker: Worker[int, int], fate: Fate, networks: Networks[int, int]) -> None:
+        self.networks = networks
         self.begun: list[int] = []
         self.published: list[int] = []
         self.reported: Counter[Outcome] = Counter()
@@ -63,7 +63,7 @@ class RandomCamera:
         self.feed = worker.feed(on_failure=self._fail, on_success=self._succeed)
         self._fate = fate
 
-    def detect(self, number: int) -> int:
+    def detect(self, number: int, network: object) -> int:
         self.begun.append(number)
         return self._fate.meet(number)
 
@@ -110,7 +110,7 @@ class Together:
 
 def _detected(pipeline: Pipeline[int, int], frame: int) -> int | Exception:
     try:
-        return pipeline.detect(frame)
+        return pipeline.detect(frame, None)
     except (ImageError, RuntimeError) as error:
         return error
 
@@ -137,14 +137,20 @@ def _many_switches() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("_many_switches")
-@pytest.mark.parametrize("is_batched", [False, True], ids=["alone", "in batches"])
+@pytest.mark.parametrize(
+    "networks",
+    [
+        pytest.param([Networks(object()) for _ in range(CAMERAS)], id="alone"),
+        pytest.param([Networks(object(), batch=Together())] * CAMERAS, id="in batches"),
+        pytest.param([Networks(object(), [object(), object(), object()])] * CAMERAS, id="in lanes"),
+    ],
+)
 @pytest.mark.parametrize("seed", range(4))
-def test_every_frame_is_counted_once(seed: int, is_batched: bool) -> None:
+def test_every_frame_is_counted_once(seed: int, networks: list[Networks[int, int]]) -> None:
     before = inference_threads()
     fate = Fate(Random(seed))
     worker: Worker[int, int] = Worker()
-    worker.batch = Together() if is_batched else None
-    cameras = [RandomCamera(worker, fate) for _ in range(CAMERAS)]
+    cameras = [RandomCamera(worker, fate, of_camera) for of_camera in networks]
     run_all(
         [
             threading.Thread(target=camera.use, args=(Random(f"{seed} {index} {thread}"),))

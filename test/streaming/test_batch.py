@@ -10,7 +10,7 @@ from support.scripted_camera import PATIENCE_S, ScriptedCamera
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Pipeline, Send
+from yolov5_lifecycle.streaming.pipeline import Networks, Pipeline, Send
 from yolov5_lifecycle.streaming.worker import Worker
 
 Jobs = Sequence[tuple[Pipeline[int, int], int]]
@@ -52,9 +52,14 @@ class Batched:
 
     def __init__(self) -> None:
         self.worker: Worker[int, int] = Worker()
-        self.batch = self.worker.batch = Together()
+        self.batch = Together()
         self.busy, *self.cameras = [ScriptedCamera(self.worker) for _ in range(5)]
+        self.start(Networks(object(), batch=self.batch))
+
+    def start(self, networks: Networks[int, int]) -> None:
+        """Let all cameras share `networks` from their next frame on."""
         for camera in (self.busy, *self.cameras):
+            camera.networks = networks
             camera.frames.start(camera)
 
     def offer(self, *numbers: int) -> None:
@@ -137,7 +142,7 @@ def test_a_single_frame_is_detected_by_its_pipeline_and_has_no_key(batched: Batc
 
 
 def test_without_batch_every_frame_runs_alone(batched: Batched) -> None:
-    batched.worker.batch = None
+    batched.start(Networks(object()))
     batched.run(2, 12, 22, 32)
     assert batched.batch.batches == []
     assert batched.published == [[2], [12], [22], [32]]
@@ -159,9 +164,10 @@ def test_a_result_that_is_an_exception_is_that_of_its_own_frame(batched: Batched
 class Unpublishable:
     """A pipeline that cannot publish."""
 
-    network = None
+    def __init__(self, networks: Networks[int, int]) -> None:
+        self.networks = networks
 
-    def detect(self, number: int) -> int:
+    def detect(self, number: int, network: object) -> int:
         return number
 
     def messages(self, result: int) -> Iterator[Send]:
@@ -171,7 +177,7 @@ class Unpublishable:
 def test_a_result_that_cannot_be_published_is_a_failed_frame_and_the_others_are_published(
     batched: Batched,
 ) -> None:
-    batched.cameras[0].frames.start(Unpublishable())
+    batched.cameras[0].frames.start(Unpublishable(batched.busy.networks))
     batched.run(2, 12)
     assert batched.cameras[0].failures == [(Outcome.FAILED, "no publisher")]
     assert batched.published[1] == [12]
@@ -209,11 +215,13 @@ def test_a_batch_that_hangs_is_abandoned_with_each_of_its_frames_counted_once(ba
     assert batched.counts[:3] == [{Outcome.FAILED: 1}] * 3
     assert second.frames.stop(0.0)
     (thread,) = (thread for thread in threading.enumerate() if thread.ident in batched.busy.threads)
+    other.networks = Networks(object())
+    other.frames.start(other)
     third.offer(4)
     other.offer(5)
     other.wait()
     assert third.frames.balance().pending == 1
-    third.network = object()
+    third.networks = Networks(object())
     third.frames.start(third)
     third.wait()
     batched.batch.gate.set()

@@ -10,7 +10,7 @@ import pytest
 from support.scripted_camera import PATIENCE_S, ScriptedCamera, when_awaited
 
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Send
+from yolov5_lifecycle.streaming.pipeline import Networks, Send
 from yolov5_lifecycle.streaming.worker import Worker
 
 
@@ -66,11 +66,11 @@ class Named:
         self._name = name
         self._order = order
         self._camera = camera
-        self.network = camera.network
+        self.networks = camera.networks
 
-    def detect(self, number: int) -> int:
+    def detect(self, number: int, network: object) -> int:
         self._order.append(self._name)
-        return self._camera.detect(number)
+        return self._camera.detect(number, network)
 
     def messages(self, result: int) -> Iterator[Send]:
         return self._camera.messages(result)
@@ -144,11 +144,11 @@ def test_the_other_cameras_go_on_in_a_new_thread_after_one_hung(cameras: Cameras
 
 def test_frames_wait_while_an_abandoned_thread_keeps_their_network(cameras: Cameras) -> None:
     first, second, third = cameras.all
-    second.network = first.network
+    second.networks = first.networks
     first.hold(1)
     assert not first.frames.stop(0.01)
-    assert cameras.worker.keeps(second.network)
-    assert not cameras.worker.keeps(third.network)
+    assert cameras.worker.keeps_any(second.networks)
+    assert not cameras.worker.keeps_any(third.networks)
     second.offer(2)
     second.offer(3)
     third.feed(4)
@@ -156,16 +156,16 @@ def test_frames_wait_while_an_abandoned_thread_keeps_their_network(cameras: Came
     first.gate.set()
     second.wait()
     assert second.published == [3]
-    assert not cameras.worker.keeps(second.network)
+    assert not cameras.worker.keeps_any(second.networks)
 
 
 def test_frames_that_wait_for_a_kept_network_begin_with_another_one(cameras: Cameras) -> None:
     first, second, _ = cameras.all
-    second.network = first.network
+    second.networks = first.networks
     first.hold(1)
     assert not first.frames.stop(0.01)
     second.offer(2)
-    second.network = object()
+    second.networks = Networks(object())
     second.frames.start(second)
     second.wait()
     assert second.published == [2]
@@ -275,9 +275,9 @@ class Buffer:
 class Sink:
     """A pipeline that keeps nothing."""
 
-    network = None
+    networks: Networks[Buffer, None] = Networks(object())
 
-    def detect(self, _: Buffer) -> None:
+    def detect(self, _: Buffer, network: object) -> None:
         pass
 
     def messages(self, result: None) -> Iterator[Send]:

@@ -10,17 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yolov5_lifecycle.streaming.feed import Schedule, Slot
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Batch, Pipeline, Send
+from yolov5_lifecycle.streaming.pipeline import Batch, Networks, Pipeline, Send
+from yolov5_lifecycle.streaming.schedule import Job, Schedule, Slot
 
 
 class Unused:
     """A pipeline that is not asked for anything."""
 
-    network = None
+    def __init__(self, networks: Networks[int, int]) -> None:
+        self.networks = networks
 
-    def detect(self, number: int) -> int:
+    def detect(self, number: int, network: object) -> int:
         raise AssertionError("no thread runs")
 
     def messages(self, result: int) -> Iterator[Send]:
@@ -45,31 +46,28 @@ class Turns:
     """A schedule without a thread; cameras are numbers, and so are their frames."""
 
     def __init__(self, cameras: int, batch: Batch[int, int] | None = None) -> None:
-        self.schedule: Schedule[int, int] = Schedule(clock=lambda: 0.0, replace_thread=self._replace)
-        self.replaced = 0
+        self.abandoned: list[Job[int, int]] = []
+        self.schedule: Schedule[int, int] = Schedule(clock=lambda: 0.0, on_abandoned=self.abandoned.append)
         self.slots = [_slot() for _ in range(cameras)]
-        self._batch = batch
+        networks = Networks(object(), batch=batch)
         for slot in self.slots:
-            slot.start(Unused(), 0.0)
+            slot.start(Unused(networks), 0.0)
 
     def offer(self, camera: int) -> None:
-        with self.schedule.changed:
+        with self.schedule.lock:
             self.schedule.offer(self.slots[camera], camera)
 
     def serve(self) -> list[int]:
         """Do one job; return its cameras, [] if none waits."""
-        with self.schedule.changed:
-            if not self.schedule.waiting:
+        with self.schedule.lock:
+            job = self.schedule.begin()
+            if job is None:
                 return []
-            job = self.schedule.begin(self._batch)
             self.schedule.end(job)
             return [self.slots.index(turn.slot) for turn in job.turns]
 
     def waiting(self) -> set[int]:
         return {self.slots.index(slot) for slot in self.schedule.waiting}
-
-    def _replace(self) -> None:
-        self.replaced += 1
 
 
 def _slot() -> Slot[int, int]:
@@ -173,11 +171,35 @@ def test_an_abandoned_job_is_no_rest_for_whoever_waits_for_it() -> None:
     turns = Turns(1)
     turns.offer(0)
     schedule = turns.schedule
-    with schedule.changed:
+    with schedule.lock:
         job = schedule.begin()
-        assert not schedule.wait(job, 0.0)
-        assert not schedule.wait_or_abandon(job, 0.0)
-        assert not schedule.wait(job, 0.0)
-        assert not schedule.wait_or_abandon(job, 0.0)
-    assert turns.replaced == 1
+        assert job is not None
+        assert not schedule.wait([job], 0.0)
+        assert not schedule.wait_or_abandon([job], 0.0)
+        assert not schedule.wait([job], 0.0)
+        assert not schedule.wait_or_abandon([job], 0.0)
+    assert turns.abandoned == [job]
     assert turns.slots[0].counter.balance()[Outcome.FAILED] == 1
+
+
+def test_the_time_of_all_jobs_that_are_awaited_begins_at_once() -> None:
+    turns = Turns(3)
+    networks: Networks[int, int] = Networks(object(), [object(), object()])
+    for camera, slot in enumerate(turns.slots):
+        slot.start(Unused(networks), 0.0)
+        turns.offer(camera)
+    schedule = turns.schedule
+    with schedule.lock:
+        jobs = [job for job in (schedule.begin(), schedule.begin()) if job is not None]
+        assert schedule.begin() is None
+        assert not schedule.wait(jobs, 0.0)
+    assert [job.awaited_s for job in jobs] == [0.0, 0.0]
+
+
+def test_a_frame_with_the_networks_of_another_model_joins_no_batch() -> None:
+    """Its pipeline would publish the detections with the class names of the other model."""
+    turns = Turns(3, SameRemainder(8, 1))
+    turns.slots[1].start(Unused(Networks(object(), batch=SameRemainder(8, 1))), 0.0)
+    for camera in range(3):
+        turns.offer(camera)
+    assert [turns.serve(), turns.serve()] == [[0, 2], [1]]

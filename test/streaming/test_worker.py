@@ -9,9 +9,9 @@ from functools import partial
 import pytest
 from support.scripted_camera import PATIENCE_S, ScriptedCamera, when_awaited
 
-from yolov5_lifecycle.streaming.feed import RateLimit
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Send
+from yolov5_lifecycle.streaming.pipeline import Networks, Send
+from yolov5_lifecycle.streaming.schedule import RateLimit
 from yolov5_lifecycle.streaming.worker import Worker
 
 
@@ -175,8 +175,8 @@ def test_a_frame_that_is_abandoned_before_it_is_published_updates_nothing(line: 
     asked: list[int] = []
 
     class Asked(Negated):
-        def detect(self, number: int) -> int:
-            return line.detect(number)
+        def detect(self, number: int, network: object) -> int:
+            return line.detect(number, network)
 
         def messages(self, result: int) -> Iterator[Send]:
             asked.append(result)
@@ -215,10 +215,10 @@ class Negated:
     """Another pipeline: it publishes the number with its sign changed."""
 
     def __init__(self, published: list[int]) -> None:
-        self.network = self
+        self.networks: Networks[int, int] = Networks(self)
         self._published = published
 
-    def detect(self, number: int) -> int:
+    def detect(self, number: int, network: object) -> int:
         return -number
 
     def messages(self, result: int) -> Iterator[Send]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network, fuse
-from yolov5_lifecycle.runtimes.compiled_runtime import Engine
+from yolov5_lifecycle.runtimes.compiler import Engine, Threads
 from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
 from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
 
@@ -31,8 +31,8 @@ def predicted(model: Model, engine: Engine, pixels: NDArray[np.float32]) -> NDAr
     height, width = pixels.shape[2:]
     detect = network.head
     with denormals_as_zero():  # the engines leave the calling thread in that mode, which is ended here
-        run, _ = engine.build(graph_of_pixels(network, (height, width)))
-        return DetectionHead(detect)(run(cast("NDArray[np.uint8]", pixels)), 0.0)
+        loaded, _ = engine.build(graph_of_pixels(network, (height, width)), Threads(each=1))
+        return DetectionHead(detect)(loaded.new_run()(cast("NDArray[np.uint8]", pixels)), 0.0)
 
 
 def graph_of_pixels(network: Network, size_hw: tuple[int, int]) -> bytes:

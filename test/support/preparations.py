@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from support.scripted_runtime import ScriptedRuntime
 from support.served_node import PATIENCE_S
 from yolov5_lifecycle.detection.detector import Batches, Detector
+from yolov5_lifecycle.detection.lane_choice import Lanes
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.settings.settings import Settings
 
@@ -29,7 +30,7 @@ def prediction(class_name: str, score: float) -> NDArray[np.float32]:
 class Preparations:
     """Stands in for `prepare_model`: hands out scripted detectors; `refusal` and `gate` control it.
 
-    `run`, `compute_prototypes` and `mask_coefficients` are those of the next detector.
+    `run`, `compute_prototypes`, `mask_coefficients` and the number of `lanes` are those of the next detector.
     """
 
     def __init__(self) -> None:
@@ -42,6 +43,7 @@ class Preparations:
         self.sizes_hw: list[list[tuple[int, int]]] = []
         self.class_names = CLASS_NAMES
         self.batches = Batches()
+        self.lanes = 0
         self.run: Callable[[], NDArray[np.float32]] = lambda: prediction("cat", 0.9)
         self.compute_prototypes: Callable[[], NDArray[np.float32]] | None = None
         self.mask_coefficients = 0
@@ -65,7 +67,8 @@ class Preparations:
             mask_coefficients=self.mask_coefficients,
         )
         detector.batches = self.batches
-        return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64)
+        lanes = Lanes(detector.lanes(self.lanes, 1))
+        return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64, lanes)
 
     @property
     def running(self) -> ScriptedRuntime:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Send
+from yolov5_lifecycle.streaming.pipeline import Networks, Send
 from yolov5_lifecycle.streaming.worker import Worker
 
 PATIENCE_S = 60.0
@@ -15,24 +15,25 @@ PATIENCE_S = 60.0
 
 def when_awaited(worker: Worker[int, int], act: Callable[[], object]) -> None:
     """Call `act` whenever somebody begins to wait for the job in progress, which cannot end before that."""
-    changed = worker._schedule.changed
-    wait_for = changed.wait_for
+    ended = worker._schedule._ended
+    wait_for = ended.wait_for
 
     def acted(predicate: Callable[[], bool], timeout: float | None = None) -> bool:
         act()
         return wait_for(predicate, timeout)
 
-    changed.wait_for = acted  # type: ignore[assignment,method-assign]
+    ended.wait_for = acted  # type: ignore[assignment,method-assign]
 
 
 class ScriptedCamera:
     """A feed and its pipeline: a negative number is no image, zero an error of inference.
 
-    It has a network of its own unless `network` is given.
+    It has a network of its own unless `networks` are given; `used` are the networks of its frames.
     """
 
-    def __init__(self, worker: Worker[int, int], network: object = None) -> None:
-        self.network = network or self
+    def __init__(self, worker: Worker[int, int], networks: Networks[int, int] | None = None) -> None:
+        self.networks: Networks[int, int] = networks or Networks(self)
+        self.used: list[object] = []
         self.published: list[int] = []
         self.failures: list[tuple[Outcome, str]] = []
         self.threads: list[int] = []
@@ -49,7 +50,8 @@ class ScriptedCamera:
         self.ended = threading.Semaphore(0)
         self.frames = worker.feed(on_failure=self._fail, on_success=self.ended.release)
 
-    def detect(self, number: int) -> int:
+    def detect(self, number: int, network: object) -> int:
+        self.used.append(network)
         self.threads.append(threading.get_ident())
         self.entered.set()
         assert self.gate.wait(PATIENCE_S)

@@ -55,6 +55,9 @@ class ScriptedRuntime:
         twin.on_close = self.on_close
         return twin
 
+    def lanes(self, count: int, threads: int) -> list[ScriptedRuntime]:
+        return [self.twin() for _ in range(count)]
+
     def close(self) -> None:
         self.is_closed = True
         self.on_close()

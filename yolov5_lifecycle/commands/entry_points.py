@@ -91,7 +91,7 @@ def prepare_process(command: str, *, signal_code: int | None = None, further_thr
     prepare_environment()
     if sys.argv[1:] == ["--version"]:
         sys.exit(write_output(command, f"{version_line(command)}\n"))
-    if problem := thread_problem(further_threads + 2 * compute_threads()):
+    if problem := thread_problem(further_threads + 3 * compute_threads()):
         complain(command, problem)
         sys.exit(EXIT_UNABLE)
 

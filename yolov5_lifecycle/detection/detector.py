@@ -192,8 +192,15 @@ class Detector:
 
     def twin(self) -> Detector:
         """A detector of the same network for another thread, with buffers of its own; see `Runtime.twin`."""
+        return self._with(self.runtime.twin())
+
+    def lanes(self, count: int, threads: int) -> tuple[Detector, ...]:
+        """Detectors of the same network for `count` threads at the same time; see `Runtime.lanes`."""
+        return tuple(map(self._with, self.runtime.lanes(count, threads)))
+
+    def _with(self, runtime: Runtime) -> Detector:
         twin = Detector(
-            self.runtime.twin(),
+            runtime,
             class_names=self.class_names,
             image_size=self.image_size,
             stride=self.stride,

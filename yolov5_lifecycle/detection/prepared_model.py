@@ -5,13 +5,14 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
 from yolov5_lifecycle.detection.batch_choice import choose_batches
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Batches, Detector
+from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processors
 from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.input_file import resolve_package
@@ -24,7 +25,7 @@ from yolov5_lifecycle.quantization.calibration_file import (
     remedy,
 )
 from yolov5_lifecycle.settings.schema import Change, SettingsError
-from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
+from yolov5_lifecycle.settings.settings import MAX_PARALLEL_FRAMES, SETTINGS_BY_NAME, Settings, validated
 
 _log = logging.getLogger(__name__)
 
@@ -37,6 +38,8 @@ class PreparedModel:
     detector: Detector
     weights_path: Path
     weights_sha256: str
+    lanes: Lanes = field(default_factory=Lanes)
+    """For frames of different cameras at the same time; `detector` is for a frame without others."""
 
     @property
     def facts(self) -> dict[str, str]:
@@ -55,6 +58,7 @@ class PreparedModel:
             "precision choice": self.detector.precision_choice,
             "cost": str(self.detector.cost or ""),
             "batches": self.detector.batches.reason,
+            "parallel frames": self.lanes.reason,
         }
         return {name: value for name, value in facts.items() if value}
 
@@ -67,18 +71,21 @@ class PreparedModel:
         """`facts` on one line."""
         return ", ".join(f"{name} {value}" for name, value in self.facts.items())
 
-    def twin(self, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
-        """The same model for another thread, warmed up as by `prepare_model`; see `Detector.twin`.
+    def twin(self, settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
+        """The same model with other networks, warmed up as by `prepare_model`; see `Detector.twin`.
+
+        `settings` are those of this model with the present cameras.
 
         Raises InferenceError, ValueError if the memory is too small for another one.
         """
         twin = self.detector.twin()
         try:
             _warm_up(twin, sizes_hw)
+            lanes = _lanes(twin, sizes_hw, settings)
         except BaseException:  # its traceback keeps the detector alive
             twin.close()
             raise
-        return replace(self, detector=twin)
+        return replace(self, detector=twin, lanes=lanes)
 
     def close(self, *, is_at_rest: bool = True) -> None:
         """Free the model and return its memory to the system.
@@ -86,6 +93,7 @@ class PreparedModel:
         Unless it `is_at_rest`, memory is not returned: on a GPU that would wait for the hanging frame.
         No reference cycle holds a network, so no gc run is needed; one would stop all threads for 0.15 s.
         """
+        self.lanes.close()
         self.detector.close()
         if is_at_rest:
             release_unused_memory()
@@ -126,10 +134,11 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
         _warm_up(detector, sizes_hw)
         if settings.max_batch > 1:
             detector.batches = _batches(detector, sizes_hw, settings.max_batch)
+        lanes = _lanes(detector, sizes_hw, settings)
     except BaseException:  # its traceback keeps the detector alive
         detector.close()
         raise
-    return PreparedModel(settings, detector, weights.path, weights.sha256)
+    return PreparedModel(settings, detector, weights.path, weights.sha256, lanes)
 
 
 def _warm_up(detector: Detector, sizes_hw: Sequence[tuple[int, int]]) -> None:
@@ -151,6 +160,18 @@ def _batches(detector: Detector, sizes_hw: Sequence[tuple[int, int]], max_batch:
         return Batches((), f"none: {problem}")
     chosen = choose_batches(detector, sizes_hw, max_batch=fitting)
     return replace(chosen, reason=f"{chosen.reason}; {problem}")
+
+
+def most_lanes(settings: Settings) -> int:
+    """How many frames at most are in progress at the same time with `settings` on this machine."""
+    wanted = settings.parallel_frames or MAX_PARALLEL_FRAMES
+    return min(wanted, len(settings.camera_names), processors())
+
+
+def _lanes(detector: Detector, sizes_hw: Sequence[tuple[int, int]], settings: Settings) -> Lanes:
+    """See `choose_lanes`."""
+    is_asked = settings.parallel_frames > 0
+    return choose_lanes(detector, sizes_hw, most=most_lanes(settings), is_asked=is_asked)
 
 
 def _cost_in_memory(detector: Detector) -> Cost | None:

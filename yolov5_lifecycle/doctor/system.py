@@ -11,8 +11,8 @@ import sys
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 
-from yolov5_lifecycle.doctor.control_group import cores, memory_bytes
 from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
+from yolov5_lifecycle.process.control_group import cores, memory_bytes
 from yolov5_lifecycle.process.environment import compute_threads, thread_problem
 from yolov5_lifecycle.process.memory import available_bytes
 from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, write_cache
@@ -52,7 +52,7 @@ def _python(_: Machine) -> Iterator[Finding]:
 
 
 def _processor(machine: Machine) -> Iterator[Finding]:
-    count, quota, known = compute_threads(), cores(machine), abilities()
+    count, quota, known = compute_threads(), cores(machine.text), abilities()
     found = f"{count} processors, {', '.join(known) or 'no vector instructions known'}"
     if quota is not None and quota < min(count, int(os.environ.get("OMP_NUM_THREADS", "")[:4] or count)):
         threads = max(1, math.floor(quota))
@@ -69,7 +69,7 @@ def _processor(machine: Machine) -> Iterator[Finding]:
 
 def _memory(machine: Machine) -> Iterator[Finding]:
     limits = {"is available": available_bytes(machine.path("/proc/meminfo"))}
-    limits["is the limit of the control group"] = memory_bytes(machine)
+    limits["is the limit of the control group"] = memory_bytes(machine.text)
     known = {name: value for name, value in limits.items() if value is not None}
     found = ", ".join(f"{value / _GIB:.1f} GiB {name}" for name, value in known.items()) or "not known"
     least = min(known.values(), default=_ENOUGH_MEMORY)

@@ -2,43 +2,36 @@
 
 from __future__ import annotations
 
-import hashlib
-import logging
-import pkgutil
 import threading
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
+from weakref import WeakValueDictionary
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from yolov5_lifecycle import models, runtimes
 from yolov5_lifecycle.images.image import Order
-from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.models.network import fuse
-from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
-from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
-from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph, prototype_graph
-from yolov5_lifecycle.runtimes.quantization import Quantization, convolutions
+from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder
+from yolov5_lifecycle.runtimes.compiler import Compiler, Engine, Loaded, Run, Threads
+from yolov5_lifecycle.runtimes.networks_by_shape import (
+    MIN_KEPT,
+    NetworksByShape,
+    Shape,
+    closed,
+    shape_of_batch,
+)
+from yolov5_lifecycle.runtimes.quantization import Quantization
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions
-from yolov5_lifecycle.runtimes.sparse_head import DetectionHead, Features
+from yolov5_lifecycle.runtimes.sparse_head import Features
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
 _PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
 _TO_GREY = {"rgb": cv2.COLOR_RGB2GRAY, "bgr": cv2.COLOR_BGR2GRAY}
-_GRAPH_MAKERS = tuple(
-    f"{package.__name__}.{module.name}"
-    for package in (models, runtimes)
-    for module in pkgutil.iter_modules(package.__path__)
-    if package is models or module.name.startswith("onnx_") or module.name == "quantization"
-)
-"""Modules on which the ONNX graph of a model depends."""
 
 Result = TypeVar("Result")
-_log = logging.getLogger(__name__)
 
 
 class CompiledRuntime:
@@ -46,11 +39,14 @@ class CompiledRuntime:
 
     device = "cpu"
 
-    def __init__(self, compiled: NetworksByShape[_Compiled], engine: Engine, *, segments: bool) -> None:
+    def __init__(self, shared: _Shared, engine: Engine, *, kept: int) -> None:
         self.precision = engine.precision
+        self._segments = shared.compiler.proto is not None
         self._engine = engine
-        self._segments = segments
-        self._compiled = compiled
+        self._kept = kept
+        self._shared: _Shared | None = shared
+        """None once closed."""
+        self._compiled = NetworksByShape(lambda shape: _Compiled(shared, shape), kept=kept)
 
     @classmethod
     def load(
@@ -73,8 +69,7 @@ class CompiledRuntime:
             )
         store = CompiledStore(cache_folder("compiled"))
         compiler = Compiler(model, engine, store, quantization)
-        compiled = NetworksByShape(lambda shape: _Compiled(compiler, shape), kept=kept)
-        return cls(compiled, engine, segments=compiler.proto is not None)
+        return cls(_Shared(compiler, Threads(torch.get_num_threads())), engine, kept=kept)
 
     @property
     def name(self) -> str:
@@ -128,22 +123,66 @@ class CompiledRuntime:
 
     def twin(self) -> CompiledRuntime:
         """See `Runtime`."""
-        return CompiledRuntime(self._compiled.twin(), self._engine, segments=self._segments)
+        shared = self._open()
+        return CompiledRuntime(_Shared(shared.compiler, shared.threads), self._engine, kept=self._kept)
+
+    def lanes(self, count: int, threads: int) -> list[CompiledRuntime]:
+        """See `Runtime`."""
+        shared = _Shared(self._open().compiler, Threads(threads, at_once=count))
+        return [CompiledRuntime(shared, self._engine, kept=self._kept) for _ in range(count)]
 
     def close(self) -> None:
         """See `Runtime`."""
+        self._shared = None
         self._compiled.close()
+
+    def _open(self) -> _Shared:
+        if (shared := self._shared) is None:
+            raise closed()
+        return shared
+
+
+class _Shared:
+    """What runtimes for the same `threads` have in common: each network is compiled once for all of them.
+
+    It is freed with the last runtime that uses it.
+    """
+
+    def __init__(self, compiler: Compiler, threads: Threads) -> None:
+        self.compiler = compiler
+        self.threads = threads
+        self._loading = threading.Lock()
+        self._loaded: WeakValueDictionary[str, Loaded] = WeakValueDictionary()
+
+    def network(self, shape: Shape) -> Loaded:
+        """The network for batches of `shape`; raises the engine's errors."""
+        return self._one(f"{shape}", lambda: self.compiler.network(shape, self.threads))
+
+    def prototypes(self, finest: Features) -> Loaded:
+        """The network's `proto` for features like `finest`; raises the engine's errors."""
+        _, channels, height, width = finest.shape
+        shape = (1, channels, height, width)
+        return self._one(f"prototypes {shape}", lambda: self.compiler.prototypes(shape, self.threads))
+
+    def _one(self, part: str, load: Callable[[], Loaded]) -> Loaded:
+        with self._loading:
+            found = self._loaded.get(part)
+            if found is None:
+                found = self._loaded[part] = load()
+            return found
 
 
 class _Compiled:
     """A compiled network for one input shape, with its input buffer."""
 
-    def __init__(self, compiler: Compiler, shape: Shape) -> None:
-        self._compiler = compiler
-        self._run = compiler.run(shape)
+    def __init__(self, shared: _Shared, shape: Shape) -> None:
+        self._shared = shared
+        self._loaded = shared.network(shape)
+        self._run = self._loaded.new_run()
+        self._loaded_proto: Loaded | None = None
         self._run_proto: Run | None = None
         batch, height, width = shape
-        self._planes = np.empty((batch, compiler.channels, height, width), np.uint8)
+        self._planes = np.empty((batch, shared.compiler.channels, height, width), np.uint8)
 
     def features(self, frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order]) -> Sequence[Features]:
         """Features of all levels for all frames; the next run may overwrite them."""
@@ -153,12 +192,13 @@ class _Compiled:
 
     def rows(self, features: Sequence[Features], min_objectness: float) -> NDArray[np.float32]:
         """The predictions for one frame."""
-        return self._compiler.head(features, min_objectness)
+        return self._shared.compiler.head(features, min_objectness)
 
     def prototypes(self, finest: Features) -> NDArray[np.float32]:
         """Prototypes (M, h, w) from the features of the finest level, for one frame."""
         if self._run_proto is None:
-            self._run_proto = self._compiler.prototypes(finest)
+            self._loaded_proto = self._shared.prototypes(finest)
+            self._run_proto = self._loaded_proto.new_run()
         (batch,) = self._run_proto(finest)
         prototypes: NDArray[np.float32] = batch[0].copy()  # the next run may overwrite them
         return prototypes
@@ -172,87 +212,3 @@ def write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uint
         cv2.cvtColor(frame, _TO_GREY[order], dst=planes[0])
     else:
         cv2.split(frame, [planes[plane] for plane in _PLANES[order]])
-
-
-class Compiler:
-    """Compiles the network of `model` with `engine`, in int8 with `quantization`; caches results in `store`.
-
-    `head` is the network's last layer, which is not compiled; `proto` its part that computes mask prototypes,
-    None if the network does not segment. Its images have `channels`, 3 or 1.
-
-    Raises QuantizationError if `quantization` belongs to another network.
-    """
-
-    def __init__(
-        self, model: Model, engine: Engine, store: CompiledStore, quantization: Quantization | None = None
-    ) -> None:
-        self._network = model.network().requires_grad_(False)
-        self._quantization = quantization
-        if quantization is not None:
-            quantization.check(convolutions(self._network))
-        self.channels = model.architecture.image_channels
-        self._engine = engine
-        self._store = store
-        self._fusing = threading.Lock()  # an abandoned thread may compile concurrently with its successor
-        self._identity = _identity(model, engine, quantization)
-        detect = self._network.head
-        self.head = DetectionHead(detect)
-        self.proto = detect.proto if isinstance(detect, Segment) else None
-
-    def run(self, shape: Shape) -> Run:
-        """The compiled network for batches of `shape`; raises the engine's errors."""
-        return self._compiled(str(shape), lambda: onnx_graph(self._network, shape, self._quantization))
-
-    def prototypes(self, finest: Features) -> Run:
-        """The compiled `proto` for features like `finest`; raises the engine's errors."""
-        proto, shape = self.proto, finest.shape
-        assert proto is not None
-        return self._compiled(f"prototypes {shape}", lambda: prototype_graph(proto, shape))
-
-    def _compiled(self, part: str, graph: Callable[[], bytes]) -> Run:
-        key = hashlib.sha256(f"{self._identity} {part}".encode()).hexdigest()
-        kept = self._store.read(key)
-        if kept is not None:
-            try:
-                return self._engine.restore(kept)
-            except self._engine.errors as error:
-                _log.warning("Compiling the model again, because the cached one cannot be loaded: %s", error)
-        with self._fusing:
-            fuse(self._network)
-        run, content = self._engine.build(graph())
-        if content:
-            self._store.keep(key, content)
-        return run
-
-
-def _identity(model: Model, engine: Engine, quantization: Quantization | None) -> str:
-    """A string of everything except the input shape on which a compiled model depends."""
-    weights = hashlib.sha256()
-    for name, tensor in sorted(model.state_dict.items()):
-        weights.update(name.encode() + tensor.numpy().tobytes())
-    makers = (engine.name, engine.build.__module__, *_GRAPH_MAKERS)
-    builds = [installed_build(maker) for maker in makers]
-    precision = (engine.precision, quantization.digest if quantization else "")
-    return repr([builds, processor(), model.architecture, weights.hexdigest(), precision])
-
-
-Run = Callable[[NDArray[np.generic]], Sequence[Features]]
-"""Planes (batch, 3 or 1, h, w), RGB or grey -> features of each level, which the next run may overwrite.
-
-Or features of the finest level (1, channels, ny, nx) -> prototypes (1, M, h, w).
-"""
-
-
-@dataclass(frozen=True)
-class Engine:
-    """An inference engine, named like its package; `build` and `restore` may raise `errors`.
-
-    `build` compiles a serialized ONNX model and also returns the bytes to cache, empty for none; `restore`
-    loads those bytes.
-    """
-
-    name: str
-    build: Callable[[bytes], tuple[Run, bytes]]
-    restore: Callable[[bytes], Run]
-    errors: tuple[type[Exception], ...]
-    precision: str = "fp32"

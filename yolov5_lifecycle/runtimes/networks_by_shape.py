@@ -23,6 +23,11 @@ MIN_KEPT = 4
 """Min number of networks to keep; each takes as much memory as the weights."""
 
 
+def closed() -> InferenceError:
+    """The error of a runtime that was closed."""
+    return InferenceError("The runtime was closed; load the model again.")
+
+
 class NetworksByShape(Generic[Made]):
     """Networks created by `make`, one per batch shape; keeps the `kept` most recently used ones."""
 
@@ -39,11 +44,6 @@ class NetworksByShape(Generic[Made]):
         with denormals_as_zero():
             yield cache[shape]
 
-    def twin(self) -> NetworksByShape[Made]:
-        """None yet, which the same function will create. Raises InferenceError once closed."""
-        cache = self._open()
-        return NetworksByShape(cache.make, kept=cache.max_kept)
-
     def keep_batches(self, sizes: Collection[int]) -> None:
         """Free the networks for batches of other `sizes`, except those for single frames."""
         if self._cache is not None:
@@ -56,7 +56,7 @@ class NetworksByShape(Generic[Made]):
     def _open(self) -> _ShapeCache[Made]:
         cache = self._cache  # an abandoned thread may run while another closes
         if cache is None:
-            raise InferenceError("The runtime was closed; load the model again.")
+            raise closed()
         return cache
 
 
@@ -64,17 +64,17 @@ class _ShapeCache(Generic[Made]):
     """Caches the result of `make` for a shape; evicts the least recently used."""
 
     def __init__(self, make: Callable[[Shape], Made], kept: int) -> None:
-        self.make = make
-        self.max_kept = kept
+        self._make = make
+        self._max_kept = kept
         self._kept: dict[Shape, Made] = {}
 
     def __getitem__(self, shape: Shape) -> Made:
         """The cached value, created if missing; raises the errors of `make`."""
         made = self._kept.pop(shape, None)
         if made is None:
-            while len(self._kept) >= self.max_kept:
+            while len(self._kept) >= self._max_kept:
                 del self._kept[next(iter(self._kept))]
-            made = self.make(shape)
+            made = self._make(shape)
         self._kept[shape] = made
         return made
 

@@ -9,10 +9,9 @@ from yolov5_lifecycle.process.environment import disable_telemetry
 disable_telemetry()  # before the import below; a program that uses this package may not have done it
 
 import onnxruntime
-import torch
 from onnxruntime.capi import onnxruntime_pybind11_state as state
 
-from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Run
+from yolov5_lifecycle.runtimes.compiler import Engine, Loaded, Threads
 from yolov5_lifecycle.runtimes.onnx_graph_builder import INPUT
 from yolov5_lifecycle.unfinished import remove_abandoned_folders, temporary_folder
 
@@ -31,7 +30,7 @@ _ERRORS = (
 
 
 def onnxruntime_engine() -> Engine:
-    """ONNX Runtime on the CPU, with as many threads as torch would use.
+    """ONNX Runtime on the CPU. Runs of one session at the same time share its threads but for the callers'.
 
     Removes the temporary folders of processes that were killed while they compiled.
     """
@@ -39,7 +38,7 @@ def onnxruntime_engine() -> Engine:
     return Engine("onnxruntime", _build, _session, _ERRORS)
 
 
-def _build(graph: bytes) -> tuple[Run, bytes]:
+def _build(graph: bytes, threads: Threads) -> tuple[Loaded, bytes]:
     """Compile `graph`; the bytes to cache are the optimized graph, fused and laid out for this CPU.
 
     ONNX Runtime exports it only as a file; where none can be written, nothing is cached.
@@ -47,19 +46,19 @@ def _build(graph: bytes) -> tuple[Run, bytes]:
     try:
         with temporary_folder() as folder:
             file = folder / "optimized.onnx"
-            return _session(graph, str(file)), file.read_bytes()
+            return _session(graph, threads, str(file)), file.read_bytes()
     except (OSError, *_ERRORS) as error:
-        run = _session(graph)  # raises if the graph is the cause
+        loaded = _session(graph, threads)  # raises if the graph is the cause
         _log.warning("The compiled model is not cached, because no temporary file can be written: %s", error)
-        return run, b""
+        return loaded, b""
 
 
-def _session(graph: bytes, optimized_file: str = "") -> Run:
+def _session(graph: bytes, threads: Threads, optimized_file: str = "") -> Loaded:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     options.optimized_model_filepath = optimized_file
     # An explicit thread count also disables pinning to cores, where threads wait for other processes.
-    options.intra_op_num_threads = torch.get_num_threads()
+    options.intra_op_num_threads = 1 + (threads.each - 1) * threads.at_once
     options.add_session_config_entry(*_waiting())
     # Weights of 1e-36 produce denormal floats, with which a frame took 19 times as long.
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
@@ -70,7 +69,7 @@ def _session(graph: bytes, optimized_file: str = "") -> Run:
     session = onnxruntime.InferenceSession(
         graph, options, providers=["CPUExecutionProvider"], disabled_optimizers=disabled
     )
-    return lambda values: session.run(None, {INPUT: values})
+    return Loaded(lambda: lambda values: session.run(None, {INPUT: values}))
 
 
 def _waiting() -> tuple[str, str]:

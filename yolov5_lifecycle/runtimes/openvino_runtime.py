@@ -9,36 +9,44 @@ from yolov5_lifecycle.process.environment import disable_telemetry
 disable_telemetry()  # before the import below; a program that uses this package may not have done it
 
 import openvino
-import torch
 
-from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Run
+from yolov5_lifecycle.runtimes.compiler import Engine, Loaded, Run, Threads
 
 _HINTS = {"fp32": "f32", "int8": "f32", "bf16": "bf16"}
 """Type that OpenVINO computes non-integer nodes in; by default it would use bfloat16 where supported."""
 
 
 def openvino_engine(precision: str = "fp32") -> Engine:
-    """OpenVINO on the CPU, with as many threads as torch would use; `precision` fp32, int8 or bf16.
+    """OpenVINO on the CPU; `precision` fp32, int8 or bf16.
 
     It reads ONNX directly: the converter for torch modules would send usage statistics. The ONNX graph itself
     is cached: OpenVINO's own export is larger, and for large networks loading it is no faster than compiling.
     """
     compiled = partial(_compile, hint=_HINTS[precision])
-    return Engine("openvino", lambda graph: (compiled(graph), graph), compiled, (RuntimeError,), precision)
+
+    def build(graph: bytes, threads: Threads) -> tuple[Loaded, bytes]:
+        return compiled(graph, threads), graph
+
+    return Engine("openvino", build, compiled, (RuntimeError,), precision)
 
 
-def _compile(graph: bytes, *, hint: str) -> Run:
+def _compile(graph: bytes, threads: Threads, *, hint: str) -> Loaded:
     core = openvino.Core()
     compiled = core.compile_model(
         core.read_model(graph),
         "CPU",
         {
             "PERFORMANCE_HINT": "LATENCY",
-            "INFERENCE_NUM_THREADS": torch.get_num_threads(),
+            "NUM_STREAMS": threads.at_once,
+            "INFERENCE_NUM_THREADS": threads.each * threads.at_once,
             "INFERENCE_PRECISION_HINT": hint,
             "CPU_DENORMALS_OPTIMIZATION": True,  # with denormal floats a frame takes 5 times as long
             "ENABLE_CPU_PINNING": False,  # a pinned thread would wait for other processes on its core
         },
     )
-    request = compiled.create_infer_request()
-    return lambda values: list(request.infer([values], share_inputs=True, share_outputs=True).values())
+
+    def new_run() -> Run:
+        request = compiled.create_infer_request()
+        return lambda values: list(request.infer([values], share_inputs=True, share_outputs=True).values())
+
+    return Loaded(new_run)

@@ -79,5 +79,12 @@ class Runtime(Protocol):
         The caller closes both. Raises InferenceError after `close`.
         """
 
+    def lanes(self, count: int, threads: int) -> Sequence[Runtime]:
+        """The same network for `count` threads at the same time, each of which uses `threads` processors.
+
+        They have buffers of their own, and share the weights, with this one only in torch. The caller closes
+        them all. Raises InferenceError after `close`, DeviceError on a device that serves one at a time.
+        """
+
     def close(self) -> None:
         """Free the network; later calls raise InferenceError. Idempotent."""

@@ -6,6 +6,7 @@ import logging
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
@@ -104,6 +105,23 @@ def measure_batches_ms(
             runs[size] = batches
     taken = _take_turns({size: partial(_run_all, batches) for size, batches in runs.items()})
     return {size: round(each.wall_ms / (size * len(frames_hw)), 2) for size, each in taken.items()}
+
+
+def measure_lanes_ms(
+    whole: Runtime, lanes: Sequence[Runtime], *, frames_hw: Sequence[tuple[int, int]]
+) -> tuple[float, float]:
+    """Median milliseconds per frame, the mean of all `frames_hw`: of `whole`, and of all `lanes` at once.
+
+    The runtimes are warm. Raises InferenceError.
+    """
+    alone = partial(_run_all, _runs(whole, 1, frames_hw))
+    of_lanes = [partial(_run_all, _runs(lane, 1, frames_hw)) for lane in lanes]
+    with ThreadPoolExecutor(len(lanes)) as threads:
+        taken = _take_turns(
+            {"whole": alone, "lanes": lambda: [*threads.map(lambda run: run(), of_lanes)]},
+        )
+    count = len(frames_hw)
+    return taken["whole"].wall_ms / count, taken["lanes"].wall_ms / (count * len(lanes))
 
 
 def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uint8]) -> Runtime | None:

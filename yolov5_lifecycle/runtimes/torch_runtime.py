@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TypeVar
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network, fuse
-from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, shape_of_batch
+from yolov5_lifecycle.runtimes.networks_by_shape import (
+    MIN_KEPT,
+    NetworksByShape,
+    Shape,
+    closed,
+    shape_of_batch,
+)
 from yolov5_lifecycle.runtimes.recorded_network import Forward, RecordedNetwork
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError, Predictions
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
@@ -31,38 +38,41 @@ _log = logging.getLogger(__name__)
 
 
 class TorchRuntime:
-    """A fused, channels-last network for images of `channels`, 3 or 1; `proto` if it segments."""
+    """A `network` that is fused, channels-last and on `device`, for one thread; others may share the network.
+
+    `kept`: see `NetworksByShape`. `threads`: how many of the processor torch uses in a run, and after it;
+    None: as many as it uses in the calling thread.
+    """
 
     name = "torch"
 
     def __init__(
         self,
-        forwards: NetworksByShape[Forward],
+        network: Network,
         *,
         device: torch.device,
         dtype: torch.dtype,
-        channels: int,
-        proto: nn.Module | None,
+        kept: int = MIN_KEPT,
+        threads: tuple[int, int] | None = None,
     ) -> None:
-        self._forwards = forwards
+        self._network: Network | None = network
+        """None once closed."""
         self._device = device
         self._dtype = dtype
-        self._channels = channels
-        self._proto = proto
+        self._kept = kept
+        self._threads = threads
+        self._channels = network.architecture.image_channels
+        self._proto = network.head.proto if isinstance(network.head, Segment) else None
+        self._forwards = NetworksByShape(
+            lambda shape: _forward(network, shape, device=device, dtype=dtype), kept=kept
+        )
 
     @classmethod
     def of(
         cls, network: Network, *, device: torch.device, dtype: torch.dtype, kept: int = MIN_KEPT
     ) -> TorchRuntime:
         """Take ownership of `network`: fuse, convert and move it. `kept`: see `NetworksByShape`."""
-        prepared = _prepared(network, device, dtype)
-        return cls(
-            NetworksByShape(lambda shape: _forward(prepared, shape, device=device, dtype=dtype), kept=kept),
-            device=device,
-            dtype=dtype,
-            channels=prepared.architecture.image_channels,
-            proto=prepared.head.proto if isinstance(prepared.head, Segment) else None,
-        )
+        return cls(_prepared(network, device, dtype), device=device, dtype=dtype, kept=kept)
 
     @classmethod
     def load(cls, model: Model, *, device: str, precision: str, kept: int = MIN_KEPT) -> TorchRuntime:
@@ -122,7 +132,7 @@ class TorchRuntime:
     def _using(self, shape: Shape, use: Callable[[Forward], Result]) -> Result:
         """The result of `use` on the network for batches of `shape`; torch errors become InferenceError."""
         try:
-            with torch.inference_mode(), self._forwards.running(shape) as forward:
+            with torch.inference_mode(), _threads(self._threads), self._forwards.running(shape) as forward:
                 return use(forward)
         except InferenceError:  # it was closed
             raise
@@ -139,16 +149,27 @@ class TorchRuntime:
 
     def twin(self) -> TorchRuntime:
         """See `Runtime`."""
-        return TorchRuntime(
-            self._forwards.twin(),
-            device=self._device,
-            dtype=self._dtype,
-            channels=self._channels,
-            proto=self._proto,
-        )
+        return self._for_another_thread(self._threads)
+
+    def lanes(self, count: int, threads: int) -> list[TorchRuntime]:
+        """See `Runtime`; from now on this one uses as many threads as torch does in the calling thread."""
+        if self._device.type != "cpu":
+            raise DeviceError(
+                f"Device '{self._device}' runs one frame at a time: set parallel_frames to 0 or 1, and "
+                "max_batch for frames of several cameras."
+            )
+        total = torch.get_num_threads()
+        self._threads = (total, total)  # a thread that begins while a lane runs has the number of the lane
+        return [self._for_another_thread((threads, total)) for _ in range(count)]
+
+    def _for_another_thread(self, threads: tuple[int, int] | None) -> TorchRuntime:
+        if (network := self._network) is None:
+            raise closed()
+        return TorchRuntime(network, device=self._device, dtype=self._dtype, kept=self._kept, threads=threads)
 
     def close(self) -> None:
         """See `Runtime`."""
+        self._network = None
         self._forwards.close()
 
     def _failure(self, problem: str) -> InferenceError:
@@ -158,6 +179,23 @@ class TorchRuntime:
         if self._device.type == "cuda":
             torch.cuda.empty_cache()
         return InferenceError(f"torch failed on {self.device}: {problem}")
+
+
+@contextmanager
+def _threads(of_run_and_after: tuple[int, int] | None) -> Iterator[None]:
+    """Let torch use the first number of threads in the block, the second after it; None changes nothing.
+
+    That is in this thread, and in those that begin until the next change.
+    """
+    if of_run_and_after is None:
+        yield
+        return
+    of_run, after = of_run_and_after
+    torch.set_num_threads(of_run)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(after)
 
 
 def _stacked(frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order], channels: int) -> Tensor:

@@ -15,11 +15,17 @@ from yolov5_lifecycle.models.architecture import SIZES, Size, image_size_problem
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.camera_overrides import OverridableSchema, overrides_of
-from yolov5_lifecycle.settings.contradictions import not_above, precision_rule, without_scipy
+from yolov5_lifecycle.settings.contradictions import (
+    either_parallel_or_batches,
+    not_above,
+    precision_rule,
+    without_scipy,
+)
 from yolov5_lifecycle.settings.schema import Change, Entries, Problem, Scope, contradiction
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
 from yolov5_lifecycle.settings.value_rules import RULES, Rule, cameras
 
+MAX_PARALLEL_FRAMES = 16
 _RULES: Mapping[str, Rule] = {**RULES, "cameras": lambda value: cameras(value, Settings.model_fields)}
 
 
@@ -176,6 +182,13 @@ class Settings(BaseModel):
         description="Maximum number of frames, of cameras with the same network input size, that run as one "
         "batch if that was measured to be faster. 1: no batches.",
     )
+    parallel_frames: Annotated[int, Change.RELOAD] = Field(
+        0,
+        ge=0,
+        le=MAX_PARALLEL_FRAMES,
+        description="Maximum number of frames, of different cameras, that are in progress at the same time "
+        "and share the processors. 0: measured when the model is loaded. 1: one frame at a time.",
+    )
     image_transport: Annotated[Literal["raw", "compressed"], Change.RESUBSCRIBE, Scope.CAMERA] = Field(
         "raw", description="raw: ~/image_raw (Image). compressed: ~/image_raw/compressed (CompressedImage)."
     )
@@ -291,6 +304,8 @@ def _contradictions(settings: Settings) -> list[Problem]:
     if settings.image_size % stride and not settings.weights:
         whose = f"model_size '{settings.model_size}'"
         problems.append(Problem("image_size", image_size_problem(settings.image_size, stride, whose=whose)))
+    if settings.parallel_frames > 1 and settings.max_batch > 1:
+        problems.append(Problem("parallel_frames", either_parallel_or_batches(settings.parallel_frames)))
     low, high = settings.track_low_threshold, settings.track_high_threshold
     if low > high:
         problems.append(not_above("track_low_threshold", low, "track_high_threshold", high))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from typing import Any, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
 
 Frame = TypeVar("Frame")
 Result = TypeVar("Result")
@@ -14,28 +15,8 @@ Send = Callable[[], object]
 """Sends one finished message."""
 
 
-class Pipeline(Protocol[AnyFrame, Result]):
-    """Processes a frame, in the worker's thread."""
-
-    @property
-    def network(self) -> object:
-        """What one thread at a time may use. An abandoned frame keeps it until the frame's thread has ended:
-        until then no other frame with the same network, compared by identity, begins.
-        """
-
-    def detect(self, frame: AnyFrame) -> Result:
-        """The result for `frame`. Raises ImageError when the frame is unreadable."""
-
-    def messages(self, result: Result) -> Iterator[Send]:
-        """Compute what to publish of the result of `detect`, one message after the other.
-
-        Each item sends one message and computes nothing. The frame may be abandoned between any two items;
-        then the rest is never asked for.
-        """
-
-
 class Batch(Protocol[AnyFrame, AnyResult]):
-    """Detects in frames of several cameras at once, in the worker's thread.
+    """Detects in frames of several cameras at once, in an inference thread.
 
     Each frame comes with the pipeline that its feed was started with, of any class.
     """
@@ -55,4 +36,37 @@ class Batch(Protocol[AnyFrame, AnyResult]):
         """One result for each of `jobs`, in their order, or what its own `detect` would have raised.
 
         If it raises, all its frames fail.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Networks(Generic[Frame, Result]):
+    """The networks of one model, compared by identity. One thread at a time uses each of them.
+
+    An abandoned frame keeps its network until the frame's thread has ended.
+    """
+
+    whole: Any
+    """For a frame while no other one is in progress; it may use all processors."""
+    parallel: Sequence[Any] = ()
+    """For frames of different cameras at the same time; they share the processors. Empty: one at a time."""
+    batch: Batch[Frame, Result] | None = None
+    """Runs frames that wait at the same time together, in `whole`; None: each runs alone."""
+
+
+class Pipeline(Protocol[Frame, Result]):
+    """Processes the frames of one camera, one at a time, in the inference threads."""
+
+    @property
+    def networks(self) -> Networks[Frame, Result]:
+        """What may run a frame. Pipelines with the same model have the same ones."""
+
+    def detect(self, frame: Frame, network: Any) -> Result:
+        """The result for `frame` from one of `networks`. Raises ImageError when the frame is unreadable."""
+
+    def messages(self, result: Result) -> Iterator[Send]:
+        """Compute what to publish of the result of `detect`, one message after the other.
+
+        Each item sends one message and computes nothing. The frame may be abandoned between any two items;
+        then the rest is never asked for.
         """

@@ -1,28 +1,29 @@
-"""Worker: one long-lived inference thread, which serves the cameras in turn."""
+"""Worker: the inference threads, which serve the cameras in turn."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Generic
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.streaming.feed import Feed, Job, Schedule, Slot, Turn
-from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Batch, Frame, Result
+from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, Outcome
+from yolov5_lifecycle.streaming.pipeline import Frame, Networks, Pipeline, Result
+from yolov5_lifecycle.streaming.schedule import Job, Schedule, Slot, Turn
 
 MAX_ABANDONED_THREADS = 3
 """Each holds the memory of its model and image; beyond this limit, restart the process."""
 
 
 class Worker(Generic[Frame, Result]):
-    """Runs pipelines on the newest frames of its feeds, one at a time, always in the same thread.
+    """Runs pipelines on the newest frames of its feeds: frames of one camera one after the other, of
+    different cameras at the same time if their networks allow it.
 
     Of the feeds with a waiting frame, the one served longest ago is next.
 
-    Torch keeps a thread pool and warm caches per calling thread, so the thread survives every start and stop.
+    Torch keeps a thread pool and warm caches per calling thread, so threads survive every start and stop.
     Only a hung thread is abandoned: its frame counts as failed unless its detections were sent, what it has
     not sent is dropped, and a new thread takes over. An abandoned thread ends when its frame does; until then
     it keeps its network, and frames for the same network wait.
@@ -31,129 +32,176 @@ class Worker(Generic[Frame, Result]):
     """
 
     def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
-        self._schedule: Schedule[Frame, Result] = Schedule(clock=clock, replace_thread=self._replace_thread)
-        self._changed = self._schedule.changed
-        self.batch: Batch[Frame, Result] | None = None
-        """Runs frames that wait at the same time together, from the next job on; None: each runs alone."""
+        self._schedule: Schedule[Frame, Result] = Schedule(clock=clock, on_abandoned=self._abandon_lane_of)
+        self._lock = self._schedule.lock
         self._is_closed = False
-        self._abandoned: list[threading.Thread] = []
-        self._thread = self._new_thread()
-        self._thread.start()
+        self._lanes: list[Lane[Frame, Result]] = []
+        self._idle: list[Lane[Frame, Result]] = []
+        """Those without a job; the last one, whose caches are the warmest, is next."""
+        self._abandoned: list[Lane[Frame, Result]] = []
+        with self._lock:
+            self._add_lane()
 
     def feed(
         self, *, on_failure: Callable[[Outcome, Exception], None], on_success: Callable[[], None]
     ) -> Feed[Frame, Result]:
         """A new feed, stopped.
 
-        The worker's thread calls `on_failure(outcome, error)` or `on_success()` after it has counted a frame,
+        An inference thread calls `on_failure(outcome, error)` or `on_success()` after it has counted a frame,
         except for a frame that was abandoned.
         """
         slot: Slot[Frame, Result] = Slot(on_failure=on_failure, on_success=on_success)
-        with self._changed:
+        with self._lock:
             if not self._is_closed:
                 self._schedule.slots.add(slot)
-        return Feed(self._schedule, slot)
+        return Feed(self, self._schedule, slot)
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """In the block no frame begins; the one in progress goes on."""
-        with self._changed:
+        """In the block no frame begins; those in progress go on."""
+        with self._lock:
             self._schedule.pauses += 1
         try:
             yield
         finally:
-            with self._changed:
+            with self._lock:
                 self._schedule.pauses -= 1
-                self._changed.notify_all()
+                self.begin_jobs()
 
     def is_at_rest(self) -> bool:
         """Whether no frame is in progress."""
-        with self._changed:
-            return self._schedule.job is None
+        with self._lock:
+            return not self._schedule.jobs
 
     def rest(self, timeout_s: float) -> bool:
-        """Wait until the current job, if any, is finished; False on timeout or if it was abandoned."""
-        with self._changed:
-            return self._schedule.wait(self._schedule.job, timeout_s)
+        """Wait until all current jobs are finished; False on timeout or if one was abandoned."""
+        with self._lock:
+            return self._schedule.wait([*self._schedule.jobs], timeout_s)
 
     def stop(self, timeout_s: float) -> bool:
         """Stop all feeds at once, as `Feed.stop` does; False if a thread hung and was abandoned."""
-        with self._changed:
-            self._schedule.stop(list(self._schedule.slots))
-            return self._schedule.wait_or_abandon(self._schedule.job, timeout_s)
+        with self._lock:
+            return self._stop(timeout_s)
 
     def close(self, timeout_s: float) -> bool:
-        """Stop and close all feeds, end the thread; True when it and all abandoned threads have ended."""
-        with self._changed:
+        """Stop and close all feeds, end the threads; True when they and all abandoned ones have ended."""
+        with self._lock:
             self._is_closed = True
-            self._changed.notify_all()
-            self._schedule.stop(list(self._schedule.slots))
+            self._stop(timeout_s)
             self._schedule.slots.clear()
-            self._schedule.wait_or_abandon(self._schedule.job, timeout_s)
-        self._thread.join(timeout_s)
-        return not any(thread.is_alive() for thread in (self._thread, *self._abandoned))
+            lanes = [*self._lanes, *self._abandoned]
+            for lane in lanes:
+                lane.end()
+        end_s = time.monotonic() + timeout_s
+        for lane in lanes:
+            lane.thread.join(max(0.0, end_s - time.monotonic()))
+        return not any(lane.thread.is_alive() for lane in lanes)
 
-    def keeps(self, network: object) -> bool:
-        """Whether an abandoned thread keeps `network`, so that no frame with it begins."""
-        with self._changed:
-            return self._schedule.keeps(network)
+    def _stop(self, timeout_s: float) -> bool:
+        self._schedule.stop(self._schedule.slots)
+        return self._schedule.wait_or_abandon([*self._schedule.jobs], timeout_s)
+
+    def keeps_any(self, networks: Networks[Frame, Result]) -> bool:
+        """Whether an abandoned thread keeps one of `networks`, so that no frame begins with that one."""
+        with self._lock:
+            return self._schedule.keeps_any(networks)
 
     def abandoned_threads(self) -> int:
         """Number of abandoned threads still processing their frame."""
-        with self._changed:
-            return len(self._alive_abandoned())
+        with self._lock:
+            return sum(lane.thread.is_alive() for lane in self._abandoned)
 
-    def _alive_abandoned(self) -> list[threading.Thread]:
-        return [thread for thread in self._abandoned if thread.is_alive()]
+    def add_lanes(self, count: int) -> None:
+        """Have at least `count` threads; hold the lock. Raises RuntimeError if the system refuses another."""
+        while len(self._lanes) < count and not self._is_closed:
+            self._add_lane()
 
-    def _new_thread(self) -> threading.Thread:
-        return threading.Thread(target=self._run, name="inference", daemon=True)
+    def begin_jobs(self) -> None:
+        """Begin every job that may begin now; hold the lock, whenever something has changed."""
+        while self._idle and (job := self._schedule.begin()) is not None:
+            self._idle.pop().give(job)
 
-    def _replace_thread(self) -> None:
-        self._abandoned = [*self._alive_abandoned(), self._thread]
-        self._thread = self._new_thread()
-        self._thread.start()
+    def _add_lane(self) -> None:
+        lane: Lane[Frame, Result] = Lane(self._lock, end=self._end)
+        lane.thread.start()
+        self._lanes.append(lane)
+        self._idle.append(lane)
+
+    def _abandon_lane_of(self, job: Job[Frame, Result]) -> None:
+        (lane,) = [lane for lane in self._lanes if lane.job is job]
+        self._lanes.remove(lane)
+        self._abandoned = [*(each for each in self._abandoned if each.thread.is_alive()), lane]
+        lane.end()
+        if not self._is_closed:
+            self._add_lane()
+            self.begin_jobs()
+
+    def _end(self, lane: Lane[Frame, Result], job: Job[Frame, Result]) -> None:
+        """Count and report the frames of `job`, in the thread of `lane`, which is idle then."""
+        with self._lock:
+            self._schedule.end(job)
+            lane.job = None
+        if not job.is_abandoned:
+            for turn in job.turns:
+                turn.report()
+        with self._lock:
+            if lane in self._lanes:
+                self._idle.append(lane)
+            self.begin_jobs()
+
+
+class Lane(Generic[Frame, Result]):
+    """An inference thread, not started: does the jobs it is given, until `end`.
+
+    Whoever holds `lock`, that of the worker's schedule, calls its methods. The thread calls `end(lane, job)`
+    after each job.
+    """
+
+    def __init__(
+        self,
+        lock: threading.RLock,
+        *,
+        end: Callable[[Lane[Frame, Result], Job[Frame, Result]], None],
+    ) -> None:
+        self.job: Job[Frame, Result] | None = None
+        """In progress."""
+        self.thread = threading.Thread(target=self._run, name="inference", daemon=True)
+        self._lock = lock
+        self._end_job = end
+        self._given = threading.Condition(lock)
+        self._is_over = False
+
+    def give(self, job: Job[Frame, Result]) -> None:
+        """Begin `job`; the lane is idle."""
+        self.job = job
+        self._given.notify()
+
+    def end(self) -> None:
+        """Let the thread end after its job, if it has one."""
+        self._is_over = True
+        self._given.notify()
 
     def _run(self) -> None:
-        while (next_job := self._next_job()) is not None:
-            job, batch = next_job
-            if batch is None or len(job.turns) == 1:
-                self._work(job)
-            else:
-                self._work_together(job, batch)
-            del job, batch, next_job  # an idle thread holds no frame
+        while (job := self._next_job()) is not None:
+            self._work(job)
+            self._end_job(self, job)
+            del job  # an idle thread holds no frame
 
-    def _next_job(self) -> tuple[Job[Frame, Result], Batch[Frame, Result] | None] | None:
-        with self._changed:
-            while not self._schedule.ready() and not self._is_over():
-                self._changed.wait()
-            batch = self.batch
-            return None if self._is_over() else (self._schedule.begin(batch), batch)
-
-    def _is_over(self) -> bool:
-        """Whether the current thread has nothing more to do."""
-        return self._is_closed or threading.current_thread() is not self._thread
+    def _next_job(self) -> Job[Frame, Result] | None:
+        with self._lock:
+            while self.job is None and not self._is_over:
+                self._given.wait()
+            return self.job
 
     def _work(self, job: Job[Frame, Result]) -> None:
-        (turn,) = job.turns
         try:
-            result = turn.pipeline.detect(turn.frame)
+            results = job.detect()
         except Exception as error:  # noqa: BLE001 - counted and reported; the next frame is processed
-            turn.fail(_outcome(error), error)
-        else:
-            self._publish(job, turn, result)
-        self._end(job)
-
-    def _work_together(self, job: Job[Frame, Result], batch: Batch[Frame, Result]) -> None:
-        try:
-            results = _detected(batch, job)
-        except Exception as error:  # noqa: BLE001 - likewise
             for turn in job.turns:
-                turn.fail(Outcome.FAILED, error)
-        else:
-            for turn, result in zip(job.turns, results, strict=True):
-                self._publish(job, turn, result)
-        self._end(job)
+                turn.fail(_outcome(error) if len(job.turns) == 1 else Outcome.FAILED, error)
+            return
+        for turn, result in zip(job.turns, results, strict=True):
+            self._publish(job, turn, result)
 
     def _publish(
         self, job: Job[Frame, Result], turn: Turn[Frame, Result], result: Result | Exception
@@ -172,27 +220,77 @@ class Worker(Generic[Frame, Result]):
             turn.fail(_outcome(error), error)
 
     def _may_send(self, job: Job[Frame, Result], turn: Turn[Frame, Result]) -> bool:
-        with self._changed:
+        with self._lock:
             turn.has_sent |= not job.is_abandoned
             return not job.is_abandoned
 
-    def _end(self, job: Job[Frame, Result]) -> None:
-        with self._changed:
-            self._schedule.end(job)
-        if not job.is_abandoned:
-            for turn in job.turns:
-                turn.report()
+
+class Feed(Generic[Frame, Result]):
+    """The frames of one camera; created by `Worker.feed`."""
+
+    def __init__(
+        self, worker: Worker[Frame, Result], schedule: Schedule[Frame, Result], slot: Slot[Frame, Result]
+    ) -> None:
+        self._worker = worker
+        self._schedule = schedule
+        self._lock = schedule.lock
+        self._slot = slot
+
+    def start(self, pipeline: Pipeline[Frame, Result], *, max_rate_hz: float = 0.0) -> None:
+        """Start with `pipeline` and `max_rate_hz`, or switch to them from the next frame on; 0: no limit.
+
+        Raises RuntimeError after `close`, or if a thread is needed that the system refuses.
+        """
+        with self._lock:
+            if self._slot not in self._schedule.slots:
+                raise RuntimeError("the feed is closed; create another one with Worker.feed()")
+            self._worker.add_lanes(len(pipeline.networks.parallel))
+            self._slot.start(pipeline, max_rate_hz)
+            self._worker.begin_jobs()  # a frame that waits for another network may begin
+
+    def offer(self, frame: Frame) -> None:
+        """Submit a frame; it replaces a waiting one, unless the rate limit drops it."""
+        with self._lock:
+            self._schedule.offer(self._slot, frame)
+            self._worker.begin_jobs()
+
+    def flush(self) -> None:
+        """Accept no more frames and flush the waiting one; `stop` waits for the current one."""
+        with self._lock:
+            self._schedule.stop([self._slot])
+
+    def rest(self, timeout_s: float) -> bool:
+        """Wait until the current frame of this feed, if any, has ended; False if it has not in time."""
+        with self._lock:
+            return self._schedule.wait(self._slot.jobs, timeout_s)
+
+    def stop(self, timeout_s: float) -> bool:
+        """Stop after the current frame of this feed and flush the waiting one; True when it ended in time.
+
+        False: the thread hung and was abandoned; a new one serves the other feeds with the networks that are
+        free. The frames of a batch hang together.
+        """
+        with self._lock:
+            self._schedule.stop([self._slot])
+            return self._schedule.wait_or_abandon(self._slot.jobs, timeout_s)
+
+    def close(self) -> None:
+        """Let the worker forget this feed; call after `stop`. Frames offered later are INACTIVE."""
+        with self._lock:
+            self._schedule.stop([self._slot])
+            self._schedule.slots.discard(self._slot)
+
+    def balance(self) -> FrameBalance:
+        """A consistent snapshot of all counts."""
+        with self._lock:
+            return self._slot.counter.balance()
+
+    def busy_s(self) -> float:
+        """Seconds since processing of the current frame of this feed began; 0 without one."""
+        with self._lock:
+            job = self._slot.job
+            return self._schedule.clock() - job.begun_s if job else 0.0
 
 
 def _outcome(error: Exception) -> Outcome:
     return Outcome.REJECTED if isinstance(error, ImageError) else Outcome.FAILED
-
-
-def _detected(batch: Batch[Frame, Result], job: Job[Frame, Result]) -> Sequence[Result | Exception]:
-    """One result for each turn of `job`; raises ValueError if `batch` returns another number of them."""
-    results = batch.detect([(turn.pipeline, turn.frame) for turn in job.turns])
-    if len(results) != len(job.turns):
-        raise ValueError(
-            f"a batch of {len(job.turns)} frames returned {len(results)} results; expected one each"
-        )
-    return results

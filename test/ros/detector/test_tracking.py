@@ -18,6 +18,7 @@ from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.pipeline import LastImage, Pipeline
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
+from yolov5_lifecycle.streaming.pipeline import Networks
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
@@ -153,7 +154,7 @@ def test_a_frame_that_is_abandoned_before_it_is_published_leaves_the_tracks_alon
     nothing: Any = None
     tracker = ByteTracker(itertools.count(1))
     pipeline = Pipeline(
-        detector=Preparations()(Settings(), [(48, 64)]).detector,
+        networks=Networks(detector := Preparations()(Settings(), [(48, 64)]).detector),
         selection=Selection(),
         outputs=nothing,
         latencies=LatencyWindow(),
@@ -165,5 +166,5 @@ def test_a_frame_that_is_abandoned_before_it_is_published_leaves_the_tracks_alon
     for sec in range(1, 6):
         message = image()
         message.header.stamp.sec = sec
-        assert len(pipeline.detect(ReceivedFrame(message, float(sec))).found) == 1
+        assert len(pipeline.detect(ReceivedFrame(message, float(sec)), detector).found) == 1
     assert tracker.confirmed == 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -191,7 +191,7 @@ def test_a_request_that_was_refused_for_its_size_leaves_the_service_in_order(ser
         assert result.successful
 
 
-class FailingDetection:
+class FailingSession:
     """Stands in for what runs; follows settings only up to a confidence threshold of 0.5."""
 
     def __init__(self) -> None:
@@ -206,10 +206,10 @@ class FailingDetection:
 
 
 class AlwaysActive:
-    """Stands in for resources of which only the detection changes."""
+    """Stands in for resources of which only the session changes."""
 
-    def __init__(self, detection: Any) -> None:
-        self.detection = detection
+    def __init__(self, session: Any) -> None:
+        self.session = session
 
     def add_cameras(self, names: Sequence[str]) -> None:
         raise AssertionError("no camera is added")
@@ -232,19 +232,19 @@ class ClassesOnly:
 
 
 def test_a_change_that_cannot_take_effect_leaves_nothing_behind(ros_domain: int) -> None:
-    detection = FailingDetection()
+    session = FailingSession()
     nothing: Any = None
     request = SetParameters.Request(parameters=messages(confidence_threshold=0.75))
     with lone_node("yolov5") as node:
         parameters = SettingsParameters(node, review=nothing, commit=nothing)
         reconfiguration = Reconfiguration(
-            node, parameters=parameters, loader=nothing, resources=AlwaysActive(detection)
+            node, parameters=parameters, loader=nothing, resources=cast(Any, AlwaysActive(session))
         )
         set_one_by_one = reconfiguration.handlers()["set_parameters"]
         with pytest.raises(RuntimeError, match="the subscription failed"):
             set_one_by_one(request, SetParameters.Response()).send(None)
         assert node.get_parameter("confidence_threshold").value == 0.25
-        assert parameters.settings() == detection.settings == Settings()
+        assert parameters.settings() == session.settings == Settings()
 
 
 # Reloads

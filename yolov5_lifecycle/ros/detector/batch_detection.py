@@ -28,13 +28,8 @@ class BatchDetection:
     def max_size(self) -> int:
         return max(self._detector.batch_sizes, default=1)
 
-    def key(self, pipeline: Pipeline, frame: ReceivedFrame) -> tuple[int, int] | None:
-        """The network input size; a compressed image is assumed to be as large as the last image.
-
-        None for a frame of a camera that is being removed, whose pipeline still has the previous detector.
-        """
-        if pipeline.detector is not self._detector:
-            return None
+    def key(self, pipeline: Pipeline, frame: ReceivedFrame) -> tuple[int, int]:
+        """The network input size; a compressed image is assumed to be as large as the last image."""
         message = frame.message
         if isinstance(message, Image):
             return self._detector.network_hw((message.height, message.width))

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rclpy.lifecycle import LifecycleNode
 
-from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
@@ -17,6 +16,7 @@ from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage
 from yolov5_lifecycle.ros.detector.stream import Stream
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance
+from yolov5_lifecycle.streaming.pipeline import Networks
 from yolov5_lifecycle.streaming.worker import Worker
 
 
@@ -54,7 +54,9 @@ class Camera:
                 self._node, camera=self.name, on_subscribers_changed=self.follow_subscribers
             )
 
-    def start(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
+    def start(
+        self, settings: Settings, networks: Networks[ReceivedFrame, DetectedFrame], *, is_active: bool
+    ) -> None:
         """Create `stream`: start detecting with these settings of the camera.
 
         `is_active`: whether the node is already active, so that rclpy no longer activates the publishers.
@@ -64,7 +66,7 @@ class Camera:
             self._node,
             self.name,
             settings=settings,
-            detector=detector,
+            networks=networks,
             topic=self._topic,
             outputs=self._outputs,
             feed=self._feed,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Awaitable, Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import AbstractContextManager, asynccontextmanager
 
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
-from yolov5_lifecycle.detection.prepared_model import Prepare
+from yolov5_lifecycle.detection.prepared_model import Prepare, most_lanes
 from yolov5_lifecycle.process.memory import resident_mb
 from yolov5_lifecycle.ros.detector.background import Background
 from yolov5_lifecycle.ros.detector.camera import Camera
@@ -18,7 +18,7 @@ from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.outputs import label_info_publisher
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
-from yolov5_lifecycle.ros.detector.session import ABANDONED, REST_TIMEOUT_S, Detection
+from yolov5_lifecycle.ros.detector.session import ABANDONED, REST_TIMEOUT_S, Session
 from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.topics import impossible_names
@@ -27,7 +27,7 @@ from yolov5_lifecycle.streaming.worker import Worker
 
 
 class ManagedResources:
-    """Owns the cameras, their publishers from `configure` to `release`, and the detection from `activate` to
+    """Owns the cameras, their publishers from `configure` to `release`, and the session from `activate` to
     `deactivate`.
 
     The inference thread and the model loader exist from construction to `close`. `on_too_many(reason)`, whose
@@ -67,7 +67,7 @@ class ManagedResources:
             sizes_hw=self._sizes_hw,
             on_device_lost=on_device_lost,
         )
-        self.detection: Detection | None = None
+        self.session: Session | None = None
         self._label_info: LifecyclePublisher | None = None
         self._loading_for: LifecyclePublisher | None = None
 
@@ -96,21 +96,21 @@ class ManagedResources:
                 "activate canceled because another transition arrived while the model was loading"
             )
             return False
-        self.detection = self._new_detection(label_info, preparation)
+        self.session = self._new_session(label_info, preparation)
         return True
 
-    def activate(self) -> Detection:
+    def activate(self) -> Session:
         """Start the loaded detection; if a program triggered the transition without `load`, load now.
 
         Raises what loading the model raises, and SettingsError if the settings do not fit it.
         """
         assert self._label_info is not None, "rclpy activates only a configured node"
         settings = self._parameters.settings()
-        if self.detection is None:
-            self.detection = self._new_detection(self._label_info, self.loader.begin(settings))
-        self.detection.start(settings)
+        if self.session is None:
+            self.session = self._new_session(self._label_info, self.loader.begin(settings))
+        self.session.start(settings)
         self._failures.restart()
-        return self.detection
+        return self.session
 
     def add_cameras(self, names: Sequence[str]) -> None:
         """Create the missing cameras, with publishers if configured. Raises rclpy's exception."""
@@ -131,48 +131,66 @@ class ManagedResources:
     async def end_removed(self) -> None:
         """End the removed cameras while other callbacks are served; no frame stays pending in their balances.
 
-        If the frame of one hangs, its thread is abandoned and keeps the network, so another one is prepared.
+        If the frame of one hangs, its thread is abandoned and keeps the network, so another one is prepared,
+        as if more or fewer frames can be in progress at the same time with the present number of cameras.
         """
         while self._removed:
             camera = self._removed.pop()
             await self._waited(camera.rest)
             self._close(camera)
+        session, executor = self.session, self._node.executor
+        if session is not None and executor is not None and self._renewal(session):
+            executor.create_task(self._renew, session)
 
     def _close(self, camera: Camera) -> None:
         log = self._node.get_logger()
         if not camera.close(REST_TIMEOUT_S):
             log.error(ABANDONED)
             self._on_abandoned()
-            self._renew_kept()
         log.info(f"camera {camera.name or '(without a name)'} removed: {camera.balance()}")
 
-    def _renew_kept(self) -> None:
-        """Begin to prepare another network if an abandoned thread keeps that of the detection."""
-        detection, executor = self.detection, self._node.executor
-        if detection is not None and executor is not None and self._worker.keeps(detection.model.detector):
-            executor.create_task(self._renew, detection)
+    def _renewal(self, session: Session) -> str:
+        """Why `session` needs other networks; "" if it does not."""
+        if session.networks is not None and self._worker.keeps_any(session.networks):
+            return "the abandoned thread keeps the present one; frames may wait"
+        count = most_lanes(self._parameters.settings())
+        if count != most_lanes(session.model.settings):
+            return f"up to {count} frames of the present cameras can be in progress at the same time"
+        return ""
 
-    async def _renew(self, detection: Detection) -> None:
-        """Let `detection` go on with another network, as an abandoned thread keeps the present one.
+    async def _renew(self, session: Session) -> None:
+        """Let `session` go on with other networks of the same model while there is a reason for them.
 
-        The thread may end meanwhile: then frames go on with the present one.
+        An abandoned thread may end meanwhile: then frames go on with the present networks.
         """
-        kept = detection.preparation
-        self._node.get_logger().warning(
-            "preparing another network, because the abandoned thread keeps the present one; frames wait"
-        )
-        twin = await self.loader.twin(detection.model)
-        is_running = self.detection is detection and detection.preparation is kept
-        is_wanted = is_running and self._worker.keeps(kept.result().detector)
-        if (error := twin.exception()) is not None:
-            if is_wanted:
-                await self._on_too_many(f"a hanging frame, because no other network can be prepared: {error}")
-        elif is_wanted:
-            detection.apply(self._parameters.settings(), twin)
-            # Before the last camera had another network, the thread may have ended and a frame begun.
-            await self.loader.retire(kept.result(), after=detection.rest)
+        while self.session is session and (reason := self._renewal(session)):
+            self._node.get_logger().info(f"preparing another network, because {reason}")
+            present = session.preparation
+            twin = await self.loader.twin(present.result(), self._parameters.settings())
+            async with self.between_frames():
+                is_wanted = session.preparation is present and self._renewal(session) != ""
+                if self.session is session and is_wanted and twin.exception() is None:
+                    session.apply(self._parameters.settings(), twin)
+            if (error := twin.exception()) is not None:
+                if self.session is session and is_wanted:
+                    await self._report_missing(session, f"no other network can be prepared: {error}")
+                return
+            unused = present if session.preparation is twin else twin
+            await self.loader.retire(unused.result(), after=session.rest)
+
+    async def _report_missing(self, session: Session, problem: str) -> None:
+        """Deactivate if frames wait for the network that could not be prepared, else go on without."""
+        if session.networks is not None and self._worker.keeps_any(session.networks):
+            await self._on_too_many(f"a hanging frame, because {problem}")
         else:
-            twin.result().close()
+            self._node.get_logger().warning(f"going on with the present networks, because {problem}")
+
+    @asynccontextmanager
+    async def between_frames(self) -> AsyncIterator[None]:
+        """In the block no frame is in progress, of any camera, unless one hangs; others are served before."""
+        with self._worker.paused():
+            await self.rest()
+            yield
 
     def paused(self) -> AbstractContextManager[None]:
         """In the block no frame begins."""
@@ -192,8 +210,8 @@ class ManagedResources:
 
         Call it `paused` and after `rest`: otherwise it waits for the frame in progress itself.
         """
-        detection, self.detection = self.detection, None
-        return detection is None or detection.close()
+        session, self.session = self.session, None
+        return session is None or session.close()
 
     def release(self) -> None:
         """Destroy the publishers; call after `deactivate`."""
@@ -226,7 +244,7 @@ class ManagedResources:
             state=state,
             problem=problem,
             settings=self._parameters.settings() if self._label_info else None,
-            model=self.detection.model if self.detection else None,
+            model=self.session.model if self.session else None,
             cameras=tuple(
                 camera.status(self._parameters.value_for(name, "image_transport"))
                 for name, camera in self._cameras.items()
@@ -245,7 +263,7 @@ class ManagedResources:
         names = self._names()
         self.add_cameras(names)
         self.remove_cameras(except_for=names)
-        while self._removed:  # without a detection no frame of theirs is in progress
+        while self._removed:  # without a session no frame of theirs is in progress
             self._close(self._removed.pop())
 
     def _names(self) -> tuple[str, ...]:
@@ -266,10 +284,10 @@ class ManagedResources:
 
     def _may_activate(self, label_info: LifecyclePublisher | None) -> bool:
         """Whether the configuration with `label_info` still exists and is not active."""
-        return self._label_info is label_info and self.detection is None
+        return self._label_info is label_info and self.session is None
 
-    def _new_detection(self, label_info: LifecyclePublisher, preparation: Preparation) -> Detection:
-        return Detection(
+    def _new_session(self, label_info: LifecyclePublisher, preparation: Preparation) -> Session:
+        return Session(
             self._node,
             preparation=preparation,
             cameras=self._cameras,

@@ -62,10 +62,10 @@ class ModelLoader:
                 preparation.result().close()
         return None
 
-    async def twin(self, model: PreparedModel) -> Preparation:
-        """Prepare the same model for another thread, for images of the present sizes."""
-        sizes_hw = self._sizes_hw(model.settings)
-        return await self._background.finish(self._background.submit(lambda: model.twin(sizes_hw)))
+    async def twin(self, model: PreparedModel, settings: Settings) -> Preparation:
+        """Prepare the same model with other networks, for the cameras of `settings` and their last images."""
+        sizes_hw = self._sizes_hw(settings)
+        return await self._background.finish(self._background.submit(lambda: model.twin(settings, sizes_hw)))
 
     async def retire(self, model: PreparedModel, *, after: Callable[[], bool]) -> None:
         """Free `model` after `after()`, which waits for its last frame and returns whether that finished."""

@@ -156,15 +156,15 @@ class DetectorNode(PrintableNode, LifecycleNode):
     @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
-            detection = self._resources.activate()
+            session = self._resources.activate()
         except REFUSALS as error:
             self._resources.deactivate()
             self.report(f"activate refused: {in_one_line(str(error))}")
             return FAILURE
         self._problem = ""
-        self.get_logger().info(f"active with {detection.model.summary}")
+        self.get_logger().info(f"active with {session.model.summary}")
         result = super().on_activate(state)
-        detection.publish_first(self._settings.settings())
+        session.publish_first(self._settings.settings())
         self._bond.start(self._settings.settings().bond_timeout)
         return result
 

@@ -19,7 +19,7 @@ from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing, PlacedImag
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
-from yolov5_lifecycle.streaming.pipeline import Send
+from yolov5_lifecycle.streaming.pipeline import Networks, Send
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 
@@ -46,7 +46,7 @@ class LastImage:
 class Pipeline:
     """One running configuration; immutable, so each frame uses exactly one. A change creates a new one."""
 
-    detector: Detector
+    networks: Networks[ReceivedFrame, DetectedFrame]
     selection: Selection
     outputs: Outputs
     latencies: LatencyWindow
@@ -56,15 +56,10 @@ class Pipeline:
     """None while the setting `depth` is false."""
     tracking: TrackedDetection | None = None
 
-    @property
-    def network(self) -> Detector:
-        """The detector, which serves one thread at a time."""
-        return self.detector
-
-    def detect(self, frame: ReceivedFrame) -> DetectedFrame:
+    def detect(self, frame: ReceivedFrame, network: Detector) -> DetectedFrame:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
         image = self.read(frame)
-        return DetectedFrame(frame, image, self.detector.detect(image, self.wanted))
+        return DetectedFrame(frame, image, network.detect(image, self.wanted))
 
     def read(self, frame: ReceivedFrame) -> ColourImage:
         """The image of `frame`. Raises ImageError for an unreadable one."""
@@ -82,7 +77,7 @@ class Pipeline:
         subscriber.
         """
         outputs = self.outputs
-        with_masks = self.detector.segments and outputs.mask_subscribers + outputs.image_subscribers > 0
+        with_masks = self.networks.whole.segments and outputs.mask_subscribers + outputs.image_subscribers > 0
         selection = replace(self.selection, with_masks=with_masks)
         return selection if self.tracking is None else self.tracking.wider(selection)
 
@@ -95,7 +90,7 @@ class Pipeline:
         if self.tracking is not None:
             stamp_s = messages.stamp_s(header)
             detections = self.tracking.follow(detections, result.image, self.selection, stamp_s)
-        array = messages.detection_array(detections, self.detector.class_names, header)
+        array = messages.detection_array(detections, self.networks.whole.class_names, header)
         yield partial(self.outputs.detections.publish, array)
         self._note(detections, result.frame.received_s)
         placed = self._placed(array, detections, result.image)
@@ -139,7 +134,7 @@ class Pipeline:
             drawn = annotate(
                 result.image,
                 detections,
-                self.detector.class_names,
+                self.networks.whole.class_names,
                 distances_m=distances_m,
                 label_image=label_image,
                 box_filter=self.selection.box_filter,

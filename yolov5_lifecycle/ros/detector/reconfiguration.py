@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Generator, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
@@ -12,8 +12,9 @@ from rclpy.parameter import Parameter
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
 from yolov5_lifecycle.ros.detector.background import ReloadTurns
+from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation
-from yolov5_lifecycle.ros.detector.session import Detection
+from yolov5_lifecycle.ros.detector.session import Session
 from yolov5_lifecycle.ros.parameters.proposal import Proposal, refusal
 from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_SUGGESTIONS, SettingsParameters
 from yolov5_lifecycle.ros.parameters.values import read_parameters
@@ -41,24 +42,11 @@ _LEFT = "the node left the active state while the new model was loading; nothing
 _SUPERSEDED = "superseded by a later request that loads another model; nothing was changed."
 
 
-class Changeable(Protocol):
-    """What a change applies to; `detection` is None unless the node is active."""
-
-    @property
-    def detection(self) -> Detection | None: ...
-
-    def add_cameras(self, names: Sequence[str]) -> None: ...
-
-    def remove_cameras(self, *, except_for: Sequence[str]) -> None: ...
-
-    async def end_removed(self) -> None: ...
-
-
 class Reconfiguration:
     """Handlers of the services that set parameters."""
 
     def __init__(
-        self, node: Node, *, parameters: SettingsParameters, loader: ModelLoader, resources: Changeable
+        self, node: Node, *, parameters: SettingsParameters, loader: ModelLoader, resources: ManagedResources
     ) -> None:
         self._node = node
         self._parameters = parameters
@@ -105,10 +93,10 @@ class Reconfiguration:
             return refusal(proposal.problems)
         if problems := self._topic_problems(proposal.base.settings, proposal.after.settings):
             return refusal(problems)
-        detection = self._resources.detection
-        if detection is not None and proposal.kind is Change.RELOAD:
-            return await self._reload(detection, proposal)
-        if detection is not None and (problems := _broken_by(proposal, detection.model)):
+        session = self._resources.session
+        if session is not None and proposal.kind is Change.RELOAD:
+            return await self._reload(session, proposal)
+        if session is not None and (problems := _broken_by(proposal, session.model)):
             return refusal(problems)
         try:
             return self._commit(proposal)
@@ -116,54 +104,66 @@ class Reconfiguration:
             if proposal.kind is Change.CAMERAS:
                 await self._resources.end_removed()
 
-    async def _reload(self, detection: Detection, proposal: Proposal) -> SetParametersResult:
+    async def _reload(self, session: Session, proposal: Proposal) -> SetParametersResult:
         if not await self._turns.begin():
             return _refused(_SUPERSEDED)
         try:
-            return await self._reload_now(detection, proposal)
+            return await self._reload_now(session, proposal)
         finally:
             self._turns.end()
 
-    async def _reload_now(self, detection: Detection, asked: Proposal) -> SetParametersResult:
+    async def _reload_now(self, session: Session, asked: Proposal) -> SetParametersResult:
         def wanted() -> Settings | None:
             proposal = self._parameters.renewed(asked)
-            is_wanted = self._resources.detection is detection and not proposal.problems
+            is_wanted = self._resources.session is session and not proposal.problems
             return proposal.after.settings if is_wanted else None
 
         preparation = await self._loader.load(wanted)
-        proposal = self._parameters.renewed(asked)
         if preparation is None:
             # Another change came first and contradicts this one, or another transition came first.
+            proposal = self._parameters.renewed(asked)
             return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
         try:
             preparation.result()
         except REFUSALS as error:
             self._node.get_logger().warning(f"the running model stays, its replacement was refused: {error}")
             return _refused(f"{error} The running model stays.")
-        return await self._replace(detection, preparation, proposal)
+        return await self._replace(session, preparation, asked)
 
     async def _replace(
-        self, detection: Detection, preparation: Preparation, proposal: Proposal
+        self, session: Session, preparation: Preparation, asked: Proposal
     ) -> SetParametersResult:
-        """Commit `proposal` with the model prepared for it, then free whichever model is unused."""
-        old, new = detection.model, preparation.result()
+        """Commit `asked` with the model prepared for it, then free whichever model is unused.
+
+        It takes effect between two frames of all cameras: afterwards no frame has the previous model.
+        """
+        old, new = session.model, preparation.result()
         try:
-            if problems := _broken_by(proposal, new):
-                result = refusal(problems)
-                result.reason += _OLD_CLASSES.format(names=_listed(problems))
-                return result
-            return self._commit(proposal, preparation)
+            async with self._resources.between_frames():
+                return self._replace_now(session, preparation, asked)
         finally:
-            is_replaced = detection.model is new
+            is_replaced = session.model is new
             await self._resources.end_removed()
             if is_replaced:
                 self._node.get_logger().info(f"the model was replaced: {new.summary}")
-            await self._loader.retire(old if is_replaced else new, after=detection.rest)
+            await self._loader.retire(old if is_replaced else new, after=session.rest)
+
+    def _replace_now(
+        self, session: Session, preparation: Preparation, asked: Proposal
+    ) -> SetParametersResult:
+        proposal = self._parameters.renewed(asked)
+        if self._resources.session is not session or proposal.problems:  # because of what came meanwhile
+            return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
+        if problems := _broken_by(proposal, preparation.result()):
+            result = refusal(problems)
+            result.reason += _OLD_CLASSES.format(names=_listed(problems))
+            return result
+        return self._commit(proposal, preparation)
 
     def _commit(self, proposal: Proposal, preparation: Preparation | None = None) -> SetParametersResult:
         """Store a valid proposal and make it take effect; roll back on an exception."""
-        detection, previous = self._resources.detection, self._parameters.present(proposal.parameters)
-        running = detection.preparation if detection is not None else None
+        session, previous = self._resources.session, self._parameters.present(proposal.parameters)
+        running = session.preparation if session is not None else None
         result = self._parameters.store(proposal)
         before, after = proposal.base.settings, proposal.after.settings
         if not result.successful or before is None or after is None or before is after:
@@ -178,8 +178,8 @@ class Reconfiguration:
 
     def take_effect(self, before: Settings, after: Settings) -> None:
         """Apply settings that a program set through the methods of the node."""
-        detection = self._resources.detection
-        self._apply(before, after, detection.preparation if detection is not None else None)
+        session = self._resources.session
+        self._apply(before, after, session.preparation if session is not None else None)
         if before.cameras != after.cameras and (executor := self._node.executor) is not None:
             executor.create_task(self._resources.end_removed)
 
@@ -187,8 +187,8 @@ class Reconfiguration:
         """Change from settings `before` to `after`, and while active to the model of `preparation`."""
         if before.cameras != after.cameras:
             self._resources.add_cameras(after.camera_names)
-        if (detection := self._resources.detection) is not None and preparation is not None:
-            detection.apply(after, preparation)
+        if (session := self._resources.session) is not None and preparation is not None:
+            session.apply(after, preparation)
         if before.cameras != after.cameras:
             self._resources.remove_cameras(except_for=after.camera_names)
 
@@ -202,9 +202,9 @@ class Reconfiguration:
         """Problems of `candidate`, to follow `before`, with the topics of the node and the running model."""
         if problems := self._topic_problems(before, candidate):
             return problems
-        if (detection := self._resources.detection) is None:
+        if (session := self._resources.session) is None:
             return []
-        model = detection.model
+        model = session.model
         if not model.serves(candidate):
             names = model.settings.differing(candidate, Change.RELOAD)
             return [

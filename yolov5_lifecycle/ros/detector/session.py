@@ -9,7 +9,6 @@ from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from std_msgs.msg import Header
 from vision_msgs.msg import LabelInfo, VisionClass
 
-from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems
 from yolov5_lifecycle.ros.detector.batch_detection import BatchDetection
@@ -19,6 +18,7 @@ from yolov5_lifecycle.ros.detector.model_loader import Preparation
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.pipeline import Networks
 from yolov5_lifecycle.streaming.worker import Worker
 
 REST_TIMEOUT_S = 3.0
@@ -30,11 +30,11 @@ ABANDONED = (
 """What is reported when a frame hangs for longer than that."""
 
 
-class Detection:
+class Session:
     """Owns the model with which all `cameras` detect from `start` to `close`.
 
-    `preparation` is the model, once loaded. `label_info` publishes the class names. `worker` runs the
-    inference of all cameras.
+    `preparation` is the model, once loaded; `networks` are those of the model, from `start` on. `label_info`
+    publishes the class names. `worker` runs the inference of all cameras.
     """
 
     def __init__(
@@ -51,6 +51,7 @@ class Detection:
         self._label_info = label_info
         self._worker = worker
         self.preparation = preparation
+        self.networks: Networks[ReceivedFrame, DetectedFrame] | None = None
 
     @property
     def model(self) -> PreparedModel:
@@ -61,7 +62,7 @@ class Detection:
         """Start detecting; raises what loading raised, SettingsError if the settings do not fit the model."""
         if problems := model_problems(settings, self.model.detector.class_names):
             raise SettingsError(problems)
-        self._detect(settings, self.model.detector, is_active=False)
+        self._detect(settings, is_active=False, is_other_model=True)
 
     def publish_first(self, settings: Settings) -> None:
         """Subscribe and publish the class names, once the publishers are active."""
@@ -74,8 +75,16 @@ class Detection:
 
         The caller closes a replaced model.
         """
-        self._detect(settings, preparation.result().detector, is_active=True)
-        self.preparation = preparation
+        before, self.preparation = self.preparation, preparation
+        try:
+            self._detect(
+                settings,
+                is_active=True,
+                is_other_model=preparation is not before and self._is_other_than(before.result()),
+            )
+        except Exception:
+            self.preparation = before
+            raise
         self.publish_label_info(settings)
 
     def rest(self) -> bool:
@@ -96,22 +105,34 @@ class Detection:
         for camera in self._cameras.values():
             camera.unsubscribe()
         rested = self._worker.stop(REST_TIMEOUT_S)
-        self._worker.batch = None  # it holds the detector, whose memory is to be freed
         if self.preparation.exception() is None:
             # The thread of a removed camera may also hang in the model.
             self.model.close(is_at_rest=rested and self._worker.abandoned_threads() == 0)
         return rested
 
-    def _detect(self, settings: Settings, detector: Detector, *, is_active: bool) -> None:
+    def _is_other_than(self, before: PreparedModel) -> bool:
+        """Whether trackers begin again after the model `before`: an abandoned thread may still use them, or
+        other detections are to be expected.
+        """
+        model = self.model
+        is_kept = self.networks is not None and self._worker.keeps_any(self.networks)
+        return is_kept or model.weights_sha256 != before.weights_sha256 or not before.serves(model.settings)
+
+    def _detect(self, settings: Settings, *, is_active: bool, is_other_model: bool) -> None:
+        self.networks = self._networks_of(self.model)
         for name in settings.camera_names:
             camera, own = self._cameras[name], settings.for_camera(name)
             if camera.stream is None:
-                camera.start(own, detector, is_active=is_active)
+                camera.start(own, self.networks, is_active=is_active)
             else:
-                camera.stream.apply(own, detector)
-        # Until here a batch has the previous detector, and only frames of cameras that still use that one.
-        is_batched = len(settings.cameras) > 1 and bool(detector.batch_sizes)
-        self._worker.batch = BatchDetection(detector) if is_batched else None
+                camera.stream.apply(own, self.networks, is_other_model=is_other_model)
+
+    def _networks_of(self, model: PreparedModel) -> Networks[ReceivedFrame, DetectedFrame]:
+        """Those in use if they are of `model`, else new ones."""
+        if self.networks is not None and self.networks.whole is model.detector:
+            return self.networks
+        batch = BatchDetection(model.detector) if model.detector.batch_sizes else None
+        return Networks(model.detector, model.lanes.detectors, batch)
 
 
 def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:

@@ -7,7 +7,6 @@ from typing import TypeVar
 
 from rclpy.lifecycle import LifecycleNode
 
-from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.depth_input import DepthInput
@@ -17,8 +16,9 @@ from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage, Pipeline
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.feed import Feed
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
+from yolov5_lifecycle.streaming.pipeline import Networks
+from yolov5_lifecycle.streaming.worker import Feed
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 Made = TypeVar("Made")
@@ -28,7 +28,7 @@ class Stream:
     """Owns a camera's subscriptions, tracker and statistics; gives its frames to the inference thread.
 
     `camera`: see `of_camera`. `settings` are those of the camera. `track_ids` numbers the tracks of all
-    cameras. Detects with `detector` from construction on.
+    cameras. Detects with `networks` from construction on.
 
     If the subscription cannot be created, this is logged and stays in `problem`; every `look` retries.
     """
@@ -39,7 +39,7 @@ class Stream:
         camera: str,
         *,
         settings: Settings,
-        detector: Detector,
+        networks: Networks[ReceivedFrame, DetectedFrame],
         topic: ImageTopic,
         outputs: Outputs,
         feed: Feed[ReceivedFrame, DetectedFrame],
@@ -49,7 +49,7 @@ class Stream:
         self._node = node
         self._camera = camera
         self._settings = settings
-        self._detector = detector
+        self._networks = networks
         self._topic = topic
         self._outputs = outputs
         self._feed = feed
@@ -76,7 +76,7 @@ class Stream:
     @property
     def segments(self) -> bool:
         """Whether the model segments."""
-        return self._detector.segments
+        return bool(self._networks.whole.segments)
 
     def look(self, topic: TopicStatus) -> InputStatus | None:
         """Update the subscription to what the publishers offer; return its status, None without one."""
@@ -85,17 +85,22 @@ class Stream:
             return None
         return self._trying(lambda: present.look(topic))
 
-    def apply(self, settings: Settings, detector: Detector) -> None:
-        """Change to `settings` and `detector` from the next frame on; do nothing if both are the same.
+    def apply(
+        self,
+        settings: Settings,
+        networks: Networks[ReceivedFrame, DetectedFrame],
+        *,
+        is_other_model: bool,
+    ) -> None:
+        """Change to `settings` and `networks` from the next frame on; do nothing if both are the same.
 
-        With another detector there is another tracker: an abandoned thread may still use the previous one.
+        `is_other_model`: what was found before is not comparable, so there is another tracker.
         """
-        if settings == self._settings and detector is self._detector:
+        if settings == self._settings and networks is self._networks:
             return
         before, self._settings = self._settings, settings
         is_other_camera = before.image_transport != settings.image_transport
-        is_other_model = detector is not self._detector
-        self._detector = detector
+        self._networks = networks
         if is_other_camera or is_other_model or before.tracker != settings.tracker:
             self._tracking = TrackedDetection.started(settings, self._track_ids)
         elif self._tracking is not None:
@@ -115,7 +120,7 @@ class Stream:
         """Subscribe if frames are needed; unsubscribe if `lazy` and the outputs have no subscriber."""
         is_lazy, outputs = self._settings.lazy, self._outputs
         subscribers_3d = outputs.subscribers_3d if self._settings.depth else 0
-        mask_subscribers = outputs.mask_subscribers if self._detector.segments else 0
+        mask_subscribers = outputs.mask_subscribers if self.segments else 0
         wanted = not is_lazy or outputs.subscribers + mask_subscribers + subscribers_3d > 0
         if wanted and self._input is None:
             self._input = self._trying(self._subscribed)
@@ -155,8 +160,8 @@ class Stream:
         settings = self._settings
         self._follow_depth()
         pipeline = Pipeline(
-            detector=self._detector,
-            selection=selection(settings, self._detector.class_names),
+            networks=self._networks,
+            selection=selection(settings, self._networks.whole.class_names),
             outputs=self._outputs,
             latencies=self.latencies,
             empty_frames=self.empty_frames,

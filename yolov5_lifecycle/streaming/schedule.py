@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Generic
+from typing import Any, Generic
 
-from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
-from yolov5_lifecycle.streaming.pipeline import Batch, Frame, Pipeline, Result
+from yolov5_lifecycle.streaming.frame_statistics import FrameCounter, Outcome
+from yolov5_lifecycle.streaming.pipeline import Batch, Frame, Networks, Pipeline, Result
 
 
 class RateLimit:
@@ -46,7 +46,7 @@ class Slot(Generic[Frame, Result]):
         self.frame: Frame | None = None
         """The frame that waits."""
         self.job: Job[Frame, Result] | None = None
-        """The job in progress, if it has a frame of this camera."""
+        """The job in progress, if it has a frame of this camera; the next frame waits for its end."""
         self.last_turn = 0
         """Number of its latest turn; the turns of all slots are numbered together."""
         self._rate_limit = RateLimit(0.0)
@@ -79,11 +79,16 @@ class Slot(Generic[Frame, Result]):
         self.frame = frame
         return True
 
+    @property
+    def jobs(self) -> Sequence[Job[Frame, Result]]:
+        """The job in progress, if any."""
+        return [self.job] if self.job else []
+
     def turn(self) -> Turn[Frame, Result]:
         """The waiting frame with the current pipeline; for a slot that has a frame and is not stopped."""
         assert self.pipeline is not None, "a stopped slot has no turn"
         assert self.frame is not None, "a slot without a frame has no turn"
-        return Turn(self, self.pipeline, self.frame, self.pipeline.network)
+        return Turn(self, self.pipeline, self.frame)
 
     def begin(self, job: Job[Frame, Result], number: int) -> None:
         """Hand the waiting frame over to `job`, as turn `number`; see `last_turn`."""
@@ -99,7 +104,6 @@ class Turn(Generic[Frame, Result]):
     slot: Slot[Frame, Result]
     pipeline: Pipeline[Frame, Result]
     frame: Frame
-    network: object
     outcome: Outcome = Outcome.DETECTED
     error: Exception | None = None
     has_sent: bool = False
@@ -119,13 +123,33 @@ class Turn(Generic[Frame, Result]):
 
 @dataclass(eq=False, slots=True)
 class Job(Generic[Frame, Result]):
-    """One frame or batch that the thread has processed since `begun_s` (monotonic seconds)."""
+    """One frame or batch that a thread has processed in `network` since `begun_s` (monotonic seconds)."""
 
     turns: Sequence[Turn[Frame, Result]]
+    networks: Networks[Frame, Result]
+    network: Any
     begun_s: float
     awaited_s: float | None = None
     """When the first wait for its end began, None before that."""
     is_abandoned: bool = False
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether no other job may begin, because this one may use all processors."""
+        return self.network is self.networks.whole
+
+    def detect(self) -> Sequence[Result | Exception]:
+        """One result for each turn; raises ValueError if the batch returns another number of them."""
+        if len(self.turns) == 1:
+            (turn,) = self.turns
+            return [turn.pipeline.detect(turn.frame, self.network)]
+        assert self.networks.batch is not None, "several frames are a batch"
+        results = self.networks.batch.detect([(turn.pipeline, turn.frame) for turn in self.turns])
+        if len(results) != len(self.turns):
+            raise ValueError(
+                f"a batch of {len(self.turns)} frames returned {len(results)} results; expected one each"
+            )
+        return results
 
     def abandon(self) -> None:
         """Fail the frames whose detections were not sent; the others count as detected."""
@@ -136,110 +160,139 @@ class Job(Generic[Frame, Result]):
 
 
 class Schedule(Generic[Frame, Result]):
-    """The slots of one worker, the job in progress, and abandoned ones.
+    """The slots of one worker, the jobs in progress, and abandoned ones.
 
     Of the slots with a waiting frame, the one served longest ago is next. Whoever calls a method or uses a
-    slot holds `changed`. `replace_thread()` is called with it when a job hangs.
+    slot holds `lock`. `on_abandoned(job)` is called with it when a job hangs.
     """
 
-    def __init__(self, *, clock: Callable[[], float], replace_thread: Callable[[], None]) -> None:
-        self.changed = threading.Condition()
+    def __init__(
+        self, *, clock: Callable[[], float], on_abandoned: Callable[[Job[Frame, Result]], None]
+    ) -> None:
+        self.lock = threading.RLock()
         self.clock = clock
-        self.job: Job[Frame, Result] | None = None
+        self.jobs: list[Job[Frame, Result]] = []
+        """In progress, of different cameras, each with a network of its own."""
         self.slots: set[Slot[Frame, Result]] = set()
         self.waiting: dict[Slot[Frame, Result], None] = {}
         self.pauses = 0
         """While above 0, no job begins."""
         self._abandoned: list[Job[Frame, Result]] = []
         """Abandoned jobs whose threads have not ended: their networks belong to them."""
-        self._replace_thread = replace_thread
+        self._on_abandoned = on_abandoned
+        self._ended = threading.Condition(self.lock)
         self._turns = 0
 
     def offer(self, slot: Slot[Frame, Result], frame: Frame) -> None:
         """Let `frame` wait in `slot`, unless it is stopped or its rate limit drops the frame."""
         if slot.receive(frame, self.clock()):
             self.waiting[slot] = None
-            self.changed.notify_all()
 
-    def stop(self, slots: Sequence[Slot[Frame, Result]]) -> None:
+    def stop(self, slots: Iterable[Slot[Frame, Result]]) -> None:
         """Stop `slots` and flush their waiting frames."""
         for slot in slots:
             slot.stop()
             self.waiting.pop(slot, None)
 
-    def ready(self) -> Sequence[Slot[Frame, Result]]:
-        """The slots whose waiting frame may begin: those whose network no abandoned job keeps."""
-        return [] if self.pauses else [each for each in self.waiting if not self.keeps(each.turn().network)]
+    def begin(self) -> Job[Frame, Result] | None:
+        """Start the next job, if one may begin: of the camera served longest ago that has a free network."""
+        if self.pauses or any(job.is_alone for job in self.jobs):
+            return None
+        ready = sorted((slot for slot in self.waiting if slot.job is None), key=attrgetter("last_turn"))
+        for slot in ready:
+            networks = slot.turn().pipeline.networks
+            network = self._free_network(networks, is_only_one=len(ready) == 1 and not self.jobs)
+            if network is not None:
+                together = self._together(slot, ready) if network is networks.whole else [slot]
+                return self._begun(together, networks, network)
+        return None
 
-    def begin(self, batch: Batch[Frame, Result] | None = None) -> Job[Frame, Result]:
-        """Start the next job; a slot must be `ready`.
+    def _free_network(self, networks: Networks[Frame, Result], *, is_only_one: bool) -> Any:
+        """The network for the next frame, None if it has to wait.
 
-        With `batch`, waiting frames with the same key join the next one, those served longest ago first.
+        A frame runs in `whole` if it is the only one in progress and waiting, beside others in `parallel`.
         """
-        slots = self._next_slots(self.ready(), batch)
-        job = self.job = Job([slot.turn() for slot in slots], self.clock())
-        for turn in job.turns:
+        if self.jobs:
+            candidates = [*networks.parallel]
+        elif is_only_one:
+            candidates = [networks.whole, *networks.parallel]
+        else:
+            candidates = [*networks.parallel, networks.whole]
+        used = [job.network for job in (*self.jobs, *self._abandoned)]
+        return next((each for each in candidates if not any(each is other for other in used)), None)
+
+    def _begun(
+        self, slots: Sequence[Slot[Frame, Result]], networks: Networks[Frame, Result], network: Any
+    ) -> Job[Frame, Result]:
+        job = Job([slot.turn() for slot in slots], networks, network, self.clock())
+        self.jobs.append(job)
+        for slot in slots:
             self._turns += 1
-            turn.slot.begin(job, self._turns)
-            del self.waiting[turn.slot]
+            slot.begin(job, self._turns)
+            del self.waiting[slot]
         return job
 
     def end(self, job: Job[Frame, Result]) -> None:
         """Finish `job` at the end of its thread's work; of an abandoned one, only its network is free now."""
-        if not job.is_abandoned:
+        if job.is_abandoned:
+            self._abandoned.remove(job)
+        else:
             self._finish(job)
-            return
-        self._abandoned.remove(job)
-        self.changed.notify_all()
 
     def _finish(self, job: Job[Frame, Result]) -> None:
         """Count the frames of `job` with their outcomes."""
         for turn in job.turns:
             turn.slot.counter.finish(turn.outcome)
             turn.slot.job = None
-        self.job = None
-        self.changed.notify_all()
+        self.jobs.remove(job)
+        self._ended.notify_all()
 
-    def wait(self, job: Job[Frame, Result] | None, timeout_s: float) -> bool:
-        """Wait for the end of `job`, if any; False if it was abandoned or has not ended in time.
+    def wait(self, jobs: Sequence[Job[Frame, Result]], timeout_s: float) -> bool:
+        """Wait for the end of `jobs`; False if one was abandoned or has not ended in time.
 
-        The time begins with the first wait for this job: a second wait continues it.
+        The time of a job begins with the first wait for it: a second wait continues it.
         """
-        if job is None:
-            return True
         now_s = self.clock()
-        job.awaited_s = now_s if job.awaited_s is None else job.awaited_s
-        rest_s = max(0.0, timeout_s - (now_s - job.awaited_s))
-        return self.changed.wait_for(lambda: self.job is not job, rest_s) and not job.is_abandoned
+        for job in jobs:
+            job.awaited_s = now_s if job.awaited_s is None else job.awaited_s
+        have_ended = [self._has_ended(job, timeout_s) for job in jobs]
+        return all(have_ended)
 
-    def wait_or_abandon(self, job: Job[Frame, Result] | None, timeout_s: float) -> bool:
-        """Wait for the end of `job`, if any; False if it hung and was abandoned."""
-        if self.wait(job, timeout_s):
+    def wait_or_abandon(self, jobs: Sequence[Job[Frame, Result]], timeout_s: float) -> bool:
+        """Wait for the end of `jobs`; False if one hung and was abandoned."""
+        if self.wait(jobs, timeout_s):
             return True
-        if job is not None and job is self.job:
-            job.abandon()
-            self._abandoned.append(job)
-            self._finish(job)
-            self._replace_thread()
+        for job in jobs:
+            if job in self.jobs:
+                job.abandon()
+                self._abandoned.append(job)
+                self._finish(job)
+                self._on_abandoned(job)
         return False
 
-    def keeps(self, network: object) -> bool:
-        """Whether an abandoned job keeps `network`."""
-        return any(turn.network is network for job in self._abandoned for turn in job.turns)
+    def _has_ended(self, job: Job[Frame, Result], timeout_s: float) -> bool:
+        awaited_s = self.clock() - (job.awaited_s or 0.0)
+        rest_s = max(0.0, timeout_s - awaited_s)
+        return self._ended.wait_for(lambda: job not in self.jobs, rest_s) and not job.is_abandoned
 
-    def _next_slots(
-        self, ready: Sequence[Slot[Frame, Result]], batch: Batch[Frame, Result] | None
+    def keeps_any(self, networks: Networks[Frame, Result]) -> bool:
+        """Whether an abandoned job keeps one of `networks`."""
+        return any(job.networks is networks for job in self._abandoned)
+
+    def _together(
+        self, first: Slot[Frame, Result], ready: Sequence[Slot[Frame, Result]]
     ) -> Sequence[Slot[Frame, Result]]:
-        if batch is None or len(ready) == 1:
-            return [min(ready, key=attrgetter("last_turn"))]
-        first, *others = sorted(ready, key=attrgetter("last_turn"))
-        slots = [first]
-        if (key := _key(batch, first)) is not None:
-            for slot in others:
-                if len(slots) >= batch.max_size:
-                    break
-                if _key(batch, slot) == key:
-                    slots.append(slot)
+        """`first`, and of the `ready` slots in their order those whose frames may run in a batch with it."""
+        networks = first.turn().pipeline.networks
+        batch, slots = networks.batch, [first]
+        if batch is None or len(ready) == 1 or (key := _key(batch, first)) is None:
+            return slots
+        for slot in ready:
+            if len(slots) >= batch.max_size:
+                break
+            has_same_networks = slot.turn().pipeline.networks is networks
+            if slot is not first and has_same_networks and _key(batch, slot) == key:
+                slots.append(slot)
         return slots
 
 
@@ -249,65 +302,3 @@ def _key(batch: Batch[Frame, Result], slot: Slot[Frame, Result]) -> Hashable | N
         return batch.key(turn.pipeline, turn.frame)
     except Exception:  # noqa: BLE001 - `detect` reports the problem of the frame
         return None
-
-
-class Feed(Generic[Frame, Result]):
-    """The frames of one camera; created by `Worker.feed`."""
-
-    def __init__(self, schedule: Schedule[Frame, Result], slot: Slot[Frame, Result]) -> None:
-        self._schedule = schedule
-        self._changed = schedule.changed
-        self._slot = slot
-
-    def start(self, pipeline: Pipeline[Frame, Result], *, max_rate_hz: float = 0.0) -> None:
-        """Start with `pipeline` and `max_rate_hz`, or switch to them from the next frame on; 0: no limit.
-
-        Raises RuntimeError after `close`.
-        """
-        with self._changed:
-            if self._slot not in self._schedule.slots:
-                raise RuntimeError("the feed is closed; create another one with Worker.feed()")
-            self._slot.start(pipeline, max_rate_hz)
-            self._changed.notify_all()  # a frame that waits for another network may begin
-
-    def offer(self, frame: Frame) -> None:
-        """Submit a frame; it replaces a waiting one, unless the rate limit drops it."""
-        with self._changed:
-            self._schedule.offer(self._slot, frame)
-
-    def flush(self) -> None:
-        """Accept no more frames and flush the waiting one; `stop` waits for the current one."""
-        with self._changed:
-            self._schedule.stop([self._slot])
-
-    def rest(self, timeout_s: float) -> bool:
-        """Wait until the current frame of this feed, if any, has ended; False if it has not in time."""
-        with self._changed:
-            return self._schedule.wait(self._slot.job, timeout_s)
-
-    def stop(self, timeout_s: float) -> bool:
-        """Stop after the current frame of this feed and flush the waiting one; True when it ended in time.
-
-        False: the thread hung and was abandoned; a new one serves the other feeds once they have another
-        network. The frames of a batch hang together.
-        """
-        with self._changed:
-            self._schedule.stop([self._slot])
-            return self._schedule.wait_or_abandon(self._slot.job, timeout_s)
-
-    def close(self) -> None:
-        """Let the worker forget this feed; call after `stop`. Frames offered later are INACTIVE."""
-        with self._changed:
-            self._schedule.stop([self._slot])
-            self._schedule.slots.discard(self._slot)
-
-    def balance(self) -> FrameBalance:
-        """A consistent snapshot of all counts."""
-        with self._changed:
-            return self._slot.counter.balance()
-
-    def busy_s(self) -> float:
-        """Seconds since processing of the current frame of this feed began; 0 without one."""
-        with self._changed:
-            job = self._slot.job
-            return self._schedule.clock() - job.begun_s if job else 0.0

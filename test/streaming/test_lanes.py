@@ -1,0 +1,161 @@
+"""Frames of different cameras run at the same time, each in its own network; a lone one has all threads."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+from support.scripted_camera import PATIENCE_S, ScriptedCamera
+
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
+from yolov5_lifecycle.streaming.pipeline import Networks
+from yolov5_lifecycle.streaming.worker import Worker
+
+WHOLE, LEFT, RIGHT = "whole", "left", "right"
+
+
+class Cameras:
+    """Four started cameras whose model has two lanes."""
+
+    def __init__(self) -> None:
+        self.worker: Worker[int, int] = Worker()
+        self.networks: Networks[int, int] = Networks(WHOLE, (LEFT, RIGHT))
+        self.all = [ScriptedCamera(self.worker, self.networks) for _ in range(4)]
+        for camera in self.all:
+            camera.frames.start(camera)
+
+    def begin_two(self) -> None:
+        """Return while the second and third camera have frames in progress."""
+        first, second, third, _ = self.all
+        first.hold(1)
+        for camera in (second, third):
+            camera.gate.clear()
+            camera.offer(1)
+        first.open()
+        for camera in (second, third):
+            assert camera.entered.wait(PATIENCE_S)
+
+    def open(self) -> None:
+        for camera in self.all:
+            camera.open()
+
+
+@pytest.fixture
+def cameras() -> Iterator[Cameras]:
+    cameras = Cameras()
+    yield cameras
+    cameras.open()
+    cameras.worker.close(PATIENCE_S)
+
+
+def thread_of(camera: ScriptedCamera) -> threading.Thread:
+    (found,) = (thread for thread in threading.enumerate() if thread.ident == camera.threads[-1])
+    return found
+
+
+def test_a_lone_frame_has_the_network_for_all_processors(cameras: Cameras) -> None:
+    for number in range(1, 4):
+        cameras.all[0].feed(number)
+    assert cameras.all[0].used == [WHOLE] * 3
+    assert len(set(cameras.all[0].threads)) == 1
+
+
+def test_no_other_frame_begins_beside_one_that_has_all_processors(cameras: Cameras) -> None:
+    first, second, *_ = cameras.all
+    first.hold(1)
+    second.offer(1)
+    assert second.frames.balance().pending == 1
+    assert second.used == []
+
+
+def test_frames_that_wait_together_run_at_the_same_time_in_networks_of_their_own(cameras: Cameras) -> None:
+    cameras.begin_two()
+    _, second, third, _ = cameras.all
+    assert {*second.used, *third.used} == {LEFT, RIGHT}
+    assert second.threads[-1] != third.threads[-1]
+
+
+def test_no_more_frames_run_at_the_same_time_than_there_are_lanes(cameras: Cameras) -> None:
+    cameras.begin_two()
+    _, second, third, fourth = cameras.all
+    fourth.offer(1)
+    assert fourth.used == []
+    second.open()
+    fourth.wait()
+    assert fourth.used == second.used
+    assert third.frames.balance().pending == 1
+
+
+def test_the_next_frame_of_a_camera_waits_for_the_one_before(cameras: Cameras) -> None:
+    cameras.begin_two()
+    _, second, third, _ = cameras.all
+    second.offer(2)
+    third.open()
+    third.wait()
+    assert second.frames.balance().pending == 2
+    second.open()
+    second.wait()
+    second.wait()
+    assert second.published == [1, 2]
+
+
+def test_a_hung_lane_keeps_its_network_while_the_others_go_on(cameras: Cameras) -> None:
+    cameras.begin_two()
+    _, second, third, fourth = cameras.all
+    hung = thread_of(second)
+    assert not second.frames.stop(0.0)
+    assert cameras.worker.keeps_any(cameras.networks)
+    third.open()
+    third.wait()
+    for number in range(1, 4):
+        fourth.feed(number)
+    assert fourth.used == [WHOLE] * 3
+    assert second.counts() == {Outcome.FAILED: 1}
+    second.open()
+    hung.join(PATIENCE_S)
+    assert not cameras.worker.keeps_any(cameras.networks)
+
+
+def test_a_lone_frame_has_a_lane_while_a_hung_thread_keeps_the_network_for_all_processors(
+    cameras: Cameras,
+) -> None:
+    first, second, *_ = cameras.all
+    first.hold(1)
+    assert not first.frames.stop(0.0)
+    second.feed(1)
+    assert second.used == [LEFT]
+
+
+@pytest.mark.parametrize("is_hung", [False, True], ids=["that ends", "that hangs"])
+def test_a_stop_waits_for_every_lane_and_counts_each_frame_once(cameras: Cameras, is_hung: bool) -> None:
+    cameras.begin_two()
+    _, second, third, fourth = cameras.all
+    fourth.offer(1)
+    third.open()
+    third.wait()  # then the fourth runs
+    fourth.wait()
+    if not is_hung:
+        second.open()
+    assert cameras.worker.stop(0.0 if is_hung else PATIENCE_S) is not is_hung
+    assert second.counts() == ({Outcome.FAILED: 1} if is_hung else {Outcome.DETECTED: 1})
+    assert cameras.worker.is_at_rest()
+    assert cameras.worker.abandoned_threads() == is_hung
+
+
+def test_a_stop_abandons_every_hung_lane(cameras: Cameras) -> None:
+    cameras.begin_two()
+    assert not cameras.worker.stop(0.01)
+    assert cameras.worker.abandoned_threads() == 2
+    assert [camera.counts() for camera in cameras.all[1:3]] == [{Outcome.FAILED: 1}] * 2
+
+
+def test_in_a_pause_all_lanes_come_to_rest(cameras: Cameras) -> None:
+    cameras.begin_two()
+    with cameras.worker.paused():
+        cameras.all[3].offer(1)
+        cameras.open()
+        assert cameras.worker.rest(PATIENCE_S)
+        assert cameras.all[3].used == []
+    cameras.all[3].wait()
+    assert cameras.all[3].published == [1]

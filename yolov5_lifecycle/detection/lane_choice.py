@@ -1,0 +1,113 @@
+"""Selection of how many frames run at the same time, measured: each in a lane of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import torch
+
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.process.control_group import cores
+from yolov5_lifecycle.process.memory import resident_mb
+from yolov5_lifecycle.runtimes.speed import measure_lanes_ms
+
+MIN_GAIN_PERCENT = 5
+"""Lanes, or more of them, are used if they take less time per frame by at least this much."""
+MEMORY_RATIO_LIMIT = 1.25
+"""Of the process with lanes to the process without; more only if `parallel_frames` asks for them."""
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Detectors for frames of different cameras at the same time, and why these; empty: one at a time."""
+
+    detectors: tuple[Detector, ...] = ()
+    reason: str = ""
+
+    def close(self) -> None:
+        """Free the networks. Idempotent."""
+        for detector in self.detectors:
+            detector.close()
+
+
+def processors() -> int:
+    """How many threads may compute at once: as many as torch uses, or as the control group allows."""
+    quota = cores()
+    count = torch.get_num_threads()
+    return count if quota is None else max(1, min(count, math.ceil(quota)))
+
+
+def choose_lanes(
+    detector: Detector,
+    sizes_hw: Sequence[tuple[int, int]],
+    *,
+    most: int,
+    is_asked: bool,
+    measure: Callable[..., tuple[float, float]] = measure_lanes_ms,
+    resident: Callable[[], float | None] = resident_mb,
+) -> Lanes:
+    """As many lanes as are worth it, at most `most`; all of them, without a measurement, if it `is_asked`.
+
+    `sizes_hw`: height and width of the images of every camera, for which `detector` is warm. Raises
+    InferenceError when a frame fails, DeviceError for lanes on a device that runs one frame at a time.
+    """
+    if most < 2:
+        return Lanes(reason=_obstacle(len(sizes_hw), is_asked=is_asked))
+    if is_asked:
+        return Lanes(_warm_lanes(detector, most, sizes_hw), f"{most}: as set")
+    if detector.runtime.device != "cpu":
+        return Lanes(reason=f"1: {detector.runtime.device} runs one frame at a time")
+    if detector.batch_sizes:
+        return Lanes(reason="1: frames run in batches")
+    return _fastest(detector, most, sizes_hw, measure, resident)
+
+
+def _obstacle(cameras: int, *, is_asked: bool) -> str:
+    """Why only one frame at a time is in progress."""
+    if cameras < 2:
+        return "1: there is only one camera"
+    return "1: as set" if is_asked and processors() > 1 else "1: there is one processor"
+
+
+def _fastest(
+    detector: Detector,
+    most: int,
+    sizes_hw: Sequence[tuple[int, int]],
+    measure: Callable[..., tuple[float, float]],
+    resident: Callable[[], float | None],
+) -> Lanes:
+    """The number of lanes with the least time per frame, of those that do not take too much memory."""
+    frames_hw = [*dict.fromkeys(map(detector.network_hw, sizes_hw))]
+    best, best_ms, figures = Lanes(), math.inf, list[str]()
+    for count in sorted({most, *(size for size in (2, 4, 8) if size < most)}):
+        before_mb = resident() or math.inf
+        lanes = Lanes(_warm_lanes(detector, count, sizes_hw))
+        alone_ms, together_ms = measure(
+            detector.runtime, [lane.runtime for lane in lanes.detectors], frames_hw=frames_hw
+        )
+        figures.append(f"{count} at once {together_ms:.1f} ms a frame, alone {alone_ms:.1f} ms")
+        limit_ms = (1 - MIN_GAIN_PERCENT / 100) * min(best_ms, alone_ms)
+        if (after_mb := resident() or 0.0) > MEMORY_RATIO_LIMIT * before_mb:
+            figures.append(f"not used: {after_mb - before_mb:.0f} MB more than {before_mb:.0f} MB")
+        elif together_ms <= limit_ms:
+            best.close()
+            best, best_ms = lanes, together_ms
+            continue
+        lanes.close()
+    return Lanes(best.detectors, f"{max(1, len(best.detectors))}: {', '.join(figures)}")
+
+
+def _warm_lanes(detector: Detector, count: int, sizes_hw: Sequence[tuple[int, int]]) -> tuple[Detector, ...]:
+    """`count` lanes, warmed up at the same time in threads that end: torch keeps settings in each thread."""
+    lanes = detector.lanes(count, max(1, processors() // count))
+    try:
+        with ThreadPoolExecutor(count) as threads:
+            for _ in threads.map(lambda lane: lane.warm_up(sizes_hw), lanes):
+                pass
+    except BaseException:
+        Lanes(lanes).close()
+        raise
+    return lanes
