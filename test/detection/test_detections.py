@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.masks import Masks
 
 GOOD: dict[str, Any] = {
     "boxes_xyxy": np.array([[1, 2, 3, 4], [5, 6, 5, 6]], np.float32),
@@ -61,3 +62,22 @@ def test_a_bad_column_is_refused_by_name(column: str, values: object, reason: st
 def test_a_column_cannot_be_exchanged() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         Detections(**GOOD).scores = np.empty(0, np.float32)  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("rows", "class_ids"),
+    [
+        pytest.param(np.array([False, True]), [7], id="mask"),
+        pytest.param(np.array([0]), [0], id="indices"),
+        pytest.param(slice(None), [0, 7], id="slice"),
+        pytest.param(np.array([], np.int64), [], id="none"),
+    ],
+)
+def test_some_rows_are_taken_with_all_their_columns(rows: Any, class_ids: list[int]) -> None:
+    masks = Masks(np.zeros((2, 4, 4), np.float32), np.array([[0, 0], [7, 7]], np.float32), (8, 8))
+    found = Detections(**GOOD, best_missed=0.1, track_ids=("t0", "t7"), masks=masks, best_filtered=0.2)[rows]
+    assert found.class_ids.tolist() == class_ids
+    assert found.track_ids == tuple(f"t{class_id}" for class_id in class_ids)
+    assert found.masks is not None
+    assert found.masks.coefficients[:, 0].tolist() == class_ids
+    assert (found.best_missed, found.best_filtered) == (0.1, 0.2)

@@ -56,6 +56,19 @@ class Detections:
     def __len__(self) -> int:
         return len(self.scores)
 
+    def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> Detections:
+        """Some rows, in their order: a slice, a mask (n,) or ascending indices."""
+        kept = np.arange(len(self))[rows]
+        return Detections(
+            self.boxes_xyxy[kept],
+            self.scores[kept],
+            self.class_ids[kept],
+            self.best_missed,
+            track_ids=tuple(self.track_ids[row] for row in kept) if self.track_ids else (),
+            masks=None if self.masks is None else self.masks.of(kept),
+            best_filtered=self.best_filtered,
+        )
+
     def label_image(self) -> NDArray[np.uint16] | None:
         """Which pixels belong to which detection, see `Masks.label_image`; None without masks."""
         return None if self.masks is None else self.masks.label_image(self.boxes_xyxy)

@@ -14,8 +14,12 @@ from yolov5_lifecycle.process.control_group import cores
 from yolov5_lifecycle.process.memory import resident_mb
 from yolov5_lifecycle.runtimes.speed import measure_lanes_ms
 
-MIN_GAIN_PERCENT = 5
-"""Lanes, or more of them, are used if they take less time per frame by at least this much."""
+_HARDLY_SLOWER = 1.05
+"""At about the same time per frame lanes are better: they take less processor time, and beside other busy
+processes they do not wait for one another.
+"""
+_MIN_GAIN = 0.95
+"""More lanes, which need more memory, are used if they take less time per frame than this part."""
 MEMORY_RATIO_LIMIT = 1.25
 """Of the process with lanes to the process without; more only if `parallel_frames` asks for them."""
 
@@ -89,7 +93,7 @@ def _fastest(
             detector.runtime, [lane.runtime for lane in lanes.detectors], frames_hw=frames_hw
         )
         figures.append(f"{count} at once {together_ms:.1f} ms a frame, alone {alone_ms:.1f} ms")
-        limit_ms = (1 - MIN_GAIN_PERCENT / 100) * min(best_ms, alone_ms)
+        limit_ms = min(_HARDLY_SLOWER * alone_ms, _MIN_GAIN * best_ms)
         if (after_mb := resident() or 0.0) > MEMORY_RATIO_LIMIT * before_mb:
             figures.append(f"not used: {after_mb - before_mb:.0f} MB more than {before_mb:.0f} MB")
         elif together_ms <= limit_ms:

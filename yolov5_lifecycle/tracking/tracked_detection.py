@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -61,10 +61,10 @@ class TrackedDetection:
         else:
             self.camera.reset()
         ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings, camera=camera)
-        return published(found, ids, selection)
+        return admitted(found, ids, selection)
 
 
-def published(detections: Detections, ids: Sequence[str], selection: Selection) -> Detections:
+def admitted(detections: Detections, ids: Sequence[str], selection: Selection) -> Detections:
     """Those of `detections` that the thresholds of `selection` admit, with their `ids`.
 
     In NMS no lower score removes a higher one, and none that is not admitted removes an admitted one, so
@@ -75,24 +75,10 @@ def published(detections: Detections, ids: Sequence[str], selection: Selection) 
     best_missed = detections.best_missed
     if not len(rows) and len(detections) and detections.scores[0] > WORTH_TELLING:
         best_missed = float(detections.scores[0])
-    return Detections(
-        boxes_xyxy=detections.boxes_xyxy[rows],
-        scores=detections.scores[rows],
-        class_ids=detections.class_ids[rows],
-        best_missed=best_missed,
-        best_filtered=detections.best_filtered,
-        track_ids=tuple(ids[row] for row in rows.tolist()),
-        masks=None if detections.masks is None else detections.masks.of(rows),
-    )
+    of_rows = tuple(ids[row] for row in rows.tolist())
+    return replace(detections[rows], best_missed=best_missed, track_ids=of_rows)
 
 
 def tracker_settings(settings: Settings) -> TrackerSettings:
     """The tracker's part of `settings`."""
-    return TrackerSettings(
-        track_high_threshold=settings.track_high_threshold,
-        track_low_threshold=settings.track_low_threshold,
-        track_match_threshold=settings.track_match_threshold,
-        track_timeout=settings.track_timeout,
-        track_across_classes=settings.track_across_classes,
-        track_camera_motion=settings.track_camera_motion,
-    )
+    return TrackerSettings(**{field.name: getattr(settings, field.name) for field in fields(TrackerSettings)})

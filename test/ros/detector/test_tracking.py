@@ -15,7 +15,7 @@ from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.pipeline import LastImage, Pipeline
+from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
 from yolov5_lifecycle.streaming.pipeline import Networks
@@ -153,7 +153,7 @@ def test_thresholds_that_contradict_each_other_are_refused(tracking: ServedNode)
 def test_a_frame_that_is_abandoned_before_it_is_published_leaves_the_tracks_alone() -> None:
     nothing: Any = None
     tracker = ByteTracker(itertools.count(1))
-    pipeline = Pipeline(
+    pipeline = CameraPipeline(
         networks=Networks(detector := Preparations()(Settings(), [(48, 64)]).detector),
         selection=Selection(),
         outputs=nothing,

@@ -10,9 +10,9 @@ from sensor_msgs.msg import Image
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, Pipeline
+from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, DetectedFrame
 
-FrameJob = tuple[Pipeline, ReceivedFrame]
+FrameJob = tuple[CameraPipeline, ReceivedFrame]
 
 
 class BatchDetection:
@@ -28,7 +28,7 @@ class BatchDetection:
     def max_size(self) -> int:
         return max(self._detector.batch_sizes, default=1)
 
-    def key(self, pipeline: Pipeline, frame: ReceivedFrame) -> tuple[int, int]:
+    def key(self, pipeline: CameraPipeline, frame: ReceivedFrame) -> tuple[int, int]:
         """The network input size; a compressed image is assumed to be as large as the last image."""
         message = frame.message
         if isinstance(message, Image):
@@ -64,8 +64,8 @@ class BatchDetection:
                 del rest[:count]
 
 
-def _image_or_error(pipeline: Pipeline, frame: ReceivedFrame) -> ColourImage | Exception:
+def _image_or_error(pipeline: CameraPipeline, frame: ReceivedFrame) -> ColourImage | Exception:
     try:
-        return pipeline.read(frame)
+        return pipeline.begin(frame)
     except Exception as error:  # noqa: BLE001 - the result of this frame; the others go on
         return error

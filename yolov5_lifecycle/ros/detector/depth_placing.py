@@ -30,10 +30,10 @@ class FramedDepth:
 
 @dataclass(frozen=True)
 class PlacedImage:
-    """Places of the detections in one image, and their coordinate frame; None if none could be placed."""
+    """Places of the detections in one image, and their coordinate frame."""
 
     placements: tuple[Placement, ...]
-    frame_id: str | None
+    frame_id: str
 
     @property
     def distances_m(self) -> list[float | None]:
@@ -109,17 +109,21 @@ class DepthPlacing:
 
     def place(
         self, boxes_xyxy: NDArray[np.float32], image_size_hw: tuple[int, int], stamp: Time
-    ) -> PlacedImage:
-        """Place the boxes (n, 4) of the image with this stamp with the depth image nearest to it."""
+    ) -> PlacedImage | None:
+        """Place the boxes (n, 4) of the image with this stamp with the depth image nearest to it.
+
+        None, counted with the reason, if no depth image fits.
+        """
         count, intrinsics = len(boxes_xyxy), self._intrinsics
         paired = self._pairing.pair(_nanoseconds(stamp))
         if isinstance(paired, Unpaired):
             missing = Unplaced.NO_DEPTH_IMAGE
-            return self._unplaced(count, missing, f"{missing.value}: {paired.value}")
+            self._count_unplaced(count, missing, f"{missing.value}: {paired.value}")
+            return None
         depth = paired.item.image
         if (unfit := unusable(image_size_hw, depth, intrinsics)) is not None:
-            told = _explained(unfit, image_size_hw, depth, intrinsics)
-            return self._unplaced(count, unfit, told)
+            self._count_unplaced(count, unfit, _explained(unfit, image_size_hw, depth, intrinsics))
+            return None
         placements = place(boxes_xyxy, image_size_hw, depth, intrinsics)
         no_place = Counter(placement for placement in placements if isinstance(placement, Unplaced))
         self.counts.placed_images += 1
@@ -134,13 +138,12 @@ class DepthPlacing:
         self._intrinsics = None
         self.run = None
 
-    def _unplaced(self, count: int, reason: Unplaced, told: str) -> PlacedImage:
+    def _count_unplaced(self, count: int, reason: Unplaced, told: str) -> None:
         """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
         now_s, run = self._clock(), self.run  # `forget` may clear it in the executor
         self.run = UnplacedRun(told, run.begun_s if run else now_s, now_s)
         self.counts.unplaced_images += 1
         self.counts.unplaced[reason] += count
-        return PlacedImage((reason,) * count, None)
 
     def _reject(self, reason: str) -> None:
         self.rejection, self.rejected_s = reason, self._clock()

@@ -43,8 +43,11 @@ class LastImage:
 
 
 @dataclass(frozen=True)
-class Pipeline:
-    """One running configuration; immutable, so each frame uses exactly one. A change creates a new one."""
+class CameraPipeline:
+    """One running configuration; immutable, so each frame uses exactly one. A change creates a new one.
+
+    See `streaming.pipeline.Pipeline`.
+    """
 
     networks: Networks[ReceivedFrame, DetectedFrame]
     selection: Selection
@@ -58,16 +61,22 @@ class Pipeline:
 
     def detect(self, frame: ReceivedFrame, network: Detector) -> DetectedFrame:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
-        image = self.read(frame)
+        image = self.begin(frame)
         return DetectedFrame(frame, image, network.detect(image, self.wanted))
 
-    def read(self, frame: ReceivedFrame) -> ColourImage:
-        """The image of `frame`. Raises ImageError for an unreadable one."""
+    def begin(self, frame: ReceivedFrame) -> ColourImage:
+        """Read the image of `frame`, which is in progress now. Raises ImageError for an unreadable one."""
         image = messages.image_of_message(frame.message)
+        self._remember(image)
+        self._keep_depth_of(frame)
+        return image
+
+    def _remember(self, image: ColourImage) -> None:
         self.last_image.size_hw = image.size_hw
+
+    def _keep_depth_of(self, frame: ReceivedFrame) -> None:
         if self.placing is not None:
             self.placing.expect(frame.message.header.stamp)
-        return image
 
     @property
     def wanted(self) -> Selection:
@@ -94,7 +103,7 @@ class Pipeline:
         yield partial(self.outputs.detections.publish, array)
         self._note(detections, result.frame.received_s)
         placed = self._placed(array, detections, result.image)
-        if placed is not None and placed.frame_id is not None and self.outputs.subscribers_3d > 0:
+        if placed is not None and self.outputs.subscribers_3d > 0:
             message = messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
             yield partial(self.outputs.detections_3d.publish, message)
         yield from self._images(result, detections, placed.distances_m if placed else ())
@@ -110,7 +119,7 @@ class Pipeline:
     def _placed(
         self, array: Detection2DArray, detections: Detections, image: ColourImage
     ) -> PlacedImage | None:
-        """The places of the detections, None if nobody needs them.
+        """The places of the detections; None if nobody needs them, or there is no depth image.
 
         An image without depth gets no message: an empty one would mean that there are no objects.
         """

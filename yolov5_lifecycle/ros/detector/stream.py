@@ -13,7 +13,7 @@ from yolov5_lifecycle.ros.detector.depth_input import DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, InputStatus, ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
 from yolov5_lifecycle.ros.detector.outputs import Outputs
-from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame, LastImage, Pipeline
+from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, DetectedFrame, LastImage
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
@@ -159,7 +159,7 @@ class Stream:
     def _start(self) -> None:
         settings = self._settings
         self._follow_depth()
-        pipeline = Pipeline(
+        pipeline = CameraPipeline(
             networks=self._networks,
             selection=selection(settings, self._networks.whole.class_names),
             outputs=self._outputs,
