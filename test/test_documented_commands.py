@@ -97,7 +97,12 @@ PARSERS = {
     "TRACKING_FLAGS": tracking.parser,
 }
 """The parser of the options that `make` passes on."""
-MODULE_PARSERS = {"benchmark.depth": depth.parser, "benchmark.mask_accuracy": mask_accuracy.parser}
+MODULE_PARSERS = {
+    "benchmark.cameras": cameras.parser,
+    "benchmark.depth": depth.parser,
+    "benchmark.mask_accuracy": mask_accuracy.parser,
+    "benchmark.tracking": tracking.parser,
+}
 """What takes the words behind a module that Python runs."""
 TRANSITIONS = {"configure", "activate", "deactivate", "cleanup", "shutdown"}
 ADDITIONS = {
@@ -184,13 +189,9 @@ def check_service(verb: str, service: str, service_type: str, request: str) -> N
     validated({parameter.name: parameter.value for parameter in parameters})
 
 
-def check_tracking(*words: str) -> None:
-    tracking.parser().parse_args(words)
-
-
 CHECKS: dict[str, Callable[..., None]] = {
     "make": check_make,
-    ".venv/bin/python -m benchmark.tracking": check_tracking,
+    ".venv/bin/python -m": check_module,
     "python -m tools.shapes.dataset": check_dataset,
     "ros2 param": check_param,
     "ros2 lifecycle": check_lifecycle,
