@@ -15,9 +15,9 @@ prepare_environment()  # as the commands do; child processes inherit it
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     # nohup ignores it, which child processes would inherit; a handler is reset to the default in them.
     signal.signal(signal.SIGHUP, lambda *_: None)
-if "PYTEST_XDIST_WORKER" in os.environ:
-    # Beside other workers, more threads for one network only wait for each other; child processes inherit it.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+# On every machine frames run one at a time, unless a test asks for more. Beside other workers, more threads
+# for one network only wait for each other. Child processes inherit it.
+os.environ["OMP_NUM_THREADS"] = "1"
 
 import pytest
 from hypothesis import HealthCheck, settings

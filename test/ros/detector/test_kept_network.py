@@ -203,6 +203,7 @@ def test_a_hang_that_ends_while_another_network_is_prepared_costs_no_frame_of_ot
     network.run = hanging(release, entered)
     served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to hang")
     assert served.set(cameras=["rear"]) == (True, "")
+    served.wait_for_log("preparing another network")
     in_work, may_end = threading.Event(), threading.Event()
     network.run = hanging(may_end, in_work)
     release.set()
