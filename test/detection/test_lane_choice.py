@@ -91,12 +91,19 @@ def test_the_fastest_number_of_lanes_is_used_and_the_others_are_freed(
 
 
 def test_lanes_that_take_too_much_memory_are_not_used_and_the_reason_says_so() -> None:
-    resident = iter([400.0, 501.0])
+    resident = iter([400.0, 400.0, 501.0])
     lanes = chosen(scripted(), with_cameras(2), {2: 10.0}, lambda: next(resident))
     assert (lanes.detectors, lanes.reason) == (
         (),
         "1: 2 at once 10.0 ms a frame, alone 20.0 ms, not used: 101 MB more than 400 MB",
     )
+
+
+def test_the_memory_of_more_lanes_is_compared_with_that_without_any() -> None:
+    resident = iter([400.0, 400.0, 490.0, 490.0, 600.0])
+    lanes = chosen(scripted(), with_cameras(4), {2: 15.0, 4: 10.0}, lambda: next(resident))
+    assert len(lanes.detectors) == 2
+    assert "110 MB more than 400 MB" in lanes.reason
 
 
 @pytest.mark.parametrize(

@@ -86,16 +86,18 @@ def _fastest(
     """The number of lanes with the least time per frame, of those that do not take too much memory."""
     frames_hw = [*dict.fromkeys(map(detector.network_hw, sizes_hw))]
     best, best_ms, figures = Lanes(), math.inf, list[str]()
+    alone_mb = resident() or math.inf
     for count in sorted({most, *(size for size in (2, 4, 8) if size < most)}):
-        before_mb = resident() or math.inf
+        before_mb = resident() or 0.0  # with the best ones so far
         lanes = Lanes(_warm_lanes(detector, count, sizes_hw))
         alone_ms, together_ms = measure(
             detector.runtime, [lane.runtime for lane in lanes.detectors], frames_hw=frames_hw
         )
         figures.append(f"{count} at once {together_ms:.1f} ms a frame, alone {alone_ms:.1f} ms")
         limit_ms = min(_HARDLY_SLOWER * alone_ms, _MIN_GAIN * best_ms)
-        if (after_mb := resident() or 0.0) > MEMORY_RATIO_LIMIT * before_mb:
-            figures.append(f"not used: {after_mb - before_mb:.0f} MB more than {before_mb:.0f} MB")
+        more_mb = (resident() or 0.0) - before_mb
+        if alone_mb + more_mb > MEMORY_RATIO_LIMIT * alone_mb:
+            figures.append(f"not used: {more_mb:.0f} MB more than {alone_mb:.0f} MB")
         elif together_ms <= limit_ms:
             best.close()
             best, best_ms = lanes, together_ms

@@ -85,7 +85,7 @@ class PreparedModel:
         except BaseException:  # its traceback keeps the detector alive
             twin.close()
             raise
-        return replace(self, detector=twin, lanes=lanes)
+        return replace(self, settings=settings, detector=twin, lanes=lanes)
 
     def close(self, *, is_at_rest: bool = True) -> None:
         """Free the model and return its memory to the system.

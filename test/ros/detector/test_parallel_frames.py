@@ -133,6 +133,7 @@ def test_another_camera_gets_a_lane_while_the_tracks_of_the_others_go_on(
         served.wait_for(lambda: values_of(served).get("parallel frames") == "2: as set", "two lanes")
         assert front.track() == track
         assert class_ids_of(CameraClient(served, "rear").detect()) == ["cat"]
+        assert sum("preparing another network" in said for said in served.log) == 1
     assert served.escaped == []
 
 
