@@ -288,6 +288,32 @@ def test_a_runtime_that_is_not_installed_says_how_to_install_it(runtime: str, pr
     assert f"{sys.executable} -m pip install {' '.join(REQUIREMENTS[runtime])}, or use 'auto'" in run.stderr
 
 
+def test_a_runtime_that_fails_when_imported_is_not_chosen_and_says_why(tmp_path: Path) -> None:
+    """As ONNX Runtime compiled for another numpy; in a process of its own, where that module comes first."""
+    broken = tmp_path / "onnxruntime" / "__init__.py"
+    broken.parent.mkdir()
+    broken.write_text("raise AttributeError('_ARRAY_API not found')\n")
+    script = (
+        "from pathlib import Path\n"
+        "from support.random_model import random_model\n"
+        "from yolov5_lifecycle.runtimes.auto import choose_runtime\n"
+        "from yolov5_lifecycle.runtimes.registry import load_runtime\n"
+        "model = random_model()\n"
+        f"folder = Path({str(tmp_path)!r})\n"
+        "choice = choose_runtime(model, device='cpu', precision='auto', frame_hw=(64, 64), folder=folder)\n"
+        "print(choice.runtime)\n"
+        "load_runtime(model, 'onnxruntime', device='cpu', precision='auto')\n"
+    )
+    path = f"{tmp_path}{os.pathsep}{SUPPORT_PATH['PYTHONPATH']}"
+    run = subprocess.run(
+        [sys.executable, "-c", script], env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True
+    )
+    assert run.stdout.strip() in ("openvino", "torch")
+    assert "Runtime 'onnxruntime' was not measured, because it failed" in run.stderr
+    assert "Runtime 'onnxruntime' cannot be imported (AttributeError: _ARRAY_API not found)" in run.stderr
+    assert "-m pip install --force-reinstall onnxruntime onnx, or use 'auto'." in run.stderr
+
+
 def test_an_unknown_runtime_is_refused_with_those_there_are() -> None:
     with pytest.raises(
         RuntimeAbsentError, match="one of auto, torch, onnxruntime, openvino, found 'tensorrt'"

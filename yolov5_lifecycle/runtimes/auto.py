@@ -90,7 +90,7 @@ def computer_digest() -> str:
 
 
 def _computer(installed: list[str]) -> list[object]:
-    packages = sorted({package for runtime in installed for package in REQUIREMENTS[runtime]})
+    packages = sorted({"numpy", *(package for runtime in installed for package in REQUIREMENTS[runtime])})
     return [[installed_build(package) for package in packages], processor(), torch.get_num_threads()]
 
 

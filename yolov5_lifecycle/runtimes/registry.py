@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import torch
 
@@ -17,6 +18,9 @@ from yolov5_lifecycle.runtimes.quantization import Quantization, QuantizationErr
 from yolov5_lifecycle.runtimes.runtime import Runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
+
+if TYPE_CHECKING:
+    from yolov5_lifecycle.runtimes.compiler import Engine
 
 REQUIREMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"torch": ("torch",), "onnxruntime": ("onnxruntime", "onnx"), "openvino": ("openvino", "onnx")}
@@ -30,8 +34,11 @@ COARSE = ("int8", "bf16")
 """CPU precisions that are faster than fp32."""
 
 
+_MAX_PROBLEM = 200
+
+
 class RuntimeAbsentError(ValueError):
-    """An unknown runtime, or one that is not installed; the message says how to install it."""
+    """An unknown runtime, or one that is not installed or broken; the message says how to install it."""
 
 
 def installed_runtimes() -> list[str]:
@@ -62,16 +69,11 @@ def load_runtime(
     if runtime not in REQUIREMENTS:
         words = ", ".join(("auto", *REQUIREMENTS))
         raise RuntimeAbsentError(f"Runtime must be one of {words}, found {runtime[:40]!r}.")
-    try:
-        return _load_compiled(
-            model, runtime, device=device, precision=precision, kept=kept, quantization=quantization
-        )
-    except ImportError as error:
-        problem = str(error).partition("\n")[0]
-    raise RuntimeAbsentError(
-        f"Runtime '{runtime}' is not installed ({problem}). Install it with "
-        f"{sys.executable} -m pip install {' '.join(REQUIREMENTS[runtime])}, or use 'auto'."
-    )
+    if precision not in COARSE:
+        resolve_precision(precision, torch.device("cpu"))
+        precision = "fp32"
+    load = _compiled(runtime, precision)
+    return load(model, device=device, quantization=quantization if precision == "int8" else None, kept=kept)
 
 
 def _check_coarse(runtime: str, precision: str, quantization: Quantization | None) -> None:
@@ -92,32 +94,39 @@ def _check_coarse(runtime: str, precision: str, quantization: Quantization | Non
         )
 
 
-def _load_compiled(
-    model: Model,
-    runtime: str,
-    *,
-    device: str,
-    precision: str,
-    kept: int,
-    quantization: Quantization | None,
-) -> Runtime:
-    """Load an ONNX engine, imported here because its packages are optional. Raises ImportError."""
-    for package in REQUIREMENTS[runtime]:
-        if installed_build(package) is None:  # importing an unrelated folder of that name would succeed
-            raise ImportError(f"package {package} not found")
-    from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
+def _compiled(runtime: str, precision: str) -> Callable[..., Runtime]:
+    """`CompiledRuntime.load` with the engine of `runtime`. Raises RuntimeAbsentError.
 
-    if precision not in COARSE:
-        resolve_precision(precision, torch.device("cpu"))
-        precision, quantization = "fp32", None
+    Imported here because the packages are optional. A package that does not fit another one, such as numpy,
+    may raise anything.
+    """
+    try:
+        for package in REQUIREMENTS[runtime]:
+            if installed_build(package) is None:  # importing an unrelated folder of that name would succeed
+                raise ImportError(f"package {package} not found")
+        from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
+
+        return partial(CompiledRuntime.load, engine=_engine(runtime, precision))
+    except ImportError as error:
+        raise _absent(runtime, "is not installed", str(error), "") from error
+    except Exception as error:
+        problem = f"{type(error).__name__}: {error}"
+        raise _absent(runtime, "cannot be imported", problem, "--force-reinstall ") from error
+
+
+def _engine(runtime: str, precision: str) -> Engine:
+    """The engine of `runtime`, with `precision` where there is a choice. Raises what the import raises."""
     if runtime == "onnxruntime":
         from yolov5_lifecycle.runtimes.onnxruntime_runtime import onnxruntime_engine
 
-        engine = onnxruntime_engine()
-    else:
-        from yolov5_lifecycle.runtimes.openvino_runtime import openvino_engine
+        return onnxruntime_engine()
+    from yolov5_lifecycle.runtimes.openvino_runtime import openvino_engine
 
-        engine = openvino_engine(precision)
-    return CompiledRuntime.load(
-        model, engine, device=device, quantization=quantization if precision == "int8" else None, kept=kept
+    return openvino_engine(precision)
+
+
+def _absent(runtime: str, state: str, problem: str, flag: str) -> RuntimeAbsentError:
+    return RuntimeAbsentError(
+        f"Runtime '{runtime}' {state} ({problem.partition(chr(10))[0][:_MAX_PROBLEM]}). Install it with "
+        f"{sys.executable} -m pip install {flag}{' '.join(REQUIREMENTS[runtime])}, or use 'auto'."
     )
