@@ -67,11 +67,6 @@ def are_too_many(values: Mapping[str, object]) -> bool:
     return sum(SEPARATOR in name and value is not None for name, value in values.items()) > MAX_OVERRIDES
 
 
-def without_deleted(values: Mapping[str, object]) -> dict[str, object]:
-    """`values` without the overrides that are None: a request deletes an override by setting None."""
-    return {name: value for name, value in values.items() if value is not None or SEPARATOR not in name}
-
-
 def describe(
     node: Node, values: Mapping[str, object], request: DescribeParameters.Request, response: Any
 ) -> Any:
