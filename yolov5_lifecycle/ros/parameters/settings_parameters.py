@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.ros.parameters.camera_overrides import (
     are_too_many,
+    declare_given,
     declare_missing,
     deletion,
     describe,
@@ -75,7 +76,7 @@ class SettingsParameters:
         self._rules = rules
         self._validate = validate
         self._is_unconfigured = is_unconfigured
-        declaration = declare(node, SCHEMA, arguments=arguments)
+        declaration = declare_given(node, declare(node, SCHEMA, arguments=arguments))
         self._given = declaration.sources
         self._sources = {name: self._given[name] for name in declaration.values}
         self._unusable = UnusableOverrides(declaration.invalid, declaration.unknown).without(())
