@@ -98,7 +98,7 @@ class Setting:
             return str(value)
         if value is False and "n" in self.choices:
             return "n"
-        if self.type is tuple and isinstance(value, list) and any(type(entry) is int for entry in value):
+        if self.type is tuple and isinstance(value, (list, tuple)) and int in map(type, value):
             return [str(entry) if type(entry) is int else entry for entry in value]
         return value
 
