@@ -46,7 +46,8 @@ ROS_RANK = {"": 0, "parameters": 1, "camera": 2, "console": 2, "detector": 2, "d
 # What a user starts, and what makes a detector, a selection or a tracker from settings.
 EDGE = (
     *("settings.", "commands.", "offline.", "ros."),
-    *("detection.prepared_model", "detection.selection", "tracking.tracked_detection"),
+    *("detection.prepared_model", "detection.python_api", "detection.selection"),
+    "tracking.tracked_detection",
 )
 WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process", "tracking", "evaluation")
 

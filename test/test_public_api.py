@@ -6,7 +6,7 @@ import inspect
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,6 +32,9 @@ WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
 IMAGE = REPOSITORY / "docs" / "images" / "shapes.jpg"
 SHOWN = Counter(circle=1, square=2, triangle=1, star=2)
 """What is to be seen in the image."""
+
+WIDER: dict[str, object] = {"device": str | int, "classes": Sequence[str | int]}
+"""Types of settings for which an integer is a usual value."""
 
 
 @pytest.fixture(scope="module")
@@ -80,12 +83,14 @@ def test_the_public_names_are_listed_and_no_other_is_there() -> None:
         yolov5_lifecycle.load_modell  # noqa: B018 - the attribute is what is tried
 
 
-def test_a_keyword_is_a_setting_with_its_default() -> None:
-    weights, *keywords = inspect.signature(load_model).parameters.values()
+def test_a_keyword_is_a_setting_with_its_type_and_default() -> None:
+    weights, *keywords = inspect.signature(load_model, eval_str=True).parameters.values()
     assert weights.name == "weights"
-    assert {keyword.name: keyword.default for keyword in keywords} == {
-        keyword.name: SETTINGS_BY_NAME[keyword.name].default for keyword in keywords
-    }
+    for keyword in keywords:
+        setting = SETTINGS_BY_NAME[keyword.name]
+        usual = Sequence[str] if setting.type is tuple else setting.type
+        assert keyword.annotation == WIDER.get(setting.name, usual)
+        assert (keyword.default, type(keyword.default)) == (setting.default, setting.type)
 
 
 def test_an_image_is_detected_in_either_order_of_colours(

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from yolov5_lifecycle.detection.detections import Detections
     from yolov5_lifecycle.detection.detector import Detector
-    from yolov5_lifecycle.detection.prepared_model import load_model
+    from yolov5_lifecycle.detection.python_api import load_model
 
 __all__ = ["Detections", "Detector", "load_model"]
 
-_MODULES = {"Detections": "detections", "Detector": "detector", "load_model": "prepared_model"}
+_MODULES = {"Detections": "detections", "Detector": "detector", "load_model": "python_api"}
 
 
 def __getattr__(name: str) -> object:

@@ -18,10 +18,11 @@ from support.random_model import TINY, TINY_SEGMENT, random_model
 from support.small_families import SMALL_FAMILIES
 
 from tools.shapes.evaluate import UNSEEN_SEED, evaluate, stills
+from yolov5_lifecycle import load_model
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.prepared_model import PreparedModel, load_model, prepare_model
+from yolov5_lifecycle.detection.prepared_model import PreparedModel, prepare_model
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse

@@ -18,7 +18,7 @@ from support.served_node import ServedNode
 
 import yolov5_lifecycle
 
-MAX_FILES = 11
+MAX_FILES = 12
 PACKAGE = Path(yolov5_lifecycle.__file__).parent
 
 

@@ -88,7 +88,7 @@ class ServedNode:
         # Made before the node is served: endpoints of one participant that two threads make at the same time
         # do not always find each other.
         self._services = {
-            name: self.client.create_client(service_type, f"/yolov5/{name}")
+            name: self.client.create_client(service_type, f"{self.node.get_fully_qualified_name()}/{name}")
             for name, service_type in _SERVICES.items()
         }
         self.images = self.client.create_publisher(Image, "/yolov5/image_raw", 1)

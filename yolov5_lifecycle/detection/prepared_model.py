@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -11,10 +10,9 @@ from pathlib import Path
 
 from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
 from yolov5_lifecycle.detection.batch_choice import choose_batches
-from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Batches, Detector
+from yolov5_lifecycle.detection.detector import Batches, Detector
 from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processors
 from yolov5_lifecycle.detection.loaded_detector import load_detector
-from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.models.cost import Cost, check_memory, megabytes
 from yolov5_lifecycle.process.memory import available_bytes, release_unused_memory
@@ -24,8 +22,8 @@ from yolov5_lifecycle.quantization.calibration_file import (
     path_beside,
     remedy,
 )
-from yolov5_lifecycle.settings.schema import Change, SettingsError
-from yolov5_lifecycle.settings.settings import MAX_PARALLEL_FRAMES, SETTINGS_BY_NAME, Settings, validated
+from yolov5_lifecycle.settings.schema import Change
+from yolov5_lifecycle.settings.settings import MAX_PARALLEL_FRAMES, Settings
 
 _log = logging.getLogger(__name__)
 
@@ -187,68 +185,6 @@ def weights_path(settings: Settings) -> Path:
         model_size=settings.model_size,
         weights_dirs=_folders(settings),
     )
-
-
-def load_model(
-    weights: str | os.PathLike[str],
-    *,
-    weights_sha256: str = "",
-    device: str | int = "auto",
-    runtime: str = "auto",
-    precision: str = "auto",
-    image_size: int = 640,
-    confidence_threshold: float = 0.25,
-    iou_threshold: float = 0.45,
-    max_detections: int = 1000,
-    classes: Sequence[str | int] = (),
-    class_thresholds: Sequence[str] = (),
-    regions: Sequence[str] = (),
-    ignore_regions: Sequence[str] = (),
-    region_anchor: str = "center",
-    min_box_size: float = 0.0,
-    max_box_size: float = 0.0,
-    agnostic_nms: bool = False,
-) -> Detector:
-    """Load weights (.pt, .safetensors or .onnx) and warm the network up: a detector to call with images.
-
-    The arguments are the node's parameters of the same names, with their defaults and rules. `weights` may
-    begin with ~ or package://PACKAGE. Sets no environment variable, unlike the commands; docs/performance.md
-    says which matter.
-
-    Raises SettingsError with every invalid argument, WeightsError for the file, DeviceError and
-    RuntimeAbsentError, all ValueErrors; OSError; InferenceError.
-    """
-    values: dict[str, object] = {
-        "weights": os.fspath(weights),
-        "weights_sha256": weights_sha256,
-        "device": device,
-        "runtime": runtime,
-        "precision": precision,
-        "image_size": image_size,
-        "confidence_threshold": confidence_threshold,
-        "iou_threshold": iou_threshold,
-        "max_detections": max_detections,
-        "classes": _listed(classes),
-        "class_thresholds": _listed(class_thresholds),
-        "regions": _listed(regions),
-        "ignore_regions": _listed(ignore_regions),
-        "region_anchor": region_anchor,
-        "min_box_size": min_box_size,
-        "max_box_size": max_box_size,
-        "agnostic_nms": agnostic_nms,
-    }
-    settings = validated({name: SETTINGS_BY_NAME[name].coerced(value) for name, value in values.items()})
-    model = prepare_model(settings, [USUAL_SOURCE_HW])
-    if problems := model_problems(settings, model.detector.class_names):
-        model.close()
-        raise SettingsError(problems)
-    model.detector.selection = selection(settings, model.detector.class_names)
-    return model.detector
-
-
-def _listed(entries: Sequence[str | int]) -> Sequence[str | int]:
-    """A tuple as the list that `Setting.coerced` expects."""
-    return list(entries) if isinstance(entries, tuple) else entries
 
 
 def check_place(settings: Settings) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.prepared_model import load_model
+from yolov5_lifecycle.detection.python_api import load_model
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, Truth
 
 WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"

@@ -11,8 +11,8 @@ from yolov5_lifecycle.models.convolutions import Conv, normalisation, normalised
 from yolov5_lifecycle.models.pooling import SPP
 
 
-class Partial(Block):
-    """Joins what `m` makes of one convolution of the input with another convolution of it."""
+class _TwoWays(Block):
+    """One convolution of the input is refined by `m`; a subclass joins that with another one."""
 
     has_repeats_inside = True
 
@@ -28,25 +28,35 @@ class Partial(Block):
         super().__init__()
         hidden = int(channels_out * expansion)
         self.cv1 = Conv(channels_in, hidden)
-        self.cv2 = Conv(channels_in, hidden)
-        self.cv3 = Conv(2 * hidden, channels_out)
+        self._add_junction(channels_in, hidden, channels_out)
         self.m = self._refinement(hidden, repeats, shortcut, groups)
 
-    def forward(self, features: Tensor) -> Tensor:
-        merged: Tensor = self.cv3(torch.cat((self.m(self.cv1(features)), self.cv2(features)), dim=1))
-        return merged
+    def _add_junction(self, channels_in: int, hidden: int, channels_out: int) -> None:
+        """Add what the other way and the join consist of."""
+        raise NotImplementedError
 
     def _refinement(self, hidden: int, repeats: int, shortcut: bool, groups: int) -> nn.Module:
         return nn.Sequential(*(self._part(hidden, shortcut, groups) for _ in range(repeats)))
 
     def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
-        raise NotImplementedError
+        return Bottleneck(hidden, hidden, shortcut, groups, 1.0)
+
+
+class Partial(_TwoWays):
+    """A convolution on the other way, one after the join."""
+
+    def _add_junction(self, channels_in: int, hidden: int, channels_out: int) -> None:
+        self.cv2 = Conv(channels_in, hidden)
+        self.cv3 = Conv(2 * hidden, channels_out)
+
+    def forward(self, features: Tensor) -> Tensor:
+        merged: Tensor = self.cv3(torch.cat((self.m(self.cv1(features)), self.cv2(features)), dim=1))
+        return merged
 
 
 @layer_kind()
 class C3(Partial):
-    def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
-        return Bottleneck(hidden, hidden, shortcut, groups, 1.0)
+    """Its parts are bottlenecks."""
 
 
 @layer_kind()
@@ -75,29 +85,15 @@ class C3SPP(Partial):
         return SPP(hidden, hidden, self._kernels)
 
 
-class NormalisedPartial(Block):
+class NormalisedPartial(_TwoWays):
     """As before v4: plain convolutions on both ways, normalised and activated where they join."""
 
-    has_repeats_inside = True
-
-    def __init__(
-        self,
-        channels_in: int,
-        channels_out: int,
-        repeats: int,
-        shortcut: bool = True,
-        groups: int = 1,
-        expansion: float = 0.5,
-    ) -> None:
-        super().__init__()
-        hidden = int(channels_out * expansion)
-        self.cv1 = Conv(channels_in, hidden)
+    def _add_junction(self, channels_in: int, hidden: int, channels_out: int) -> None:
         self.cv2 = nn.Conv2d(channels_in, hidden, 1, bias=False)
         self.cv3 = nn.Conv2d(hidden, hidden, 1, bias=False)
         self.cv4 = Conv(2 * hidden, channels_out)
         self.bn: nn.Module = normalisation(2 * hidden)
         self.act: nn.Module = nn.SiLU(inplace=True)
-        self.m = nn.Sequential(*(self._part(hidden, shortcut, groups) for _ in range(repeats)))
 
     def forward(self, features: Tensor) -> Tensor:
         refined = self.cv3(self.m(self.cv1(features)))
@@ -111,14 +107,10 @@ class NormalisedPartial(Block):
             self.cv3, self.cv2 = normalised([self.cv3, self.cv2], self.bn)
             self.bn = nn.Identity()
 
-    def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
-        raise NotImplementedError
-
 
 @layer_kind()
 class BottleneckCSP(NormalisedPartial):
-    def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
-        return Bottleneck(hidden, hidden, shortcut, groups, 1.0)
+    """Its parts are bottlenecks."""
 
 
 @layer_kind()

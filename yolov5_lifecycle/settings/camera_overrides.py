@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TypeVar
@@ -36,10 +36,29 @@ class OverridableSchema(Schema[Model]):
         """Of invalid `cameras`, the names that are valid: their overrides can then be judged and set."""
         return usable_names(value, self.by_name) if name == CAMERAS else super().fallback(name, value)
 
+    def find(self, name: str) -> Setting | None:
+        """The setting called `name`, or overridden by `name` for one camera, or None."""
+        if name in self.by_name or (setting := self._inherited(name)) is None:
+            return self.by_name.get(name)
+        described = (
+            f"{setting.description} For the camera {camera_of(name)}; if not set, {setting.name} applies."
+        )
+        return replace(setting, name=name, description=described)
+
+    def found(self, names: Iterable[str]) -> dict[str, Setting]:
+        """The settings and overrides among `names`, by name."""
+        found = {name: self.find(name) for name in names}
+        return {name: setting for name, setting in found.items() if setting is not None}
+
     def is_known(self, name: str, values: Mapping[str, object]) -> bool:
+        """Whether `name` is a setting, or an override of one for a camera in `values`."""
         return name in self.by_name or (
             camera_of(name) in _cameras(values) and self._inherited(name) is not None
         )
+
+    def validated(self, values: Mapping[str, object]) -> Model:
+        has_overrides = any(SEPARATOR in name for name in values)
+        return self._with_overrides(values) if has_overrides else super().validated(values)
 
     def without_camera(self, name: str, values: Mapping[str, object]) -> Problem:
         """The problem of the override `name`, whose camera is not in `values`."""
@@ -97,15 +116,6 @@ class OverridableSchema(Schema[Model]):
         if self._inherited(name) is None or (cameras and (not may_suggest or nearest(camera, cameras))):
             return ""
         return _addition(cameras)
-
-    def _override(self, name: str) -> Setting | None:
-        setting = self._inherited(name)
-        if setting is None:
-            return None
-        described = (
-            f"{setting.description} For the camera {camera_of(name)}; if not set, {setting.name} applies."
-        )
-        return replace(setting, name=name, description=described)
 
     def _inherited(self, name: str) -> Setting | None:
         """The setting of the node that the override `name` replaces; None if its camera cannot exist."""

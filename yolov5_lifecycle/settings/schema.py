@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
@@ -98,7 +98,7 @@ class Setting:
             return str(value)
         if value is False and "n" in self.choices:
             return "n"
-        if self.type is tuple and isinstance(value, list) and any(type(entry) is int for entry in value):
+        if self.type is tuple and isinstance(value, (list, tuple)) and int in map(type, value):
             return [str(entry) if type(entry) is int else entry for entry in value]
         return value
 
@@ -160,26 +160,13 @@ class Schema(Generic[Model]):
         self.settings = tuple(_described(name, field) for name, field in model.model_fields.items())
         self.by_name: Mapping[str, Setting] = {setting.name: setting for setting in self.settings}
 
-    def find(self, name: str) -> Setting | None:
-        """The setting called `name`, or None."""
-        return self.by_name.get(name) or (self._override(name) if SEPARATOR in name else None)
-
-    def found(self, names: Iterable[str]) -> dict[str, Setting]:
-        """The settings among `names`, by name."""
-        found = {name: self.find(name) for name in names}
-        return {name: setting for name, setting in found.items() if setting is not None}
-
     def validated(self, values: Mapping[str, object]) -> Model:
         """Settings from values by name, with defaults for the rest; SettingsError with every problem."""
-        prepared = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
-        }
-        has_overrides = any(SEPARATOR in name for name in prepared)
-        return self._with_overrides(prepared) if has_overrides else self._validated(prepared)
+        return self._validated(values)
 
     def problem(self, name: str, value: object) -> Problem | None:
         """Why `value` of the setting `name` is invalid whatever the other values are, or None."""
-        values = {name: tuple(value) if isinstance(value, list) else value}
+        values = {name: _frozen(value)}
         try:
             self._model.model_validate(values)
         except ValidationError as error:
@@ -190,10 +177,6 @@ class Schema(Generic[Model]):
     def fallback(self, name: str, value: object) -> object:
         """What the setting `name` is while the `value` that it was given is invalid."""
         return self.by_name[name].default
-
-    def is_known(self, name: str, values: Mapping[str, object]) -> bool:
-        """Whether `name` is a setting, or an override of one for a camera in `values`."""
-        return name in self.by_name
 
     def meant(self, name: str, values: Mapping[str, object] = _NONE) -> str | None:
         """The setting that was probably meant by `name`, or None; `values` are the present ones."""
@@ -211,20 +194,13 @@ class Schema(Generic[Model]):
         meant = self.meant(name, values) if may_suggest else None
         return Problem(shown, "there is no such parameter." + (f" Did you mean '{meant}'?" if meant else ""))
 
-    def _override(self, name: str) -> Setting | None:
-        """The setting that the dotted `name` overrides for one camera, or None."""
-        return None
-
-    def _with_overrides(self, values: Mapping[str, object]) -> Model:
-        """Like `_validated`, of values with dotted names."""
-        return self._validated(values)
-
     def _validated(self, values: Mapping[str, object], context: Mapping[str, object] | None = None) -> Model:
+        frozen = {name: _frozen(value) for name, value in values.items()}
         try:
-            return self._model.model_validate(dict(values), context=context)
+            return self._model.model_validate(frozen, context=context)
         except ValidationError as error:
             found = error.errors(include_url=False, include_input=False)
-            problems = [problem for details in found for problem in self._problems(details, values)]
+            problems = [problem for details in found for problem in self._problems(details, frozen)]
         raise SettingsError(list(dict.fromkeys(problems)))  # one per list, however many entries are wrong
 
     def _problems(self, details: ErrorDetails, values: Mapping[str, object]) -> list[Problem]:
@@ -238,6 +214,10 @@ class Schema(Generic[Model]):
         if setting.change is Change.READ_ONLY:
             reason += " It is read-only: restart the node with another value."
         return [Problem(name, reason)]
+
+
+def _frozen(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _described(name: str, field: FieldInfo) -> Setting:

@@ -13,9 +13,9 @@ import pytest
 from support.calibrations import a_calibration, calibration_at, measurement
 from support.random_model import random_model
 
+from yolov5_lifecycle import load_model
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.prepared_model import load_model
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.calibrate.agreement import agreement
 from yolov5_lifecycle.offline.calibrate.calibration_frames import (

@@ -13,9 +13,9 @@ import pytest
 from support.calibrations import calibration_at
 from support.evaluated_offline import WEIGHTS, as_coco, evaluate, labelled_drive, report_of, shapes
 
+from yolov5_lifecycle import load_model
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.prepared_model import load_model
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
 from yolov5_lifecycle.offline.calibrate.calibration_data import CalibrationData, read_calibration_data
 from yolov5_lifecycle.offline.calibrate.command import main

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from support.camera_client import CameraClient
 from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
@@ -243,11 +242,9 @@ def test_a_camera_whose_topics_would_have_too_long_names_fails_configure_until_i
         assert served.node.trigger_configure() is TransitionCallbackReturn.FAILURE
         told = f"ROS refuses the full name of ~/{LONG}/detections"
         served.wait_for(lambda: told in served.diagnostics[-1].status[0].message, "the reason")
-        (result,) = served.node.set_parameters([Parameter("cameras", value=["front"])])
-        assert result.successful
+        assert served.set(cameras=["front"]) == (True, "")
         assert served.node.trigger_configure() is TransitionCallbackReturn.SUCCESS
-        (result,) = served.node.set_parameters([Parameter("cameras", value=[LONG])])
-        assert told in result.reason
+        assert told in served.set(cameras=[LONG])[1]
     assert served.escaped == []
 
 

@@ -11,7 +11,6 @@ import yaml
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
-from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.parameter import Parameter
 from support.preparations import CLASS_NAMES, Preparations
 from support.served_node import ServedNode
@@ -191,29 +190,6 @@ def test_classes_of_a_camera_are_checked_with_the_running_model(served: ServedNo
     assert reason.startswith("front.classes: 'cta' is not a class of the model")
     assert "Did you mean 'cat'?" in reason
     assert change(served, {"front.classes": [CLASS_NAMES[0]]}) == (True, "")
-
-
-def test_a_program_sets_overrides_of_its_node_on_the_same_path(served: ServedNode) -> None:
-    rate = Parameter("front.max_rate", value=5)
-    assert [result.successful for result in served.node.set_parameters([rate])] == [True]
-    assert settings_of(served).for_camera("front").max_rate == 5.0
-    (refused,) = served.node.set_parameters([Parameter("front.max_rate", value=-1.0)])
-    assert "front.max_rate out of range" in refused.reason
-    (refused,) = served.node.set_parameters([Parameter("front.max_rate", value="fast")])
-    assert "front.max_rate: 'fast' is not a number" in refused.reason
-    served.node.set_parameters([Parameter("cameras", value=["rear"])])
-    assert not served.node.has_parameter("front.max_rate")
-    served.node.set_parameters([Parameter("rear.lazy", value=False)])
-    served.node.set_parameters([Parameter("rear.lazy", Parameter.Type.NOT_SET)])
-    assert settings_of(served) == Settings(cameras=("rear",))
-    assert not {"front.max_rate", "rear.lazy"} & names(served)  # served after what each change has begun
-
-
-def test_a_program_that_sets_a_read_only_parameter_too_leaves_nothing_behind(served: ServedNode) -> None:
-    parameters = [Parameter("front.max_rate", value=5.0), Parameter("autostart", value=True)]
-    with pytest.raises(ParameterNotDeclaredException):
-        served.node.set_parameters_atomically(parameters)
-    assert not served.node.has_parameter("front.max_rate")
 
 
 # What a proposal says, and its rollback

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import ListParameters
-from rclpy.parameter import Parameter
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
@@ -168,14 +167,6 @@ def test_an_override_waits_for_its_camera_although_the_setting_of_the_node_is_se
         assert served.set(max_rate=3.0) == (True, "")
         assert served.set(cameras=["side"]) == (True, "")
         assert served.get("side.max_rate") == 5.0
-
-
-def test_a_program_that_adds_the_camera_lets_its_override_apply(prepare: Preparations) -> None:
-    with ServedNode(prepare, parameters=["side.max_rate:=5.0"]) as served:
-        (result,) = served.node.set_parameters([Parameter("cameras", value=["side"])])
-        assert result.successful
-        assert settings_of(served).for_camera("side").max_rate == 5.0
-        assert served.transition("configure")
 
 
 def test_overrides_wait_for_the_correction_of_invalid_cameras(prepare: Preparations) -> None:

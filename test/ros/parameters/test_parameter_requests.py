@@ -91,26 +91,6 @@ def test_a_reload_is_validated_once(served: ServedNode, validation: CountingVali
     assert validation.count - before == 1
 
 
-def test_a_program_that_sets_a_parameter_of_its_node_is_validated_once(
-    served: ServedNode, validation: CountingValidation
-) -> None:
-    before = validation.count
-    (result,) = served.node.set_parameters([Parameter("confidence_threshold", value=1)])
-    assert result.successful
-    assert served.get("confidence_threshold") == 1.0
-    assert validation.count - before == 1
-
-
-def test_the_same_refused_parameter_is_validated_again_after_another_change(served: ServedNode) -> None:
-    served.bring_to("inactive")
-    precision, device = Parameter("precision", value="fp16"), Parameter("device", value="cpu")
-    assert [result.successful for result in served.node.set_parameters([device, precision])] == [True, False]
-    served.node.set_parameters([Parameter("device", value="auto"), Parameter("lazy", value=False)])
-    (result,) = served.node.set_parameters([precision])
-    assert result.successful
-    assert (served.get("precision"), served.get("lazy")) == ("fp16", False)
-
-
 def test_a_request_with_many_bad_values_is_validated_once_for_each_and_once_together(
     served: ServedNode, validation: CountingValidation
 ) -> None:
@@ -236,7 +216,7 @@ def test_a_change_that_cannot_take_effect_leaves_nothing_behind(ros_domain: int)
     nothing: Any = None
     request = SetParameters.Request(parameters=messages(confidence_threshold=0.75))
     with lone_node("yolov5") as node:
-        parameters = SettingsParameters(node, review=nothing, commit=nothing)
+        parameters = SettingsParameters(node)
         reconfiguration = Reconfiguration(
             node, parameters=parameters, loader=nothing, resources=cast(Any, AlwaysActive(session))
         )

@@ -399,17 +399,6 @@ def test_a_camera_that_is_added_with_a_wrong_override_leaves_its_problem_to_conf
         assert tried.configure() == ""
 
 
-def test_a_program_corrects_values_one_by_one(ros_domain: int, tmp_path: Path) -> None:
-    values = {"track_low_threshold": 0.9, "track_high_threshold": 0.3}
-    with detector(tmp_path, values) as tried:
-        corrections = {"track_low_threshold": 0.5, "track_high_threshold": 0.6}
-        for name, value in {"side.max_rate": 5.0, **corrections, "cameras": ["side"]}.items():
-            (result,) = tried.node.set_parameters([Parameter(name, value=value)])
-            assert result.successful, result.reason
-        assert tried.configure() == ""
-        assert tried.node._settings.settings().for_camera("side").max_rate == 5.0
-
-
 def test_what_a_configured_node_was_given_wrong_has_no_effect_later(ros_domain: int, tmp_path: Path) -> None:
     with detector(tmp_path, {"cameras": ["front"], "frnt.max_rate": -1.0}) as tried:
         assert tried.set("front.max_rate", 5.0).successful

@@ -188,8 +188,6 @@ class DetectorNode(PrintableNode, LifecycleNode):
     def _declared_settings(self, validate: Validate, arguments: Sequence[str]) -> SettingsParameters:
         return SettingsParameters(
             self,
-            review=lambda before, after: self._reconfiguration.review(before, after),
-            commit=lambda before, after: self._reconfiguration.take_effect(before, after),
             rules=qos_rules(self),
             arguments=arguments,
             validate=validate,

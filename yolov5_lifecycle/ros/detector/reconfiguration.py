@@ -176,13 +176,6 @@ class Reconfiguration:
             raise
         return result
 
-    def take_effect(self, before: Settings, after: Settings) -> None:
-        """Apply settings that a program set through the methods of the node."""
-        session = self._resources.session
-        self._apply(before, after, session.preparation if session is not None else None)
-        if before.cameras != after.cameras and (executor := self._node.executor) is not None:
-            executor.create_task(self._resources.end_removed)
-
     def _apply(self, before: Settings, after: Settings, preparation: Preparation | None) -> None:
         """Change from settings `before` to `after`, and while active to the model of `preparation`."""
         if before.cameras != after.cameras:
@@ -197,21 +190,6 @@ class Reconfiguration:
         if before is None or after is None or before.cameras == after.cameras:
             return []
         return [Problem("cameras", text) for text in remapping_problems(self._node, after.camera_names)]
-
-    def review(self, before: Settings | None, candidate: Settings) -> list[Problem]:
-        """Problems of `candidate`, to follow `before`, with the topics of the node and the running model."""
-        if problems := self._topic_problems(before, candidate):
-            return problems
-        if (session := self._resources.session) is None:
-            return []
-        model = session.model
-        if not model.serves(candidate):
-            names = model.settings.differing(candidate, Change.RELOAD)
-            return [
-                Problem(name, "requires loading another model: set it through the parameter services.")
-                for name in names
-            ]
-        return model_problems(candidate, model.detector.class_names)
 
 
 def _broken_by(proposal: Proposal, model: PreparedModel) -> list[Problem]:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.parameters.declaration import declare_unset, unset_descriptor
+from yolov5_lifecycle.ros.parameters.declaration import Declaration, declare_unset, unset_descriptor
+from yolov5_lifecycle.ros.parameters.values import coerced, plain_values
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
-from yolov5_lifecycle.settings.schema import SEPARATOR
+from yolov5_lifecycle.settings.schema import SEPARATOR, Problem
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS
 
 MAX_OVERRIDES = MAX_CAMERAS * sum(setting.per_camera for setting in SETTINGS)
@@ -22,6 +24,27 @@ MAX_OVERRIDES = MAX_CAMERAS * sum(setting.per_camera for setting in SETTINGS)
 def deletion(name: str) -> Parameter:
     """The request parameter that deletes `name`."""
     return Parameter(name, Parameter.Type.NOT_SET)
+
+
+def problem_of(parameter: Parameter) -> Problem | None:
+    """Why `parameter`, an override or a setting, is invalid whatever the others are, or None."""
+    (value,) = plain_values([parameter], SCHEMA.found([parameter.name])).values()
+    return SCHEMA.problem(parameter.name, value)
+
+
+def declare_given(node: Node, declaration: Declaration) -> Declaration:
+    """Declare the overrides for cameras that `node` was given; `declaration` with them."""
+    values, invalid, unknown = dict(declaration.values), dict(declaration.invalid), dict(declaration.unknown)
+    for name in [name for name in unknown if SCHEMA.is_known(name, values)]:
+        settings = SCHEMA.found([name])
+        wanted = coerced(unknown.pop(name), settings, may_be_unset=True)
+        if problem := problem_of(wanted):
+            invalid[name] = problem
+        else:
+            declare_unset(node, settings[name])
+            node.set_parameters([wanted])
+            values |= plain_values([wanted], settings)
+    return replace(declaration, values=values, invalid=invalid, unknown=unknown)
 
 
 def declare_missing(node: Node, parameters: Iterable[Parameter]) -> None:
@@ -65,11 +88,6 @@ def log_removed(node: Node, before: Mapping[str, object], after: Mapping[str, ob
 def are_too_many(values: Mapping[str, object]) -> bool:
     """Whether there are more than MAX_OVERRIDES overrides in `values`; those that are None are deleted."""
     return sum(SEPARATOR in name and value is not None for name, value in values.items()) > MAX_OVERRIDES
-
-
-def without_deleted(values: Mapping[str, object]) -> dict[str, object]:
-    """`values` without the overrides that are None: a request deletes an override by setting None."""
-    return {name: value for name, value in values.items() if value is not None or SEPARATOR not in name}
 
 
 def describe(

@@ -31,10 +31,10 @@ class Source(Enum):
 
 @dataclass(frozen=True)
 class Declaration:
-    """What a node started with: value of each setting, and the overrides that it cannot use.
+    """What a node started with: values by name, and the given parameters that it cannot use.
 
-    A setting whose override is `invalid` has its `fallback`; a setting of a camera has the value of the node.
-    `unknown`: the overrides that are not settings. `sources`: also those of unusable overrides. All by name.
+    A setting whose given value is `invalid` has its `fallback`; a setting of a camera has the value of the
+    node. `unknown`: what is not a setting. `sources`: also those of unusable ones. All by name.
     """
 
     values: Mapping[str, object]
@@ -56,25 +56,14 @@ def declare(node: Node, schema: Schema[Any], *, arguments: Sequence[str] = ()) -
         sources[setting.name] = _source(override, on_command_line)
         parameter = Parameter(setting.name, TYPES[setting.type], ros_value(setting.default))
         if override is not None:
-            wanted = coerced(override, schema.by_name, may_be_unset=True)
-            if problem := problem_of(wanted, schema):
+            parameter = coerced(override, schema.by_name, may_be_unset=True)
+            (value,) = plain_values([parameter], schema.by_name).values()
+            if problem := schema.problem(setting.name, value):
                 invalid[setting.name] = problem
-                usable = schema.fallback(setting.name, *plain_values([wanted], schema.by_name).values())
-                wanted = Parameter(setting.name, TYPES[setting.type], ros_value(usable))
-            parameter = wanted
+                usable = schema.fallback(setting.name, value)
+                parameter = Parameter(setting.name, TYPES[setting.type], ros_value(usable))
         _declare(node, setting, parameter)
     values = plain_values(map(node.get_parameter, schema.by_name), schema.by_name)
-    for name in [name for name in overrides if schema.is_known(name, values)]:
-        settings = schema.found([name])
-        wanted = coerced(overrides[name], settings, may_be_unset=True)
-        sources[name] = _source(overrides[name], on_command_line)
-        if problem := problem_of(wanted, schema):
-            invalid[name] = problem
-        else:
-            declare_unset(node, settings[name])
-            node.set_parameters([wanted])
-            values |= plain_values([wanted], settings)
-        del overrides[name]
     unknown = {name: given for name, given in overrides.items() if not name.startswith(ROS_PREFIXES)}
     sources |= {name: _source(given, on_command_line) for name, given in unknown.items()}
     return Declaration(values, sources, invalid, unknown)
@@ -99,12 +88,6 @@ def _names_on_command_line(arguments: Sequence[str]) -> set[str]:
     """Names of parameters set with `-p [node:]name:=value` (or `--param`)."""
     assignments = [word for flag, word in pairwise(arguments) if flag in ("-p", "--param")]
     return {assignment.partition(":=")[0].rpartition(":")[2] for assignment in assignments}
-
-
-def problem_of(parameter: Parameter, schema: Schema[Any]) -> Problem | None:
-    """Why `parameter`, a setting of `schema`, is invalid whatever the others are, or None."""
-    (value,) = plain_values([parameter], schema.found([parameter.name])).values()
-    return schema.problem(parameter.name, value)
 
 
 def _declare(node: Node, setting: Setting, parameter: Parameter) -> None:

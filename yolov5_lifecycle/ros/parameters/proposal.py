@@ -46,8 +46,6 @@ class Proposal:
     """Why the request must be refused; excludes problems that `base` already has."""
     unsolved: tuple[Problem, ...] = ()
     """Problems that the change adds and another one can solve: accepted while the node is unconfigured."""
-    is_direct: bool = False
-    """Whether the request was made in-process, through the methods of the rclpy node."""
 
 
 MAX_REASON_LENGTH = 2000

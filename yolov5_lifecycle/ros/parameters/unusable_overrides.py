@@ -8,7 +8,7 @@ from itertools import islice
 
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.parameters.declaration import problem_of
+from yolov5_lifecycle.ros.parameters.camera_overrides import problem_of
 from yolov5_lifecycle.ros.parameters.values import coerced, plain_values
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem
 from yolov5_lifecycle.settings.settings import SCHEMA
@@ -44,7 +44,7 @@ class UnusableOverrides:
     def usable_with(self, values: Mapping[str, object], withdrawn: Collection[str]) -> list[Parameter]:
         """Valid overrides, except those `withdrawn`, for cameras that were missing, but are in `values`."""
         known = [name for name in self._known(values) if name not in values and name not in withdrawn]
-        return [wanted for name in known if not problem_of(wanted := self._wanted(name), SCHEMA)]
+        return [wanted for name in known if not problem_of(wanted := self._wanted(name))]
 
     def without(self, names: Collection[str]) -> UnusableOverrides | None:
         """The overrides that are not in `names`, or None if none are left."""
@@ -58,9 +58,7 @@ class UnusableOverrides:
         Those whose camera was added are parameters now, with an effect or an invalid value.
         """
         known = self._known(values)
-        wrong = {
-            name: problem for name in known if (problem := problem_of(self._wanted(name), SCHEMA)) is not None
-        }
+        wrong = {name: problem for name in known if (problem := problem_of(self._wanted(name))) is not None}
         orphaned = [name for name in self.invalid if not SCHEMA.is_known(name, values)]
         unknown = {name: given for name, given in self.unknown.items() if name not in known}
         return UnusableOverrides({**self.invalid, **wrong}, unknown).without({*names, *orphaned})

@@ -67,15 +67,10 @@ def stays(node: Node, parameter: Parameter) -> bool:
     name = parameter.name
     if not node.has_parameter(name):
         return parameter.type_ is Parameter.Type.NOT_SET
-    if not is_read_only(node, name):
+    if not node.describe_parameter(name).read_only:
         return False
     present = node.get_parameter(name)
     return (parameter.type_, parameter.value) == (present.type_, present.value)
-
-
-def is_read_only(node: Node, name: str) -> bool:
-    """Whether `name` is a declared parameter that only the start of the node sets."""
-    return node.has_parameter(name) and bool(node.describe_parameter(name).read_only)
 
 
 def plain_values(parameters: Iterable[Parameter], settings: Mapping[str, Setting]) -> dict[str, object]:
