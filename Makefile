@@ -222,7 +222,7 @@ clean:
 
 # Python compiles what is imported; pip would compile all modules, which takes half a minute and 200 MB, mostly unused.
 $(DEPENDENCIES): requirements/environment.txt requirements/interfaces.txt $(lastword $(SET_REQUIREMENTS)) $(PINS)
-	@command -v "$(PYTHON)" > /dev/null || { echo "PYTHON=$(PYTHON): no such program; name a Python 3.10 to 3.13" >&2; exit 1; }
+	@"$(PYTHON)" -c "" || { echo "PYTHON=$(PYTHON) does not run; name a Python 3.10 to 3.13" >&2; exit 1; }
 	@"$(PYTHON)" requirements/check_machine.py $(SET) $(INTERFACES_WHEEL)
 	@echo "Installing what the demo needs into $(VENV): some minutes the first time."
 	rm -rf $(VENV)

@@ -136,6 +136,20 @@ def test_make_refuses_a_path_before_it_installs_anything(clone: Path) -> None:
     assert not (elsewhere / ".venv").exists()
 
 
+@pytest.mark.parametrize(
+    "python",
+    [
+        pytest.param("no-such-python", id="no such program"),
+        pytest.param("false", id="a version manager's name for a Python that is not selected"),
+    ],
+)
+def test_make_names_the_pythons_instead_of_one_that_does_not_run(clone: Path, python: str) -> None:
+    refused = make(clone, f"PYTHON={python}", "demo")
+    assert refused.returncode != 0
+    assert "does not run; name a Python 3.10 to 3.13" in refused.stderr
+    assert not (clone / ".venv").exists()
+
+
 def test_the_demo_installs_less_than_the_tests(clone: Path) -> None:
     demo, tests = make(clone, "-n", "demo").stdout, make(clone, "-n", "test").stdout
     assert "-r requirements/environment.txt" in demo
