@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from support.colcon_workspace import PACKAGE, REPOSITORY, published_files
 from tools.release.commit import Commit
 from tools.release.package_build import archived_files, build_package, content_problems
 from tools.release.versions import version_problems
+from yolov5_lifecycle.doctor.system import NEWEST_PYTHON, OLDEST_PYTHON
 
 ADDRESS = "https://git.example.org/somebody/yolov5"
 RELATIVE = re.compile(r"\]\((?!\w+:|#)")
@@ -55,8 +57,17 @@ def test_the_metadata_says_what_the_package_is_for() -> None:
     metadata = distribution(PACKAGE).metadata
     assert metadata["Description-Content-Type"] == "text/markdown"
     assert metadata["License"] == "Apache-2.0"
-    classifiers = metadata.get_all("Classifier") or []
-    assert {f"Programming Language :: Python :: 3.{minor}" for minor in range(10, 14)} <= set(classifiers)
+
+
+def test_the_pythons_of_the_metadata_are_those_of_the_doctor_and_of_make() -> None:
+    metadata = distribution(PACKAGE).metadata
+    found = re.findall(r"Python :: (\d+)\.(\d+)", "\n".join(metadata.get_all("Classifier") or []))
+    versions = sorted((int(major), int(minor)) for major, minor in found)
+    machine = runpy.run_path(str(REPOSITORY / "requirements" / "check_machine.py"))
+    assert versions == [(3, minor) for minor in range(versions[0][1], versions[-1][1] + 1)]
+    assert versions[0] == OLDEST_PYTHON == machine["OLDEST"]
+    assert versions[-1] == NEWEST_PYTHON == max(machine["NEWEST"].values())
+    assert metadata["Requires-Python"] == ">={}.{}".format(*OLDEST_PYTHON)
 
 
 def test_the_extra_ros_needs_the_messages_of_the_same_version() -> None:

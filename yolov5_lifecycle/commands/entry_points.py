@@ -9,6 +9,7 @@ import importlib
 import signal
 import sys
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import NoReturn
 
@@ -49,34 +50,6 @@ ARGUMENTS: Mapping[str, str] = MappingProxyType(
 EXIT_UNABLE = 1
 """Exit code if the machine or its Python lacks what the command needs."""
 _EXIT_INTERRUPTED = 128 + signal.SIGINT
-
-
-def calibrate() -> NoReturn:
-    _run("calibrate")
-
-
-def convert() -> NoReturn:
-    _run("convert")
-
-
-def demo() -> NoReturn:
-    _run("demo")
-
-
-def detect_bag() -> NoReturn:
-    _run("detect_bag")
-
-
-def doctor() -> NoReturn:
-    _run("doctor")
-
-
-def evaluate() -> NoReturn:
-    _run("evaluate")
-
-
-def fetch_weights() -> NoReturn:
-    _run("fetch_weights")
 
 
 def prepare_process(command: str, *, signal_code: int | None = None, further_threads: int = 0) -> None:
@@ -131,3 +104,12 @@ def _check_arguments(command: str) -> None:
         importlib.import_module(module).command_parser().parse_args()
     except SystemExit as end:
         sys.exit(flush_output(command, int(end.code or 0)))
+
+
+calibrate = partial(_run, "calibrate")
+convert = partial(_run, "convert")
+demo = partial(_run, "demo")
+detect_bag = partial(_run, "detect_bag")
+doctor = partial(_run, "doctor")
+evaluate = partial(_run, "evaluate")
+fetch_weights = partial(_run, "fetch_weights")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.python_api import load_model
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, Truth
 
@@ -17,7 +18,6 @@ WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"
 SEED = 8
 SIZE_HW = (480, 640)
 _IMAGE_SIZE = 640  # that of the calibration for int8
-_THRESHOLD = 0.25
 _RUNS = 5
 
 
@@ -80,6 +80,6 @@ def difference(expected: Detections, found: Detections, tolerance: Tolerance) ->
             corners = np.abs(other.boxes_xyxy - box).max(axis=1, initial=0.0)
             is_same = (other.class_ids == class_id) & (corners <= tolerance.corner_px)
             is_same &= np.abs(other.scores - score) <= tolerance.score
-            if not is_same.any() and score > _THRESHOLD + tolerance.score:
+            if not is_same.any() and score > Selection().confidence_threshold + tolerance.score:
                 return f"it {word} {CLASS_NAMES[class_id]} {score:.2f} at {box.round().astype(int).tolist()}"
     return ""

@@ -19,7 +19,8 @@ from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, write_cache
 from yolov5_lifecycle.runtimes.processor_abilities import abilities
 
 _GIB = 1 << 30
-_OLDEST, _NEWEST = (3, 10), (3, 13)
+OLDEST_PYTHON, NEWEST_PYTHON = (3, 10), (3, 13)
+"""What has been tried; setup.py and requirements/check_machine.py have the same, as a test compares."""
 _NEEDED_FILES, _ENOUGH_FILES = 256, 1024
 _NEEDED_MEMORY, _ENOUGH_MEMORY = _GIB // 2, 2 * _GIB
 _ADDRESS_SPACE = 16 * _GIB
@@ -43,12 +44,13 @@ def _python(_: Machine) -> Iterator[Finding]:
     inside = [name for name in ("VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONPATH") if os.environ.get(name)]
     found = f"Python {platform.python_version()}, {sys.executable}"
     found += f"; {', '.join(inside)} set" if inside else ""
-    if _OLDEST <= sys.version_info[:2] <= _NEWEST:
+    tried = "Python {}.{} to {}.{}".format(*OLDEST_PYTHON, *NEWEST_PYTHON)
+    if OLDEST_PYTHON <= sys.version_info[:2] <= NEWEST_PYTHON:
         yield ok(found)
-    elif sys.version_info[:2] > _NEWEST:
-        yield warning(found, remedy="Use Python 3.10 to 3.13: nobody has tried a newer one.")
+    elif sys.version_info[:2] > NEWEST_PYTHON:
+        yield warning(found, remedy=f"Use {tried}: nobody has tried a newer one.")
     else:
-        yield error(found, remedy="Install Python 3.10 to 3.13, and this package into it.")
+        yield error(found, remedy=f"Install {tried}, and this package into it.")
 
 
 def _processor(machine: Machine) -> Iterator[Finding]:

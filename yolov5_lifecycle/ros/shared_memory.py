@@ -9,6 +9,8 @@ from pathlib import Path
 
 from yolov5_lifecycle.process.standard_streams import complain
 
+DEFAULT_RMW = "rmw_fastrtps_cpp"
+"""ROS's middleware where RMW_IMPLEMENTATION is not set: Fast DDS."""
 FOLDER = Path("/dev/shm")
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 PROCESS_BYTES = 656 << 10
@@ -79,7 +81,7 @@ def _remedy(folder: Path) -> str:
 
 def _is_taken(environment: Mapping[str, str]) -> bool:
     """Whether the middleware is Fast DDS (ROS's default) with shared memory (its default)."""
-    middleware = environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp"
+    middleware = environment.get("RMW_IMPLEMENTATION") or DEFAULT_RMW
     transports = environment.get("FASTDDS_BUILTIN_TRANSPORTS", "")
     return middleware.startswith("rmw_fastrtps") and not transports.startswith("UDP")
 

@@ -15,10 +15,14 @@ from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, 
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.missing_package import apt_package_of, remedy_for
-from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES, free_bytes, shared_memory_problems
+from yolov5_lifecycle.ros.shared_memory import (
+    DEFAULT_RMW,
+    PROFILE_VARIABLES,
+    free_bytes,
+    shared_memory_problems,
+)
 
 PROFILE = "package://yolov5_lifecycle/config/shm.xml"
-_DEFAULT_RMW = "rmw_fastrtps_cpp"
 _DISTRIBUTIONS = {"7": "jazzy", "9": "kilted"}
 """By the first number of rclpy's version."""
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
@@ -77,7 +81,7 @@ def _version_of_rclpy(prefix: Path) -> str:
 
 
 def _middleware(_: Machine) -> Iterator[Finding]:
-    name = os.environ.get("RMW_IMPLEMENTATION") or _DEFAULT_RMW
+    name = os.environ.get("RMW_IMPLEMENTATION") or DEFAULT_RMW
     installed = sorted(
         {
             file.name
@@ -88,7 +92,7 @@ def _middleware(_: Machine) -> Iterator[Finding]:
     if name not in installed:
         yield error(
             f"RMW_IMPLEMENTATION is {in_one_line(name, 60)}, installed are {', '.join(installed) or 'none'}",
-            remedy=f"`export RMW_IMPLEMENTATION={next(iter(installed), _DEFAULT_RMW)}`, or install the other "
+            remedy=f"`export RMW_IMPLEMENTATION={next(iter(installed), DEFAULT_RMW)}`, or install the other "
             f"one with `sudo apt install {apt_package_of(name)}`.",
         )
     else:
