@@ -20,17 +20,19 @@ def _runtime(machine: Machine) -> Iterator[Finding]:
     if missing := [package for package in packages if installed_build(package) is None]:
         yield ok(f"not installed ({', '.join(missing)}); the node uses another runtime")
         return
-    remedy = (
-        f"Install it again with pip install --force-reinstall {' '.join(packages)}, or set runtime to torch; "
-        "until then `auto` may fail."
-    )
+    install = f"Install it again with pip install --force-reinstall {' '.join(packages)}"
     try:
         found = detected(runtime=machine.target)
     except Exception as refusal:  # noqa: BLE001 - a broken package raises anything
-        yield error(in_one_line(f"{type(refusal).__name__}: {refusal}", 400), remedy=remedy)
+        cause = refusal.__cause__ or refusal  # what the package raised; the refusal repeats the remedy
+        yield error(
+            in_one_line(f"{type(cause).__name__}: {cause}", 400),
+            remedy=f"{install}; until then `auto` leaves it out.",
+        )
         return
     expected = detected(runtime="torch")
     if problem := difference(expected.detections, found.detections, EXACT):
+        remedy = f"{install}, or set runtime to torch, because `auto` may choose this one."
         yield error(f"differs from torch: {problem}", remedy=remedy)
     else:
         yield ok(
