@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from support.depth_client import DEPTH_ON, PADDING_Y, SCENE, DepthClient
 from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header, prediction_of
@@ -265,22 +264,6 @@ def test_a_subscription_that_the_middleware_refuses_is_told_until_it_succeeds(
         refusals = [said for said in served.log if told in said and "no place in space" not in said]
         assert len(refusals) == 1, "besides the hint"
     assert served.escaped == []
-
-
-def test_a_camera_info_that_was_latched_before_the_node_subscribed_is_used(client: DepthClient) -> None:
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    client.served.client.destroy_publisher(client.info)
-    client.info = client.served.client.create_publisher(CameraInfo, "/yolov5/depth/camera_info", latched)
-    client.info.publish(camera_info_message(1.0))
-    client.begin()
-
-    def is_placed() -> bool:
-        stamp_s = client.next_stamp_s()
-        client.depth.publish(depth_message(SCENE.depth_m, stamp_s))
-        client.detect(stamp_s)
-        return bool(client.received)
-
-    client.served.wait_for(is_placed, "detections in space")
 
 
 def test_the_subscription_takes_the_reliability_that_the_depth_cameras_offer(client: DepthClient) -> None:

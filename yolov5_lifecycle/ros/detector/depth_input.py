@@ -7,13 +7,16 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CameraInfo, Image
 
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing
 from yolov5_lifecycle.ros.detector.depth_status import DepthStatus, SourceStatus
-from yolov5_lifecycle.ros.detector.followed_topic import FollowedTopic
 from yolov5_lifecycle.ros.detector.frame_failures import RECENT_S
+from yolov5_lifecycle.ros.detector.image_input import common_reliability
+from yolov5_lifecycle.ros.qos_overrides import overridden_reliability, overriding_options
 from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name, of_camera
 
 _QUEUE = 2
@@ -66,7 +69,7 @@ class DepthInput:
 
 
 class DepthSource:
-    """Owns the subscription to one of the topics of a depth camera; keep last 2."""
+    """Subscription with keep last 2 and the reliability that the publishers offer or an override sets."""
 
     def __init__(
         self,
@@ -78,23 +81,58 @@ class DepthSource:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._node = node
+        self._topic = topic
         self._name = full_name(node, topic)
+        self._message_type = message_type
         self._type_name = f"{message_type.__module__.partition('.')[0]}/msg/{message_type.__name__}"
+        self._take = take
         self._clock = clock
+        self._overridden = overridden_reliability(node, topic)
         self._seen_s = clock()
-        self._messages = FollowedTopic(node, topic, message_type, take, depth=_QUEUE)
-        self.look()
+        self._problem = ""
+        self._reliability = ReliabilityPolicy.BEST_EFFORT
+        self._subscription: Any = None
+        self._follow(self._publishers())
 
     def look(self) -> SourceStatus:
-        """Query the ROS graph and update the subscription to what the publishers offer."""
-        infos = self._node.get_publishers_info_by_topic(self._name)
-        offers = [info.qos_profile for info in infos if info.topic_type == self._type_name]
-        self._messages.follow([offer.reliability for offer in offers], [offer.durability for offer in offers])
+        """Query the ROS graph; resubscribe if publishers offer another reliability, or after a failure."""
+        publishers = self._publishers()
+        self._follow(publishers)
         now_s = self._clock()
-        if offers:
+        if publishers:
             self._seen_s = now_s
-        name, missing_s = in_one_line(self._name), now_s - self._seen_s
-        return SourceStatus(name, len(offers), missing_s, self._messages.problem)
+        return SourceStatus(in_one_line(self._name), len(publishers), now_s - self._seen_s, self._problem)
 
     def close(self) -> None:
-        self._messages.close()
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def _publishers(self) -> list[TopicEndpointInfo]:
+        infos = self._node.get_publishers_info_by_topic(self._name)
+        return [info for info in infos if info.topic_type == self._type_name]
+
+    def _follow(self, publishers: list[TopicEndpointInfo]) -> None:
+        offered = common_reliability([info.qos_profile.reliability for info in publishers])
+        wanted = offered if self._overridden is None else self._overridden
+        if self._subscription is None or wanted is not self._reliability:
+            self.close()
+            self._reliability = wanted
+            self._subscribe()
+
+    def _subscribe(self) -> None:
+        try:
+            self._subscription = self._node.create_subscription(
+                self._message_type,
+                self._topic,
+                self._take,
+                QoSProfile(depth=_QUEUE, history=HistoryPolicy.KEEP_LAST, reliability=self._reliability),
+                qos_overriding_options=overriding_options(self._node, self._topic, "subscription"),
+            )
+        except Exception as error:  # noqa: BLE001 - rclpy raises several types; reported and retried
+            problem = f"cannot subscribe to {in_one_line(self._name)}: {in_one_line(str(error))}"
+            if problem != self._problem:
+                self._node.get_logger().error(problem)
+            self._problem = problem
+        else:
+            self._problem = ""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 from rclpy.lifecycle import LifecycleNode
 
 from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.depth_input import DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, InputStatus, ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
@@ -18,6 +20,8 @@ from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, L
 from yolov5_lifecycle.streaming.pipeline import Networks
 from yolov5_lifecycle.streaming.worker import Feed
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+
+Made = TypeVar("Made")
 
 
 class Stream:
@@ -54,6 +58,7 @@ class Stream:
         self._tracking = TrackedDetection.started(settings, track_ids)
         self._input: ImageInput | None = None
         self.losses = ImageLosses()
+        self.problem = ""
         self.latencies = LatencyWindow()
         self.empty_frames = _no_empty_frames(settings)
         self.depth: DepthInput | None = None
@@ -76,15 +81,9 @@ class Stream:
     def look(self, topic: TopicStatus) -> InputStatus | None:
         """Update the subscription to what the publishers offer; return its status, None without one."""
         self.follow_subscribers()
-        if self._input is None:
+        if (present := self._input) is None:
             return None
-        status = self._input.look(topic)
-        return None if self.problem else status
-
-    @property
-    def problem(self) -> str:
-        """Why no images can be received although they are needed, "" if they can."""
-        return self._input.problem if self._input else ""
+        return self._trying(lambda: present.look(topic))
 
     def apply(
         self,
@@ -124,7 +123,7 @@ class Stream:
         mask_subscribers = outputs.mask_subscribers if self.segments else 0
         wanted = not is_lazy or outputs.subscribers + mask_subscribers + subscribers_3d > 0
         if wanted and self._input is None:
-            self._input = self._subscribed()
+            self._input = self._trying(self._subscribed)
         elif not wanted:
             self.unsubscribe()
             self.losses.stop()
@@ -140,6 +139,22 @@ class Stream:
             on_frame=self._feed.offer,
             losses=self.losses,
         )
+
+    def _trying(self, subscribe: Callable[[], Made]) -> Made | None:
+        """Return `subscribe()`; on an exception return None and set `problem` to the reason."""
+        try:
+            made = subscribe()
+        except Exception as error:  # noqa: BLE001 - rclpy raises several types; reported and retried
+            problem = (
+                f"cannot subscribe to {self._topic.name}: {in_one_line(str(error))}. Nothing is detected "
+                "meanwhile; retrying every second"
+            )
+            if problem != self.problem:
+                self._node.get_logger().error(problem)
+            self.problem = problem
+            return None
+        self.problem = ""
+        return made
 
     def _start(self) -> None:
         settings = self._settings
@@ -172,6 +187,7 @@ class Stream:
         if self._input is not None:
             self._input.close()
             self._input = None
+        self.problem = ""
 
 
 def _no_empty_frames(settings: Settings) -> EmptyFrames:
