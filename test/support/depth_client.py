@@ -99,7 +99,9 @@ class DepthClient:
         self.served.wait_for(is_answered, "the detections")
         return len(answers()[0].detections)
 
-    def place(self, scene: DepthScene = SCENE, *, encoding: str = "16UC1") -> Detection3DArray:
+    def place(
+        self, scene: DepthScene = SCENE, *, encoding: str = "16UC1", with_info: bool = True
+    ) -> Detection3DArray:
         """Send depth and colour images until one is placed; what was published in space."""
         first = header(self._stamp_s).stamp.sec
 
@@ -108,7 +110,8 @@ class DepthClient:
 
         def is_placed() -> bool:
             stamp_s = self.next_stamp_s()
-            self.info.publish(camera_info_message(stamp_s))
+            if with_info:
+                self.info.publish(camera_info_message(stamp_s))
             self.depth.publish(depth_message(scene.depth_m, stamp_s, encoding=encoding))
             # Messages of different topics arrive in any order: perhaps the next one is paired.
             self.detect(stamp_s)

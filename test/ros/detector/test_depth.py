@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sensor_msgs.msg import Image
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String
 from support.depth_client import DEPTH_ON, PADDING_Y, SCENE, DepthClient
 from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header, prediction_of
@@ -278,3 +279,15 @@ def test_the_subscription_takes_the_reliability_that_the_depth_cameras_offer(cli
         }
 
     client.served.wait_for(lambda: offered() == topics, "the reliability of each")
+
+
+def test_a_camera_info_that_was_latched_before_the_node_subscribed_is_used(client: DepthClient) -> None:
+    node, topic = client.served.client, "/yolov5/depth/camera_info"
+    node.destroy_publisher(client.info)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    client.info = node.create_publisher(CameraInfo, topic, latched)
+    client.info.publish(camera_info_message(client.next_stamp_s()))
+    client.begin()
+    assert len(client.place(with_info=False).detections) == 1
+    volatile = node.create_publisher(CameraInfo, topic, 2)
+    client.served.wait_for(lambda: volatile.get_subscription_count() == 1, "a subscription that matches both")

@@ -200,7 +200,7 @@ class Receiver:
         self.node.wait_for(lambda: publisher.get_subscription_count() == 1, "the new subscription")
 
     def look(self) -> None:
-        self.input.look(self.topic.look())
+        self.input.look()
 
     def send(self, publisher: Publisher, count: int = 1) -> None:
         """Publish so many at once; only the last can be taken, since one is kept."""
@@ -274,6 +274,8 @@ def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_
     receiver.send(camera)
     receiver.look()
     assert (len(receiver.received), receiver.losses.lost, receiver.losses.overtaken) == (2, 0, 4)
+    (subscription,) = receiver.node.get_subscriptions_info_by_topic(TOPIC)
+    assert subscription.qos_profile.durability is DurabilityPolicy.VOLATILE
 
 
 def test_the_camera_publishes_the_ground_truth_of_images_that_it_does_not_send(ros_domain: int) -> None:

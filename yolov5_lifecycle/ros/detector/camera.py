@@ -125,7 +125,7 @@ class Camera:
         if stream is None:
             self._topic.follow(transport)
         topic = self._topic.look()
-        image_input = stream.look(topic) if stream else None
+        image_input = stream.look() if stream else None
         return CameraStatus(
             camera=self.name,
             problem=stream.problem if stream else "",

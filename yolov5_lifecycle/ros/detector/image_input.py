@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from rclpy.event_handler import QoSMessageLostInfo, QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 
-from yolov5_lifecycle.ros.detector.image_topic import TOPICS, ImageTopic, TopicStatus
-from yolov5_lifecycle.ros.qos_overrides import overridden_reliability, overriding_options
-from yolov5_lifecycle.ros.topics import endpoint_name
+from yolov5_lifecycle.ros.detector.image_topic import TOPICS, ImageTopic
+from yolov5_lifecycle.ros.detector.subscription import Subscription
 
 Reliability = Literal["auto", "best_effort", "reliable"]
 
@@ -139,10 +138,8 @@ class ImageLosses:
 class ImageInput:
     """Owns the image subscription: keep last 1, reliability as requested or as the publishers offer.
 
-    `qos_overrides` of the topic take precedence over both. `losses` counts images sent but never taken.
-    `clock` returns monotonic seconds.
-
-    Raises rclpy's exception if the subscription cannot be created.
+    `qos_overrides` of the topic take precedence over both. `losses` counts images sent but never taken. See
+    `Subscription` for what happens if it cannot be created.
     """
 
     def __init__(
@@ -153,45 +150,50 @@ class ImageInput:
         reliability: Reliability,
         on_frame: Callable[[ReceivedFrame], None],
         losses: ImageLosses,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._node = node
         self._topic = topic
         self._on_frame = on_frame
         self._losses = losses
-        self._clock = clock
-        self._local_name, self._message_type = topic.local_name, TOPICS[topic.transport][1]
-        overridden = overridden_reliability(node, self._local_name)
-        # Not `or`: system_default is 0, thus falsy.
-        self._wanted = _POLICIES[reliability] if overridden is None else overridden
-        self._last_frame_s = clock()
+        self._last_frame_s = time.monotonic()
         self._received = 0
         self._max_bytes = 0
         # (time in s, images received, images lost), one per call of `look` within the window
         self._looks: deque[tuple[float, int, int]] = deque([(self._last_frame_s, 0, losses.lost)])
-        self._reliability = self._policy(topic.look().reliabilities)
-        self._subscription: Any = self._subscribe()
+        self._subscription = Subscription(
+            node,
+            topic.local_name,
+            TOPICS[topic.transport][1],
+            self._take,
+            depth=1,
+            reliability=_POLICIES[reliability],
+            events=SubscriptionEventCallbacks(message_lost=self._lose, matched=self._match),
+            consequence=". Nothing is detected meanwhile; retrying every second",
+        )
+        self._follow()
 
-    def look(self, topic: TopicStatus) -> InputStatus:
-        """Return the status; with `auto`, resubscribe if the publishers offer another reliability.
+    @property
+    def problem(self) -> str:
+        """Why there is no subscription, "" if there is one."""
+        return self._subscription.problem
 
-        Raises rclpy's exception if the subscription cannot be created; the next call retries.
-        """
+    def look(self) -> InputStatus:
+        """Update the subscription to what the publishers offer; return the status."""
         self._losses.settle()
-        if self._subscription is None or self._policy(topic.reliabilities) is not self._reliability:
-            self._unsubscribe()
-            self._reliability = self._policy(topic.reliabilities)
-            self._subscription = self._subscribe()
-        now_s = self._clock()
+        self._follow()
+        now_s = time.monotonic()
         return InputStatus(
-            reliability=self._reliability,
+            reliability=self._subscription.reliability,
             silent_s=now_s - self._last_frame_s,
             recent=self._recent(now_s),
         )
 
     def close(self) -> None:
-        self._unsubscribe()
+        self._subscription.close()
         self._losses.settle()
+
+    def _follow(self) -> None:
+        if self._subscription.follow():
+            self._losses.subscribe()
 
     def _recent(self, now_s: float) -> RecentImages:
         self._looks.append((now_s, self._received, self._losses.lost))
@@ -200,26 +202,6 @@ class ImageInput:
         begun_s, received, lost = self._looks[0]
         return RecentImages(
             now_s - begun_s, self._received - received, self._losses.lost - lost, self._max_bytes
-        )
-
-    def _policy(self, offers: Sequence[ReliabilityPolicy]) -> ReliabilityPolicy:
-        return common_reliability(offers) if self._wanted is None else self._wanted
-
-    def _unsubscribe(self) -> None:
-        if self._subscription is not None:
-            self._node.destroy_subscription(self._subscription)
-            self._subscription = None
-
-    def _subscribe(self) -> Any:
-        qos = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=self._reliability)
-        self._losses.subscribe()
-        return self._node.create_subscription(
-            self._message_type,
-            endpoint_name(self._node, self._local_name),
-            self._take,
-            qos,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._lose, matched=self._match),
-            qos_overriding_options=overriding_options(self._node, self._local_name, "subscription"),
         )
 
     def _match(self, event: QoSSubscriptionMatchedInfo) -> None:
@@ -235,13 +217,7 @@ class ImageInput:
 
     def _take(self, message: Image | CompressedImage, info: dict[str, int]) -> None:
         self._losses.take(info["publication_sequence_number"], info["received_timestamp"])
-        self._last_frame_s = self._clock()
+        self._last_frame_s = time.monotonic()
         self._received += 1
         self._max_bytes = max(self._max_bytes, len(message.data))
         self._on_frame(ReceivedFrame(message, self._last_frame_s))
-
-
-def common_reliability(offers: Sequence[ReliabilityPolicy]) -> ReliabilityPolicy:
-    """Reliable if every publisher is, else best effort, which matches all publishers."""
-    reliable = bool(offers) and all(offer is ReliabilityPolicy.RELIABLE for offer in offers)
-    return ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TypeVar
+from collections.abc import Iterator
 
 from rclpy.lifecycle import LifecycleNode
 
 from yolov5_lifecycle.detection.selection import selection
-from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.depth_input import DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, InputStatus, ReceivedFrame
-from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
+from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, DetectedFrame, LastImage
 from yolov5_lifecycle.settings.schema import Change
@@ -21,8 +19,6 @@ from yolov5_lifecycle.streaming.pipeline import Networks
 from yolov5_lifecycle.streaming.worker import Feed
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
-Made = TypeVar("Made")
-
 
 class Stream:
     """Owns a camera's subscriptions, tracker and statistics; gives its frames to the inference thread.
@@ -30,7 +26,7 @@ class Stream:
     `camera`: see `of_camera`. `settings` are those of the camera. `track_ids` numbers the tracks of all
     cameras. Detects with `networks` from construction on.
 
-    If the subscription cannot be created, this is logged and stays in `problem`; every `look` retries.
+    If the subscription cannot be created, this stays in `problem`; every `look` retries.
     """
 
     def __init__(
@@ -58,7 +54,6 @@ class Stream:
         self._tracking = TrackedDetection.started(settings, track_ids)
         self._input: ImageInput | None = None
         self.losses = ImageLosses()
-        self.problem = ""
         self.latencies = LatencyWindow()
         self.empty_frames = _no_empty_frames(settings)
         self.depth: DepthInput | None = None
@@ -78,12 +73,16 @@ class Stream:
         """Whether the model segments."""
         return bool(self._networks.whole.segments)
 
-    def look(self, topic: TopicStatus) -> InputStatus | None:
+    @property
+    def problem(self) -> str:
+        """Why subscribing to the images failed, "" if it did not."""
+        return self._input.problem if self._input else ""
+
+    def look(self) -> InputStatus | None:
         """Update the subscription to what the publishers offer; return its status, None without one."""
         self.follow_subscribers()
-        if (present := self._input) is None:
-            return None
-        return self._trying(lambda: present.look(topic))
+        status = self._input.look() if self._input else None
+        return None if self.problem else status
 
     def apply(
         self,
@@ -123,38 +122,19 @@ class Stream:
         mask_subscribers = outputs.mask_subscribers if self.segments else 0
         wanted = not is_lazy or outputs.subscribers + mask_subscribers + subscribers_3d > 0
         if wanted and self._input is None:
-            self._input = self._trying(self._subscribed)
+            self._input = ImageInput(
+                self._node,
+                topic=self._topic,
+                reliability=self._settings.image_reliability,
+                on_frame=self._feed.offer,
+                losses=self.losses,
+            )
         elif not wanted:
             self.unsubscribe()
             self.losses.stop()
         if self.depth is not None and wanted:
             viewers = subscribers_3d + outputs.image_subscribers
             self.depth.follow(is_needed=not is_lazy or viewers > 0)
-
-    def _subscribed(self) -> ImageInput:
-        return ImageInput(
-            self._node,
-            topic=self._topic,
-            reliability=self._settings.image_reliability,
-            on_frame=self._feed.offer,
-            losses=self.losses,
-        )
-
-    def _trying(self, subscribe: Callable[[], Made]) -> Made | None:
-        """Return `subscribe()`; on an exception return None and set `problem` to the reason."""
-        try:
-            made = subscribe()
-        except Exception as error:  # noqa: BLE001 - rclpy raises several types; reported and retried
-            problem = (
-                f"cannot subscribe to {self._topic.name}: {in_one_line(str(error))}. Nothing is detected "
-                "meanwhile; retrying every second"
-            )
-            if problem != self.problem:
-                self._node.get_logger().error(problem)
-            self.problem = problem
-            return None
-        self.problem = ""
-        return made
 
     def _start(self) -> None:
         settings = self._settings
@@ -187,7 +167,6 @@ class Stream:
         if self._input is not None:
             self._input.close()
             self._input = None
-        self.problem = ""
 
 
 def _no_empty_frames(settings: Settings) -> EmptyFrames:
