@@ -53,7 +53,7 @@ class Fate:
 class RandomCamera:
     """A feed, what was offered to it, and what it was told."""
 
-    def __init__(self, worker: Worker[int, int], fate: Fate, networks: Networks[int, int]) -> None:
+    def __init__(self, worker: Worker[int, int], fate: Fate, networks: Networks) -> None:
         self.networks = networks
         self.begun: list[int] = []
         self.published: list[int] = []
@@ -146,7 +146,7 @@ def _many_switches() -> Iterator[None]:
     ],
 )
 @pytest.mark.parametrize("seed", range(4))
-def test_every_frame_is_counted_once(seed: int, networks: list[Networks[int, int]]) -> None:
+def test_every_frame_is_counted_once(seed: int, networks: list[Networks]) -> None:
     before = inference_threads()
     fate = Fate(Random(seed))
     worker: Worker[int, int] = Worker()

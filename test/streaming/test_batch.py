@@ -16,8 +16,6 @@ from yolov5_lifecycle.streaming.worker import Worker
 Jobs = Sequence[tuple[Pipeline[int, int], int]]
 Results = Sequence[int | Exception]
 
-ALONE = 100
-"""Frames from this number on run alone."""
 WITHOUT_KEY = 1000
 """For frames from this number on finding the key raises an exception."""
 
@@ -34,11 +32,11 @@ class Together:
         self.gate.set()
         self.entered = threading.Event()
 
-    def key(self, pipeline: Pipeline[int, int], frame: int) -> Hashable | None:
+    def key(self, pipeline: Pipeline[int, int], frame: int) -> Hashable:
         self.keys_of.append(frame)
         if frame >= WITHOUT_KEY:
             raise RuntimeError("no header")
-        return None if frame >= ALONE else frame % 10
+        return frame % 10
 
     def detect(self, jobs: Jobs) -> Results:
         self.batches.append([frame for _, frame in jobs])
@@ -56,7 +54,7 @@ class Batched:
         self.busy, *self.cameras = [ScriptedCamera(self.worker) for _ in range(5)]
         self.start(Networks(object(), batch=self.batch))
 
-    def start(self, networks: Networks[int, int]) -> None:
+    def start(self, networks: Networks) -> None:
         """Let all cameras share `networks` from their next frame on."""
         for camera in (self.busy, *self.cameras):
             camera.networks = networks
@@ -117,8 +115,7 @@ def test_frames_that_wait_run_together_and_are_published_by_their_own_pipelines(
         pytest.param(2, (2, 12, 22, 32), [[2, 12], [22, 32]], id="the rest as another batch"),
         pytest.param(8, (2, 3, 12, 13), [[2, 12], [3, 13]], id="two keys"),
         pytest.param(8, (2, 3, 4, 5), [], id="every key once"),
-        pytest.param(8, (ALONE, ALONE, 2, 12), [[2, 12]], id="two without a key"),
-        pytest.param(8, (2, ALONE, 12), [[2, 12]], id="one without a key"),
+        pytest.param(8, (WITHOUT_KEY, WITHOUT_KEY, 2, 12), [[2, 12]], id="key raises for two frames"),
         pytest.param(8, (WITHOUT_KEY, 2, 12), [[2, 12]], id="key raises for the next frame"),
         pytest.param(8, (2, WITHOUT_KEY, 12), [[2, 12]], id="key raises for another one"),
         pytest.param(1, (2, 12, 22), [], id="max size one"),
@@ -164,7 +161,7 @@ def test_a_result_that_is_an_exception_is_that_of_its_own_frame(batched: Batched
 class Unpublishable:
     """A pipeline that cannot publish."""
 
-    def __init__(self, networks: Networks[int, int]) -> None:
+    def __init__(self, networks: Networks) -> None:
         self.networks = networks
 
     def detect(self, number: int, network: object) -> int:

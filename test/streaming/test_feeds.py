@@ -275,7 +275,7 @@ class Buffer:
 class Sink:
     """A pipeline that keeps nothing."""
 
-    networks: Networks[Buffer, None] = Networks(object())
+    networks = Networks(object())
 
     def detect(self, _: Buffer, network: object) -> None:
         pass

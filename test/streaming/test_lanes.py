@@ -20,7 +20,7 @@ class Cameras:
 
     def __init__(self) -> None:
         self.worker: Worker[int, int] = Worker()
-        self.networks: Networks[int, int] = Networks(WHOLE, (LEFT, RIGHT))
+        self.networks = Networks(WHOLE, (LEFT, RIGHT))
         self.all = [ScriptedCamera(self.worker, self.networks) for _ in range(4)]
         for camera in self.all:
             camera.frames.start(camera)

@@ -18,7 +18,7 @@ from yolov5_lifecycle.streaming.schedule import Job, Schedule, Slot
 class Unused:
     """A pipeline that is not asked for anything."""
 
-    def __init__(self, networks: Networks[int, int]) -> None:
+    def __init__(self, networks: Networks) -> None:
         self.networks = networks
 
     def detect(self, number: int, network: object) -> int:
@@ -45,7 +45,7 @@ class SameRemainder:
 class Turns:
     """A schedule without a thread; cameras are numbers, and so are their frames."""
 
-    def __init__(self, cameras: int, batch: Batch[int, int] | None = None) -> None:
+    def __init__(self, cameras: int, batch: Batch | None = None) -> None:
         self.abandoned: list[Job[int, int]] = []
         self.schedule: Schedule[int, int] = Schedule(clock=lambda: 0.0, on_abandoned=self.abandoned.append)
         self.slots = [_slot() for _ in range(cameras)]
@@ -102,7 +102,7 @@ def test_cameras_that_always_have_a_frame_are_served_equally_often(
 )
 @given(steps=STEPS)
 def test_a_waiting_frame_is_overtaken_at_most_once_by_each_camera(
-    batch: Batch[int, int] | None, steps: list[int]
+    batch: Batch | None, steps: list[int]
 ) -> None:
     turns = Turns(MAX_CAMERAS, batch)
     overtaken: dict[int, Counter[int]] = {}
@@ -184,7 +184,7 @@ def test_an_abandoned_job_is_no_rest_for_whoever_waits_for_it() -> None:
 
 def test_the_time_of_all_jobs_that_are_awaited_begins_at_once() -> None:
     turns = Turns(3)
-    networks: Networks[int, int] = Networks(object(), [object(), object()])
+    networks = Networks(object(), [object(), object()])
     for camera, slot in enumerate(turns.slots):
         slot.start(Unused(networks), 0.0)
         turns.offer(camera)

@@ -215,7 +215,7 @@ class Negated:
     """Another pipeline: it publishes the number with its sign changed."""
 
     def __init__(self, published: list[int]) -> None:
-        self.networks: Networks[int, int] = Networks(self)
+        self.networks = Networks(self)
         self._published = published
 
     def detect(self, number: int, network: object) -> int:

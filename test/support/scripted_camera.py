@@ -31,8 +31,8 @@ class ScriptedCamera:
     It has a network of its own unless `networks` are given; `used` are the networks of its frames.
     """
 
-    def __init__(self, worker: Worker[int, int], networks: Networks[int, int] | None = None) -> None:
-        self.networks: Networks[int, int] = networks or Networks(self)
+    def __init__(self, worker: Worker[int, int], networks: Networks | None = None) -> None:
+        self.networks = networks or Networks(self)
         self.used: list[object] = []
         self.published: list[int] = []
         self.failures: list[tuple[Outcome, str]] = []

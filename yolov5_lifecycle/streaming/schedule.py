@@ -126,7 +126,7 @@ class Job(Generic[Frame, Result]):
     """One frame or batch that a thread has processed in `network` since `begun_s` (monotonic seconds)."""
 
     turns: Sequence[Turn[Frame, Result]]
-    networks: Networks[Frame, Result]
+    networks: Networks
     network: Any
     begun_s: float
     awaited_s: float | None = None
@@ -207,7 +207,7 @@ class Schedule(Generic[Frame, Result]):
                 return self._begun(together, networks, network)
         return None
 
-    def _free_network(self, networks: Networks[Frame, Result], *, is_only_one: bool) -> Any:
+    def _free_network(self, networks: Networks, *, is_only_one: bool) -> Any:
         """The network for the next frame, None if it has to wait.
 
         A frame runs in `whole` if it is the only one in progress and waiting, beside others in `parallel`.
@@ -222,7 +222,7 @@ class Schedule(Generic[Frame, Result]):
         return next((each for each in candidates if not any(each is other for other in used)), None)
 
     def _begun(
-        self, slots: Sequence[Slot[Frame, Result]], networks: Networks[Frame, Result], network: Any
+        self, slots: Sequence[Slot[Frame, Result]], networks: Networks, network: Any
     ) -> Job[Frame, Result]:
         job = Job([slot.turn() for slot in slots], networks, network, self.clock())
         self.jobs.append(job)
@@ -275,7 +275,7 @@ class Schedule(Generic[Frame, Result]):
         rest_s = max(0.0, timeout_s - awaited_s)
         return self._ended.wait_for(lambda: job not in self.jobs, rest_s) and not job.is_abandoned
 
-    def keeps_any(self, networks: Networks[Frame, Result]) -> bool:
+    def keeps_any(self, networks: Networks) -> bool:
         """Whether an abandoned job keeps one of `networks`."""
         return any(job.networks is networks for job in self._abandoned)
 
@@ -296,7 +296,8 @@ class Schedule(Generic[Frame, Result]):
         return slots
 
 
-def _key(batch: Batch[Frame, Result], slot: Slot[Frame, Result]) -> Hashable | None:
+def _key(batch: Batch, slot: Slot[Frame, Result]) -> Hashable | None:
+    """The key of the waiting frame in `slot`, None if it has none."""
     turn = slot.turn()
     try:
         return batch.key(turn.pipeline, turn.frame)

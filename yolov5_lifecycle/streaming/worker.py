@@ -101,7 +101,7 @@ class Worker(Generic[Frame, Result]):
         self._schedule.stop(self._schedule.slots)
         return self._schedule.wait_or_abandon([*self._schedule.jobs], timeout_s)
 
-    def keeps_any(self, networks: Networks[Frame, Result]) -> bool:
+    def keeps_any(self, networks: Networks) -> bool:
         """Whether an abandoned thread keeps one of `networks`, so that no frame begins with that one."""
         with self._lock:
             return self._schedule.keeps_any(networks)

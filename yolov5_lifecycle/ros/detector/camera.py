@@ -54,9 +54,7 @@ class Camera:
                 self._node, camera=self.name, on_subscribers_changed=self.follow_subscribers
             )
 
-    def start(
-        self, settings: Settings, networks: Networks[ReceivedFrame, DetectedFrame], *, is_active: bool
-    ) -> None:
+    def start(self, settings: Settings, networks: Networks, *, is_active: bool) -> None:
         """Create `stream`: start detecting with these settings of the camera.
 
         `is_active`: whether the node is already active, so that rclpy no longer activates the publishers.

@@ -49,7 +49,7 @@ class CameraPipeline:
     See `streaming.pipeline.Pipeline`.
     """
 
-    networks: Networks[ReceivedFrame, DetectedFrame]
+    networks: Networks
     selection: Selection
     outputs: Outputs
     latencies: LatencyWindow

@@ -51,7 +51,7 @@ class Session:
         self._label_info = label_info
         self._worker = worker
         self.preparation = preparation
-        self.networks: Networks[ReceivedFrame, DetectedFrame] | None = None
+        self.networks: Networks | None = None
 
     @property
     def model(self) -> PreparedModel:
@@ -127,7 +127,7 @@ class Session:
             else:
                 camera.stream.apply(own, self.networks, is_other_model=is_other_model)
 
-    def _networks_of(self, model: PreparedModel) -> Networks[ReceivedFrame, DetectedFrame]:
+    def _networks_of(self, model: PreparedModel) -> Networks:
         """Those in use if they are of `model`, else new ones."""
         if self.networks is not None and self.networks.whole is model.detector:
             return self.networks

@@ -35,7 +35,7 @@ class Stream:
         camera: str,
         *,
         settings: Settings,
-        networks: Networks[ReceivedFrame, DetectedFrame],
+        networks: Networks,
         topic: ImageTopic,
         outputs: Outputs,
         feed: Feed[ReceivedFrame, DetectedFrame],
@@ -87,7 +87,7 @@ class Stream:
     def apply(
         self,
         settings: Settings,
-        networks: Networks[ReceivedFrame, DetectedFrame],
+        networks: Networks,
         *,
         is_other_model: bool,
     ) -> None:
