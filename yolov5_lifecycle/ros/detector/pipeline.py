@@ -65,18 +65,15 @@ class CameraPipeline:
         return DetectedFrame(frame, image, network.detect(image, self.wanted))
 
     def begin(self, frame: ReceivedFrame) -> ColourImage:
-        """Read the image of `frame`, which is in progress now. Raises ImageError for an unreadable one."""
+        """Read the image of `frame`; note its size, and keep the depth image nearest to it.
+
+        Raises ImageError for an unreadable one, which changes nothing.
+        """
         image = messages.image_of_message(frame.message)
-        self._remember(image)
-        self._keep_depth_of(frame)
-        return image
-
-    def _remember(self, image: ColourImage) -> None:
         self.last_image.size_hw = image.size_hw
-
-    def _keep_depth_of(self, frame: ReceivedFrame) -> None:
         if self.placing is not None:
             self.placing.expect(frame.message.header.stamp)
+        return image
 
     @property
     def wanted(self) -> Selection:
