@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel, prepare_model
 from yolov5_lifecycle.images.image import Order
-from yolov5_lifecycle.ros.detector.process import main
+from yolov5_lifecycle.ros.detector.command import main
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, Predictions, Runtime
 from yolov5_lifecycle.settings.settings import Settings
 

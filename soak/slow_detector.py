@@ -25,8 +25,8 @@ from yolov5_lifecycle.detection import detector
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector import outputs, pipeline
+from yolov5_lifecycle.ros.detector.command import main
 from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing
-from yolov5_lifecycle.ros.detector.process import main
 from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 

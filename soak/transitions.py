@@ -8,7 +8,7 @@ from lifecycle_msgs.msg import Transition
 
 from soak.finding import Finding, none_wrong, none_wrong_nor_escaped
 from soak.subject import Subject, subject
-from yolov5_lifecycle.ros.detector.process import FINALIZED_S
+from yolov5_lifecycle.ros.detector.command import FINALIZED_S
 
 Request = tuple[str, int]
 """Label and number; the number is used if the label is empty."""

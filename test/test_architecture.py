@@ -190,8 +190,8 @@ def test_a_node_sets_no_attribute_of_rclpys_nodes(module: str) -> None:
 
 def test_the_console_needs_no_torch_and_the_nodes_no_web_server() -> None:
     web = ("h11", "prometheus_client", "starlette", "uvicorn", "websockets")
-    others = ("ros.camera.node", "ros.demo.command", "ros.detector.process")
-    for names, blocked in ((["ros.console.process"], ("torch", "cv2")), (others, web)):
+    others = ("ros.camera.node", "ros.demo.command", "ros.detector.command")
+    for names, blocked in ((["ros.console.command"], ("torch", "cv2")), (others, web)):
         program = (
             f"import sys; sys.modules.update(dict.fromkeys({blocked!r})); import importlib; "
             f"[importlib.import_module('yolov5_lifecycle.' + name) for name in {names!r}]"

@@ -199,7 +199,7 @@ ENDED_BEFORE_THE_FIRST_TURN = """
 import os
 import signal
 import threading
-from yolov5_lifecycle.ros.detector import process as detector
+from yolov5_lifecycle.ros.detector import command as detector
 
 default = signal.getsignal(signal.SIGTERM)
 

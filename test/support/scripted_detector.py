@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from support.preparations import Preparations
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
-from yolov5_lifecycle.ros.detector.process import main
+from yolov5_lifecycle.ros.detector.command import main
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS

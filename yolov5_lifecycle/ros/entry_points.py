@@ -19,10 +19,10 @@ def detector() -> NoReturn:
     """Run the command `detector`; exit with code 1 if an import fails."""
     _prepare_node_process("detector")
     try:
-        from yolov5_lifecycle.ros.detector import process
+        from yolov5_lifecycle.ros.detector import command
     except ImportError as error:
         _refuse_python("detector", error)
-    process.main()
+    command.main()
 
 
 def camera() -> NoReturn:
@@ -39,10 +39,10 @@ def console() -> NoReturn:
     """Run the command `console`; exit with code 1 if an import fails."""
     _prepare_node_process("console")
     try:
-        from yolov5_lifecycle.ros.console import process
+        from yolov5_lifecycle.ros.console import command
     except ImportError as error:
         _refuse_python("console", error)
-    process.main()
+    command.main()
 
 
 def _prepare_node_process(command: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from yolov5_lifecycle.ros.detector.process import FINALIZED_S, FinalizedPeriod
+from yolov5_lifecycle.ros.detector.command import FINALIZED_S, FinalizedPeriod
 
 
 class Clock:

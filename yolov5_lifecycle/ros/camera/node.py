@@ -16,9 +16,9 @@ from yolov5_lifecycle.process.standard_streams import complain, flush_output
 from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
 from yolov5_lifecycle.ros.camera.settings import SCHEMA, check_qos_overrides, declared_settings
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
-from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
+from yolov5_lifecycle.ros.spin import spin, stop_event
 from yolov5_lifecycle.ros.start_arguments import explain, initialize, refuse, start_arguments
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.sources.frames import ImageSource, SourceFrame

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from yolov5_lifecycle.ros.process import spin
+from yolov5_lifecycle.ros.spin import spin
 
 Result = TypeVar("Result")
 _END_S = 1.0

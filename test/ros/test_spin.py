@@ -9,7 +9,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from yolov5_lifecycle.ros.process import spin
+from yolov5_lifecycle.ros.spin import spin
 
 
 @pytest.fixture

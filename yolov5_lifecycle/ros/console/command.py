@@ -1,4 +1,4 @@
-"""The process of the executable `console`."""
+"""Command `console`: the server until a signal, then its exit code."""
 
 from __future__ import annotations
 

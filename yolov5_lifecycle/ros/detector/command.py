@@ -1,4 +1,4 @@
-"""The process of the executable `detector`."""
+"""Command `detector`: the node until a signal or its shutdown, then its exit code."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.process.standard_streams import flush_output
 from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.detector.node import DetectorNode
-from yolov5_lifecycle.ros.process import spin, stop_event
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
+from yolov5_lifecycle.ros.spin import spin, stop_event
 from yolov5_lifecycle.ros.start_arguments import (
     explain,
     initialize,
@@ -110,10 +110,6 @@ def _serve(node: DetectorNode, stop: threading.Event, finalized_s: float) -> int
     return 0
 
 
-if __name__ == "__main__":
-    main()
-
-
 class FinalizedPeriod:
     """Timer that starts when a node is first seen finalized and runs for `duration_s` seconds.
 
@@ -140,3 +136,7 @@ class FinalizedPeriod:
             self._end_s = self._clock() + self._duration_s
             self._announce(f"finalized: everything is released, the process ends in {self._duration_s:g} s")
         return self._clock() >= self._end_s
+
+
+if __name__ == "__main__":
+    main()
