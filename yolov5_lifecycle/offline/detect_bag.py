@@ -12,8 +12,8 @@ from pathlib import Path
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.batch.plan import plan_of
+from yolov5_lifecycle.offline.batch.recordings_terminal import RecordingsTerminal, recordings_report
 from yolov5_lifecycle.offline.batch.supervisor import detect_recordings
-from yolov5_lifecycle.offline.batch.terminal import BatchTerminal, batch_report
 from yolov5_lifecycle.offline.batch.worker_pool import ProcessWorkers, suitable_count
 from yolov5_lifecycle.offline.batch.workers import Workers
 from yolov5_lifecycle.offline.detect_bag_arguments import TRACK, command_parser
@@ -144,10 +144,10 @@ def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
         suffix=suffix,
         crops=arguments.crops,
     )
-    with unwound_by_sigterm(), closing(BatchTerminal()) as terminal:
+    with unwound_by_sigterm(), closing(RecordingsTerminal()) as terminal:
         new_workers = functools.partial(_workers, arguments.jobs, arguments.ray)
         tally = detect_recordings(sources, plan, new_workers=new_workers, watch=terminal)
-    show_report(batch_report(tally))
+    show_report(recordings_report(tally))
     return EXIT_SET_ASIDE if tally.in_state("set aside") else 0
 
 

@@ -17,8 +17,8 @@ from support.special_cache_files import SPECIAL_CACHE_FILES
 from yolov5_lifecycle.offline.batch.finished import RECORD_NAME, Record, file_stamps, read_record
 from yolov5_lifecycle.offline.batch.plan import Plan
 from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
+from yolov5_lifecycle.offline.batch.recordings_terminal import recordings_report
 from yolov5_lifecycle.offline.batch.supervisor import Tally, detect_recordings
-from yolov5_lifecycle.offline.batch.terminal import batch_report
 from yolov5_lifecycle.offline.batch.workers import Ended, Event, Ready, Refused
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detecting import DetectingError
@@ -218,4 +218,4 @@ def test_names_in_a_report_are_one_line_without_escapes() -> None:
     assert line.count("\n") == 1
     assert line.rstrip("\n").isprintable()
     assert len(objects_line(Counter({"x" * 200 + str(number): 1 for number in range(10_000)}))) < 10_100
-    assert batch_report(Tally(0)).count("\n") == 4
+    assert recordings_report(Tally(0)).count("\n") == 4

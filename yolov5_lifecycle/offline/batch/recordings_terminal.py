@@ -13,7 +13,7 @@ from yolov5_lifecycle.process.standard_streams import complain
 _COUNTED = ("images", "detected", "rejected", "failed")
 
 
-class BatchTerminal:
+class RecordingsTerminal:
     """Reports a batch: each recording that was set aside, and progress over all."""
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class BatchTerminal:
         self._line.close()
 
 
-def batch_report(tally: Tally) -> str:
+def recordings_report(tally: Tally) -> str:
     """Summary of a batch for the user, one fact per line."""
     results = tally.results.values()
     objects: Counter[str] = Counter()
