@@ -130,7 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         weights = options.weights or untrained_weights("n", folder)
         rounds = 1 if options.quick else options.rounds
         taken_s = measured_s(calls(folder / "drives", weights.absolute(), folder), rounds)
-    rows = [row("batch", name, 0, times_s, unit="s") for name, times_s in taken_s.items()]
+    rows = [row("many recordings", name, 0, times_s, unit="s") for name, times_s in taken_s.items()]
     reached = goals(taken_s)
     print(f"{table(rows)}\n\n{goal_table(reached)}")
     write_report(REPORT, vars(options), rows, reached)

@@ -13,11 +13,11 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 
 from support.detected_offline import MODEL
 from support.recorded_scene import raw, record
-from yolov5_lifecycle.offline.batch.plan import Plan, plan_of
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
-from yolov5_lifecycle.offline.batch.supervisor import Tally
-from yolov5_lifecycle.offline.batch.worker_pool import ProcessWorkers
-from yolov5_lifecycle.offline.batch.workers import Event, Progress
+from yolov5_lifecycle.offline.many_recordings.plan import Plan, plan_of
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.supervisor import Tally
+from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers
+from yolov5_lifecycle.offline.many_recordings.workers import Event, Progress
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.settings.settings import validated

@@ -11,11 +11,6 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
-from yolov5_lifecycle.offline.batch.plan import plan_of
-from yolov5_lifecycle.offline.batch.recordings_terminal import RecordingsTerminal, recordings_report
-from yolov5_lifecycle.offline.batch.supervisor import detect_recordings
-from yolov5_lifecycle.offline.batch.worker_pool import ProcessWorkers, suitable_count
-from yolov5_lifecycle.offline.batch.workers import Workers
 from yolov5_lifecycle.offline.detect_bag_arguments import TRACK, command_parser
 from yolov5_lifecycle.offline.detect_files import detect_files
 from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineDetector
@@ -30,6 +25,11 @@ from yolov5_lifecycle.offline.export.formats import (
     may_have_masks,
 )
 from yolov5_lifecycle.offline.image_files import has_still_images
+from yolov5_lifecycle.offline.many_recordings.plan import plan_of
+from yolov5_lifecycle.offline.many_recordings.recordings_terminal import RecordingsTerminal, recordings_report
+from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
+from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers, suitable_count
+from yolov5_lifecycle.offline.many_recordings.workers import Workers
 from yolov5_lifecycle.offline.recordings import (
     SourceRecording,
     are_many,
@@ -155,7 +155,7 @@ def _workers(jobs: int | None, ray: str | None, recordings: int) -> Workers:
     """`jobs` workers, or as many as are suitable for `recordings`, on the cluster `ray` or this machine."""
     if ray is None:
         return ProcessWorkers(min(jobs, recordings) if jobs else suitable_count(recordings))
-    from yolov5_lifecycle.offline.batch.ray_cluster import ray_workers
+    from yolov5_lifecycle.offline.many_recordings.ray_cluster import ray_workers
 
     return ray_workers(ray, jobs, recordings)
 

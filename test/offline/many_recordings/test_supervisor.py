@@ -11,13 +11,13 @@ import pytest
 from support.many_recordings import Notes, ScriptedWorkers, plan_for
 
 from yolov5_lifecycle.atomic_file import OutputError
-from yolov5_lifecycle.offline.batch.plan import Plan
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
-from yolov5_lifecycle.offline.batch.supervisor import MAX_DEATHS, Tally, detect_recordings
-from yolov5_lifecycle.offline.batch.worker_pool import ProcessWorkers, suitable_count
-from yolov5_lifecycle.offline.batch.workers import Died, Ended, Event, Ready, Refused
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detecting import DetectingError
+from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.supervisor import MAX_DEATHS, Tally, detect_recordings
+from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers, suitable_count
+from yolov5_lifecycle.offline.many_recordings.workers import Died, Ended, Event, Ready, Refused
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.process.environment import compute_threads
 from yolov5_lifecycle.unfinished import hold, open_itself
@@ -35,8 +35,8 @@ def done(worker: int, source: SourceRecording) -> Event:
     )
 
 
-class Batch:
-    """A batch in `folder` with scripted workers."""
+class ScriptedRun:
+    """A run in `folder` with scripted workers."""
 
     def __init__(
         self,
@@ -60,12 +60,12 @@ class Batch:
 
 
 def test_the_first_worker_chooses_runtime_and_precision_of_all(tmp_path: Path) -> None:
-    batch = Batch(tmp_path, 3)
-    tally = batch.run()
-    assert batch.workers.runtimes == ["auto", "torch", "torch"]
-    assert batch.workers.precisions == ["auto", "fp32", "fp32"]
-    assert batch.workers.is_closed
-    assert sorted(name for _, name in batch.workers.begun) == list("abcd")
+    scripted = ScriptedRun(tmp_path, 3)
+    tally = scripted.run()
+    assert scripted.workers.runtimes == ["auto", "torch", "torch"]
+    assert scripted.workers.precisions == ["auto", "fp32", "fp32"]
+    assert scripted.workers.is_closed
+    assert sorted(name for _, name in scripted.workers.begun) == list("abcd")
     assert (tally.in_state("done"), tally.images) == (4, 8)
 
 
@@ -73,19 +73,19 @@ def test_with_runtime_and_precision_set_all_workers_start_at_once(tmp_path: Path
     begun: list[int] = []
 
     def begin(worker: int, source: SourceRecording) -> Event:
-        begun.append(len(batch.workers.runtimes))
+        begun.append(len(scripted.workers.runtimes))
         return done(worker, source)
 
-    batch = Batch(tmp_path, 3, on_begin=begin)
-    plan = plan_for(batch.output, precision="fp32")
-    detect_recordings(SOURCES, plan, new_workers=lambda _: batch.workers, watch=batch.notes)
+    scripted = ScriptedRun(tmp_path, 3, on_begin=begin)
+    plan = plan_for(scripted.output, precision="fp32")
+    detect_recordings(SOURCES, plan, new_workers=lambda _: scripted.workers, watch=scripted.notes)
     assert begun[0] == 3
 
 
 def test_there_are_no_more_workers_than_recordings(tmp_path: Path) -> None:
-    batch = Batch(tmp_path, 100)
-    batch.run()
-    assert len(batch.workers.runtimes) == len(SOURCES)
+    scripted = ScriptedRun(tmp_path, 100)
+    scripted.run()
+    assert len(scripted.workers.runtimes) == len(SOURCES)
 
 
 def test_the_recording_of_a_dead_worker_is_retried(tmp_path: Path) -> None:
@@ -97,21 +97,21 @@ def test_the_recording_of_a_dead_worker_is_retried(tmp_path: Path) -> None:
             return Died(worker, "the worker died (signal 9)")
         return done(worker, source)
 
-    batch = Batch(tmp_path, on_begin=begin)
-    assert batch.run().in_state("done") == 4
-    assert sorted(name for _, name in batch.workers.begun) == list("aabccd")
-    assert len(batch.notes.remarks) == 2
+    scripted = ScriptedRun(tmp_path, on_begin=begin)
+    assert scripted.run().in_state("done") == 4
+    assert sorted(name for _, name in scripted.workers.begun) == list("aabccd")
+    assert len(scripted.notes.remarks) == 2
 
 
 def test_the_recording_at_which_workers_die_is_set_aside(tmp_path: Path) -> None:
     def begin(worker: int, source: SourceRecording) -> Event:
         return Died(worker, "it died") if source.name == "b" else done(worker, source)
 
-    batch = Batch(tmp_path, on_begin=begin)
-    tally = batch.run()
+    scripted = ScriptedRun(tmp_path, on_begin=begin)
+    tally = scripted.run()
     assert (tally.in_state("done"), tally.in_state("set aside")) == (3, 1)
-    assert [result.recording for result in batch.notes.aside] == ["b"]
-    assert [name for _, name in batch.workers.begun].count("b") == MAX_DEATHS
+    assert [result.recording for result in scripted.notes.aside] == ["b"]
+    assert [name for _, name in scripted.workers.begun].count("b") == MAX_DEATHS
 
 
 @pytest.mark.parametrize(
@@ -121,51 +121,51 @@ def test_the_recording_at_which_workers_die_is_set_aside(tmp_path: Path) -> None
         pytest.param(lambda worker: Refused(worker, "no such class"), "no such class", id="refuses"),
     ],
 )
-def test_a_model_that_no_worker_can_load_ends_the_batch(
+def test_a_model_that_no_worker_can_load_ends_the_run(
     event: Callable[[int], Event], told: str, tmp_path: Path
 ) -> None:
-    batch = Batch(tmp_path, on_start=lambda worker, _: event(worker))
+    scripted = ScriptedRun(tmp_path, on_start=lambda worker, _: event(worker))
     with pytest.raises(DetectingError, match=told):
-        batch.run()
-    assert batch.workers.is_closed
-    assert not batch.output.exists()
+        scripted.run()
+    assert scripted.workers.is_closed
+    assert not scripted.output.exists()
 
 
 def test_a_worker_for_which_there_is_no_room_is_left_out(tmp_path: Path) -> None:
     def start(worker: int, plan: Plan) -> Event:
         return Refused(worker, "not enough memory") if worker else ready(worker, plan)
 
-    batch = Batch(tmp_path, 2, on_start=start)
-    assert batch.run().in_state("done") == 4
-    (remark,) = batch.notes.remarks
+    scripted = ScriptedRun(tmp_path, 2, on_start=start)
+    assert scripted.run().in_state("done") == 4
+    (remark,) = scripted.notes.remarks
     assert remark == "continuing with 1 worker(s): another one could not start: not enough memory"
 
 
-def test_a_full_disk_ends_the_batch(tmp_path: Path) -> None:
-    batch = Batch(tmp_path, on_begin=lambda worker, _: Refused(worker, "No space left on device"))
+def test_a_full_disk_ends_the_run(tmp_path: Path) -> None:
+    scripted = ScriptedRun(tmp_path, on_begin=lambda worker, _: Refused(worker, "No space left on device"))
     with pytest.raises(DetectingError, match="No space left"):
-        batch.run()
+        scripted.run()
 
 
 def test_two_batches_do_not_share_a_folder(tmp_path: Path) -> None:
-    batch = Batch(tmp_path)
-    batch.output.mkdir()
-    held = open_itself(batch.output)
-    assert hold(held, batch.output)
+    scripted = ScriptedRun(tmp_path)
+    scripted.output.mkdir()
+    held = open_itself(scripted.output)
+    assert hold(held, scripted.output)
     with pytest.raises(OutputError, match="another detect_bag is writing to it"):
-        batch.run()
-    assert batch.workers.runtimes == []
+        scripted.run()
+    assert scripted.workers.runtimes == []
 
 
 def test_without_pyarrow_the_table_is_missing_and_the_remedy_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    batch = Batch(tmp_path)
-    batch.run()
-    assert [path.name for path in batch.output.iterdir()] == ["summary.json"]
-    assert json.loads((batch.output / "summary.json").read_text())["done"] == 4
-    (remark,) = batch.notes.remarks
+    scripted = ScriptedRun(tmp_path)
+    scripted.run()
+    assert [path.name for path in scripted.output.iterdir()] == ["summary.json"]
+    assert json.loads((scripted.output / "summary.json").read_text())["done"] == 4
+    (remark,) = scripted.notes.remarks
     assert remark.endswith("-m pip install pyarrow")
 
 

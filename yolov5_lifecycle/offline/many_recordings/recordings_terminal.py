@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import get_args
 
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult, State
-from yolov5_lifecycle.offline.batch.supervisor import Tally
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult, State
+from yolov5_lifecycle.offline.many_recordings.supervisor import Tally
 from yolov5_lifecycle.offline.terminal import ProgressLine, objects_line
 from yolov5_lifecycle.process.standard_streams import complain
 
@@ -14,7 +14,7 @@ _COUNTED = ("images", "detected", "rejected", "failed")
 
 
 class RecordingsTerminal:
-    """Reports a batch: each recording that was set aside, and progress over all."""
+    """Reports each recording that was set aside, and progress over all."""
 
     def __init__(self) -> None:
         self._line = ProgressLine()
@@ -38,7 +38,7 @@ class RecordingsTerminal:
 
 
 def recordings_report(tally: Tally) -> str:
-    """Summary of a batch for the user, one fact per line."""
+    """Summary of many recordings for the user, one fact per line."""
     results = tally.results.values()
     objects: Counter[str] = Counter()
     for result in results:

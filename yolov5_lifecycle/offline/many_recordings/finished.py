@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from yolov5_lifecycle.atomic_file import write_whole
 from yolov5_lifecycle.folder_listing import FolderTree
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
-from yolov5_lifecycle.offline.batch.plan import Plan
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import METADATA, SourceRecording, is_storage
 
 RECORD_NAME = "detect_bag.json"

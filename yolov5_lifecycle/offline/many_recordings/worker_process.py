@@ -41,7 +41,7 @@ def main(descriptor: int) -> NoReturn:
 
 def _served(connection: socket.socket) -> int:
     """The exit code."""
-    from yolov5_lifecycle.offline.batch.answers import encoded
+    from yolov5_lifecycle.offline.many_recordings.answers import encoded
 
     with connection.makefile("r", encoding="utf-8") as requests:
 
@@ -53,9 +53,9 @@ def _served(connection: socket.socket) -> int:
 
 def _answered(requests: Iterable[str], send: Send) -> int:
     # Imported here: they import numpy and torch, for which the environment must be prepared.
-    from yolov5_lifecycle.offline.batch.answers import refusal
-    from yolov5_lifecycle.offline.batch.plan import Plan
-    from yolov5_lifecycle.offline.batch.recording_task import NoRoomError, RecordingTask
+    from yolov5_lifecycle.offline.many_recordings.answers import refusal
+    from yolov5_lifecycle.offline.many_recordings.plan import Plan
+    from yolov5_lifecycle.offline.many_recordings.recording_task import NoRoomError, RecordingTask
     from yolov5_lifecycle.offline.recordings import SourceRecording
     from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 

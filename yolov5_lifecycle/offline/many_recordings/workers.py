@@ -1,4 +1,4 @@
-"""What the workers of a batch have in common, whether they are processes of this machine or of a cluster."""
+"""What all workers have in common, whether they are processes of this machine or of a cluster."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from yolov5_lifecycle.offline.batch.plan import Plan
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import SourceRecording
 
 

@@ -14,9 +14,9 @@ from yolov5_lifecycle.process.environment import prepare_environment
 from yolov5_lifecycle.process.missing_package import absence_of
 
 if TYPE_CHECKING:
-    from yolov5_lifecycle.offline.batch.plan import Plan
-    from yolov5_lifecycle.offline.batch.recording_task import RecordingTask
-    from yolov5_lifecycle.offline.batch.workers import Event
+    from yolov5_lifecycle.offline.many_recordings.plan import Plan
+    from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
+    from yolov5_lifecycle.offline.many_recordings.workers import Event
     from yolov5_lifecycle.offline.recordings import SourceRecording
 
 _ANSWER_S = 10.0
@@ -73,9 +73,9 @@ class Actor:
     def load(self) -> str:
         """Load the model."""
         # Imported here: they import torch, for which the environment must be prepared.
-        from yolov5_lifecycle.offline.batch.answers import encoded, refusal
-        from yolov5_lifecycle.offline.batch.plan import Plan
-        from yolov5_lifecycle.offline.batch.recording_task import RecordingTask
+        from yolov5_lifecycle.offline.many_recordings.answers import encoded, refusal
+        from yolov5_lifecycle.offline.many_recordings.plan import Plan
+        from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
         from yolov5_lifecycle.runtimes.runtime import InferenceError
 
         try:
@@ -86,8 +86,8 @@ class Actor:
 
     def detect(self, name: str, path: str) -> str:
         """Detect in a recording."""
-        from yolov5_lifecycle.offline.batch.answers import encoded, refusal
-        from yolov5_lifecycle.offline.batch.recording_task import NoRoomError
+        from yolov5_lifecycle.offline.many_recordings.answers import encoded, refusal
+        from yolov5_lifecycle.offline.many_recordings.recording_task import NoRoomError
         from yolov5_lifecycle.offline.recordings import SourceRecording
 
         assert self._task is not None
@@ -141,8 +141,8 @@ class RayWorkers:
     def _event(self, call: Any) -> Event:
         import ray
 
-        from yolov5_lifecycle.offline.batch.answers import AnswerError, read_answer
-        from yolov5_lifecycle.offline.batch.workers import Died, Ended, Ready, Refused
+        from yolov5_lifecycle.offline.many_recordings.answers import AnswerError, read_answer
+        from yolov5_lifecycle.offline.many_recordings.workers import Died, Ended, Ready, Refused
         from yolov5_lifecycle.printable import in_one_line
 
         number, recording = self._pending.pop(call)

@@ -15,12 +15,12 @@ from support.detected_offline import SET_MODEL, prepare_once, run
 from support.many_recordings import messages, plan_for
 from support.recorded_scene import COUNT, images, raw, record, video
 
-from yolov5_lifecycle.offline.batch.finished import RECORD_NAME, finished_before
-from yolov5_lifecycle.offline.batch.plan import Plan
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
-from yolov5_lifecycle.offline.batch.recording_task import RecordingTask
 from yolov5_lifecycle.offline.detect_bag import EXIT_SET_ASIDE, main
 from yolov5_lifecycle.offline.export.formats import FORMATS
+from yolov5_lifecycle.offline.many_recordings.finished import RECORD_NAME, finished_before
+from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
 from yolov5_lifecycle.offline.recordings import SourceRecording
 
 WITHOUT_ROSBAGS = "import sys; sys.modules['rosbags'] = None; "
@@ -171,7 +171,7 @@ def test_a_broken_video_is_set_aside_with_the_reason(tmp_path: Path) -> None:
 
 
 def test_a_worker_for_videos_imports_no_rosbags() -> None:
-    program = f"{WITHOUT_ROSBAGS} import yolov5_lifecycle.offline.batch.recording_task"
+    program = f"{WITHOUT_ROSBAGS} import yolov5_lifecycle.offline.many_recordings.recording_task"
     subprocess.run([sys.executable, "-c", program], check=True)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from yolov5_lifecycle.offline.batch.recording_result import Count, RecordingResult, Text
+from yolov5_lifecycle.offline.many_recordings.recording_result import Count, RecordingResult, Text
 from yolov5_lifecycle.printable import in_lines, in_one_line
 
 MAX_BYTES = 32 << 20

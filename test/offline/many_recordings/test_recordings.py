@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 from support.many_recordings import plan_for
 
-from yolov5_lifecycle.offline.batch.finished import (
+from yolov5_lifecycle.offline.many_recordings.finished import (
     RECORD_NAME,
     Record,
     file_stamps,
     finished_before,
     read_record,
 )
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import SourceRecording, are_many, recordings_of
 from yolov5_lifecycle.quantization.calibration_file import path_beside
 from yolov5_lifecycle.sources.frames import SourceError

@@ -14,14 +14,14 @@ from support.detected_offline import SET_MODEL
 from support.many_recordings import Notes, ScriptedWorkers, plan_for, record_drives
 from support.special_cache_files import SPECIAL_CACHE_FILES
 
-from yolov5_lifecycle.offline.batch.finished import RECORD_NAME, Record, file_stamps, read_record
-from yolov5_lifecycle.offline.batch.plan import Plan
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
-from yolov5_lifecycle.offline.batch.recordings_terminal import recordings_report
-from yolov5_lifecycle.offline.batch.supervisor import Tally, detect_recordings
-from yolov5_lifecycle.offline.batch.workers import Ended, Event, Ready, Refused
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detecting import DetectingError
+from yolov5_lifecycle.offline.many_recordings.finished import RECORD_NAME, Record, file_stamps, read_record
+from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.recordings_terminal import recordings_report
+from yolov5_lifecycle.offline.many_recordings.supervisor import Tally, detect_recordings
+from yolov5_lifecycle.offline.many_recordings.workers import Ended, Event, Ready, Refused
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
 from yolov5_lifecycle.offline.terminal import objects_line
 

@@ -1,4 +1,4 @@
-"""The plan for every recording of a batch, in a form that can be sent to workers."""
+"""The plan for every one of many recordings, in a form that can be sent to workers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PLACE_OF_WEIGHTS = {"model_size", "weights", "weights_dir", "weights_dirs", "we
 
 
 class Plan(BaseModel):
-    """The model, the settings and the options of a batch, and the folder of its results."""
+    """The model, the settings and the options for all recordings, and the folder of its results."""
 
     model_config = ConfigDict(frozen=True)
 

@@ -28,11 +28,11 @@ from support.many_recordings import (
 from support.recorded_scene import COUNT, raw, record
 
 from yolov5_lifecycle.atomic_file import has_unfinished_outputs
-from yolov5_lifecycle.offline.batch.finished import RECORD_NAME
-from yolov5_lifecycle.offline.batch.recording_task import NoRoomError, RecordingTask
-from yolov5_lifecycle.offline.batch.supervisor import Tally, detect_recordings
-from yolov5_lifecycle.offline.batch.worker_pool import ProcessWorkers
 from yolov5_lifecycle.offline.detect_bag import EXIT_SET_ASIDE, main
+from yolov5_lifecycle.offline.many_recordings.finished import RECORD_NAME
+from yolov5_lifecycle.offline.many_recordings.recording_task import NoRoomError, RecordingTask
+from yolov5_lifecycle.offline.many_recordings.supervisor import Tally, detect_recordings
+from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
 from yolov5_lifecycle.ros.demo.child_process import entry_point
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError

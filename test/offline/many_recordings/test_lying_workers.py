@@ -1,4 +1,4 @@
-"""What a worker answers is checked: nonsense costs that worker its life, and never the batch."""
+"""What a worker answers is checked: nonsense costs that worker its life, and never the whole run."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pathlib import Path
 import pytest
 from support.many_recordings import Notes, plan_for
 
-from yolov5_lifecycle.offline.batch.answers import (
+from yolov5_lifecycle.offline.detecting import DetectingError
+from yolov5_lifecycle.offline.many_recordings.answers import (
     MAX_BYTES,
     AnswerError,
     encoded,
     read_answer,
     refusal,
 )
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
-from yolov5_lifecycle.offline.batch.supervisor import Tally, detect_recordings
-from yolov5_lifecycle.offline.batch.worker_pool import ProcessWorkers
-from yolov5_lifecycle.offline.detecting import DetectingError
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.supervisor import Tally, detect_recordings
+from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers
 from yolov5_lifecycle.offline.recordings import SourceRecording
 
 ROW = RecordingResult(recording="east", path="/drives/east", state="done", images=2, detected=2).model_dump()
@@ -88,7 +88,7 @@ def test_a_refusal_is_an_answer_whatever_the_error_says() -> None:
     assert answer.refused.startswith("??[31mx")
 
 
-def batch(folder: Path, notes: Notes) -> Tally:
+def run(folder: Path, notes: Notes) -> Tally:
     sources = [SourceRecording(name, folder / name) for name in ("east", "west")]
     return detect_recordings(
         sources,
@@ -113,7 +113,7 @@ def test_a_worker_that_lies_about_a_recording_is_ended_and_the_recording_set_asi
 ) -> None:
     monkeypatch.setenv("LIE_WHILE_RUNNING", lie)
     notes = Notes()
-    tally = batch(tmp_path, notes)
+    tally = run(tmp_path, notes)
     assert tally.in_state("set aside") == 2
     assert [result.recording for result in notes.aside] == ["east", "west"]
     assert all("the worker answered" in result.reason for result in notes.aside)
@@ -121,9 +121,9 @@ def test_a_worker_that_lies_about_a_recording_is_ended_and_the_recording_set_asi
     assert (summary["set_aside"], summary["images"]) == (2, 0)
 
 
-def test_a_worker_that_lies_while_it_loads_ends_the_batch_with_the_reason(
+def test_a_worker_that_lies_while_it_loads_ends_the_run_with_the_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LIE_WHILE_LOADING", '{"ended": {}}')
     with pytest.raises(DetectingError, match=r"the worker answered.*while loading the model, 2 times"):
-        batch(tmp_path, Notes())
+        run(tmp_path, Notes())

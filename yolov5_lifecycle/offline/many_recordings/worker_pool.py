@@ -13,16 +13,16 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from yolov5_lifecycle.offline.batch.answers import MAX_BYTES, AnswerError, read_answer
-from yolov5_lifecycle.offline.batch.plan import Plan
-from yolov5_lifecycle.offline.batch.workers import Died, Ended, Event, Progress, Ready, Refused
+from yolov5_lifecycle.offline.many_recordings.answers import MAX_BYTES, AnswerError, read_answer
+from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.many_recordings.workers import Died, Ended, Event, Progress, Ready, Refused
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.process.environment import compute_threads
 from yolov5_lifecycle.process.memory import available_bytes
 
 # The path of this process; `-m` would search the current folder first, which may be one of recordings.
 _PROGRAM = "import sys; sys.path[:] = {path!r}; from {module} import main; main({descriptor})"
-_MODULE = "yolov5_lifecycle.offline.batch.worker_process"
+_MODULE = "yolov5_lifecycle.offline.many_recordings.worker_process"
 _THREADS = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 """Variables for the number of threads of torch, which the runtimes follow, and of OpenCV."""
 _WORKER_BYTES = 1 << 30

@@ -11,10 +11,10 @@ import pytest
 from support.detected_offline import SET_MODEL, prepare_once
 from support.many_recordings import Notes, plan_for, record_drives
 
-from yolov5_lifecycle.offline.batch.recording_task import RecordingTask
-from yolov5_lifecycle.offline.batch.supervisor import detect_recordings
-from yolov5_lifecycle.offline.batch.worker_pool import ProcessWorkers
 from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
+from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
+from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
 from yolov5_lifecycle.quantization.calibration_file import path_beside
 

@@ -1,4 +1,4 @@
-"""The result of one recording of a batch."""
+"""The result of one of many recordings."""
 
 from __future__ import annotations
 

@@ -11,12 +11,20 @@ from pathlib import Path
 from typing import Protocol
 
 from yolov5_lifecycle.atomic_file import OutputError, remove_unfinished_outputs
-from yolov5_lifecycle.offline.batch.finished import finished_before
-from yolov5_lifecycle.offline.batch.plan import Plan
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
-from yolov5_lifecycle.offline.batch.summary import check_summary, write_summary
-from yolov5_lifecycle.offline.batch.workers import Died, Ended, Event, Progress, Ready, Refused, Workers
 from yolov5_lifecycle.offline.detecting import DetectingError
+from yolov5_lifecycle.offline.many_recordings.finished import finished_before
+from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.summary import check_summary, write_summary
+from yolov5_lifecycle.offline.many_recordings.workers import (
+    Died,
+    Ended,
+    Event,
+    Progress,
+    Ready,
+    Refused,
+    Workers,
+)
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
 from yolov5_lifecycle.printable import in_lines, is_utf8
 from yolov5_lifecycle.unfinished import hold, open_itself
@@ -27,7 +35,7 @@ _EVENT_S = 1.0
 
 
 class Tally:
-    """How far a batch of `count` recordings is."""
+    """How far a run over `count` recordings is."""
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -59,8 +67,8 @@ class Tally:
         return sum(result.state == state for result in self.results.values())
 
 
-class BatchWatch(Protocol):
-    """Observer of a batch."""
+class RunWatch(Protocol):
+    """Observer of a run over many recordings."""
 
     def set_aside(self, result: RecordingResult) -> None:
         """Called for each recording without a result."""
@@ -77,7 +85,7 @@ def detect_recordings(
     plan: Plan,
     *,
     new_workers: Callable[[int], Workers],
-    watch: BatchWatch,
+    watch: RunWatch,
 ) -> Tally:
     """Write a result for each of `sources`, and a summary, to the folder `plan.output`.
 
@@ -96,7 +104,7 @@ def detect_recordings(
         check_summary(plan.output)
         if waiting:
             with closing(new_workers(len(waiting))) as workers:
-                _Batch(waiting, plan, workers, tally, watch).run()
+                _Run(waiting, plan, workers, tally, watch).run()
         results = [tally.results[source.name] for source in sources]
         for problem in write_summary(plan, results):
             watch.remark(problem)
@@ -134,7 +142,7 @@ def _output_folder(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-class _Batch:
+class _Run:
     """Hands out recordings and takes results, until none are left."""
 
     def __init__(
@@ -143,7 +151,7 @@ class _Batch:
         plan: Plan,
         workers: Workers,
         tally: Tally,
-        watch: BatchWatch,
+        watch: RunWatch,
     ) -> None:
         self._waiting = waiting
         self._plan = plan

@@ -1,4 +1,4 @@
-"""The summary of a batch: a row for each recording, as JSON and as a Parquet table."""
+"""The summary of many recordings: a row for each, as JSON and as a Parquet table."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from yolov5_lifecycle.atomic_file import OutputError, write_together, write_whole
-from yolov5_lifecycle.offline.batch.plan import Plan
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.unfinished import open_itself
 

@@ -10,7 +10,11 @@ from pathlib import Path
 from yolov5_lifecycle.atomic_file import OutputError, whole_output
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
-from yolov5_lifecycle.offline.batch.finished import (
+from yolov5_lifecycle.offline.detect_files import write_files
+from yolov5_lifecycle.offline.detecting import Account, OfflineDetector
+from yolov5_lifecycle.offline.export.exporting import Export
+from yolov5_lifecycle.offline.export.formats import JSON_LINES, may_have_masks
+from yolov5_lifecycle.offline.many_recordings.finished import (
     Record,
     content_sha256,
     file_stamps,
@@ -19,12 +23,8 @@ from yolov5_lifecycle.offline.batch.finished import (
     result_bytes,
     skipped,
 )
-from yolov5_lifecycle.offline.batch.plan import Plan
-from yolov5_lifecycle.offline.batch.recording_result import RecordingResult
-from yolov5_lifecycle.offline.detect_files import write_files
-from yolov5_lifecycle.offline.detecting import Account, OfflineDetector
-from yolov5_lifecycle.offline.export.exporting import Export
-from yolov5_lifecycle.offline.export.formats import JSON_LINES, may_have_masks
+from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_video
 from yolov5_lifecycle.printable import in_lines, in_one_line
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
