@@ -23,9 +23,9 @@ from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError, read_parameter_file
 from yolov5_lifecycle.settings.parameter_yaml import MAX_SCALARS
-from yolov5_lifecycle.sources.calibration import CalibrationError, read_calibration
+from yolov5_lifecycle.sources.camera_info import CameraInfoError, read_camera_info
 
-_CALIBRATION = """\
+_CAMERA_INFO = """\
 image_width: 640
 image_height: 480
 camera_name: front
@@ -73,14 +73,14 @@ def check_image_list(data: bytes) -> None:
         assert all(path.is_relative_to(folder) for path in paths)
 
 
-def check_camera_calibration(data: bytes) -> None:
-    """Expect the calibration of a camera, or a one-line error."""
+def check_camera_info(data: bytes) -> None:
+    """Expect the values of camera_info, or a one-line error."""
     path = _written("camera.yaml", data)
-    calibration = taken(partial(read_calibration, f"file://{path}"), CalibrationError)
-    if isinstance(calibration, CalibrationError):
-        assert str(calibration).isprintable()
+    known = taken(partial(read_camera_info, f"file://{path}"), CameraInfoError)
+    if isinstance(known, CameraInfoError):
+        assert str(known).isprintable()
         return
-    assert len(calibration.projection_matrix.data) == 12
+    assert len(known.projection_matrix.data) == 12
 
 
 def check_recording(data: bytes) -> None:
@@ -104,8 +104,8 @@ def image_list_seeds() -> Iterator[bytes]:
     yield b"1.jpg\r\n./1.jpg\n1.jpg\n../1.jpg\n/1.jpg\n"
 
 
-def camera_calibration_seeds() -> Iterator[bytes]:
-    yield _CALIBRATION.encode()
+def camera_info_seeds() -> Iterator[bytes]:
+    yield _CAMERA_INFO.encode()
 
 
 def recording_seeds() -> Iterator[bytes]:

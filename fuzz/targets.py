@@ -240,9 +240,7 @@ TARGETS = {
     "parameter-files": Target(described_files.check_parameter_file, described_files.parameter_file_seeds),
     "descriptions": Target(described_files.check_description, described_files.description_seeds),
     "image-lists": Target(described_files.check_image_list, described_files.image_list_seeds),
-    "camera-calibrations": Target(
-        described_files.check_camera_calibration, described_files.camera_calibration_seeds
-    ),
+    "camera-info": Target(described_files.check_camera_info, described_files.camera_info_seeds),
     "recordings": Target(described_files.check_recording, described_files.recording_seeds),
     "depth": Target(depth_stream.check_depth_stream, depth_stream.seeds),
     "tracker": Target(tracked_images.check_tracked_images, tracked_images.seeds),

@@ -31,7 +31,7 @@ class OneBehindTheOther(Scene):
 
 
 def intrinsics(frame: DepthFrame) -> Intrinsics:
-    camera = frame.calibration
+    camera = frame.camera_info
     return intrinsics_of(camera.camera_matrix.data, camera.projection_matrix.data, camera.size_hw)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.sources.calibration import Calibration, Matrix
+from yolov5_lifecycle.sources.camera_info import CameraInfoValues, Matrix
 from yolov5_lifecycle.sources.scene import Scene, Shape
 
 _DISTANCES_M = (1.25, 3.2)
@@ -33,7 +33,7 @@ class DepthFrame:
     """(n, 3) centres of the boxes around the shapes."""
     sizes_xyz_m: NDArray[np.float64]
     """(n, 3) sizes of these boxes."""
-    calibration: Calibration
+    camera_info: CameraInfoValues
     """The same for both cameras."""
 
 
@@ -49,7 +49,7 @@ class SceneDepth:
     def __init__(self, seed: int, scene: Scene) -> None:
         rng = np.random.default_rng([seed, _RANDOM_STREAM])
         self._scene = scene
-        self._calibration = scene_calibration(scene.size_hw)
+        self._camera_info = scene_camera_info(scene.size_hw)
         first = scene.shapes(0)
         distances_m = rng.permutation(np.geomspace(*_DISTANCES_M, len(first)))
         self._radii_m = [
@@ -72,11 +72,11 @@ class SceneDepth:
             surface = np.append(rays, np.ones((len(rays), 1)), axis=1) * board.depths_m(rays)[:, None]
             corners_m.append((surface.min(axis=0), surface.max(axis=0)))
         low, high = np.array(corners_m).swapaxes(0, 1)
-        return DepthFrame(depth_mm, (low + high) / 2, high - low, self._calibration)
+        return DepthFrame(depth_mm, (low + high) / 2, high - low, self._camera_info)
 
     @property
     def _focal_px(self) -> float:
-        return self._calibration.camera_matrix.data[0]
+        return self._camera_info.camera_matrix.data[0]
 
     def _board(self, number: int, shape: Shape) -> _Plane:
         distance_m = self._focal_px * self._radii_m[number] / shape.radius
@@ -84,7 +84,7 @@ class SceneDepth:
 
     def _rays(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """x and y at z = 1 of points (..., 2) in pixels; (0, 0) is the centre of the first pixel."""
-        centre = np.array([self._calibration.camera_matrix.data[2], self._calibration.camera_matrix.data[5]])
+        centre = np.array([self._camera_info.camera_matrix.data[2], self._camera_info.camera_matrix.data[5]])
         return np.asarray((points - centre) / self._focal_px, np.float64)
 
     def _measured(self, plane: _Plane, rows: slice, columns: slice) -> NDArray[np.uint16]:
@@ -117,12 +117,12 @@ class _Plane:
         return np.asarray(self.depth_m / (1 - (rays_xy - self.ray_xy) @ self.slopes_xy), np.float64)
 
 
-def scene_calibration(size_hw: tuple[int, int]) -> Calibration:
+def scene_camera_info(size_hw: tuple[int, int]) -> CameraInfoValues:
     """A camera without distortion that sees 53 degrees along the longer side of its image."""
     height, width = size_hw
     focal_px = float(max(size_hw))
     cx, cy = (width - 1) / 2, (height - 1) / 2
-    return Calibration(
+    return CameraInfoValues(
         image_width=width,
         image_height=height,
         camera_name="scene",

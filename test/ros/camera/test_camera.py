@@ -15,7 +15,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
-from support.calibration_file import calibration_url
+from support.camera_info_file import camera_info_url
 from support.camera_process import END_S, camera_process
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import PARAMETERS, SCENE, as_arguments, detector_process
@@ -211,7 +211,7 @@ def first_info(observer: Observer) -> CameraInfo:
 
 def test_camera_info_is_kept_for_late_subscribers(observer: Observer, ros_domain: int, folder: Path) -> None:
     once_in_a_thousand_seconds = {"source": str(folder / "8.png"), "rate": 0.001}
-    calibrated = {"camera_info_url": calibration_url(folder, 32, 24), "frame_id": "lens"}
+    calibrated = {"camera_info_url": camera_info_url(folder, 32, 24), "frame_id": "lens"}
     with camera_process(ros_domain, "--ros-args", *as_arguments(once_in_a_thousand_seconds | calibrated)):
         info = first_info(observer)
         assert info == first_info(observer)

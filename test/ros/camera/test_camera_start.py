@@ -9,7 +9,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from support.calibration_file import calibration_url
+from support.camera_info_file import camera_info_url
 from support.camera_process import END_S, camera_process
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import as_arguments
@@ -66,7 +66,7 @@ def test_a_source_that_cannot_be_opened_ends_the_process_with_the_reason(
 def test_images_of_another_size_than_the_calibration_end_the_process_with_the_reason(
     ros_domain: int, folder: Path
 ) -> None:
-    arguments = as_arguments({"source": str(folder), "camera_info_url": calibration_url(folder, 64, 48)})
+    arguments = as_arguments({"source": str(folder), "camera_info_url": camera_info_url(folder, 64, 48)})
     with camera_process(ros_domain, "--ros-args", *arguments) as camera:
         assert camera.wait(END_S) == 1
     assert "The images are 32 x 24, but camera_info_url has the calibration for 64 x 48" in camera.output

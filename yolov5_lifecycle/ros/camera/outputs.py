@@ -27,7 +27,7 @@ from yolov5_lifecycle.ros.messages import (
     image_message,
     masks_message,
 )
-from yolov5_lifecycle.sources.calibration import Calibration
+from yolov5_lifecycle.sources.camera_info import CameraInfoValues
 from yolov5_lifecycle.sources.frames import SourceError, SourceFrame
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth
 from yolov5_lifecycle.sources.scene_masks import label_image
@@ -68,13 +68,13 @@ class CameraOutputs:
     """Owns the publishers of images, `camera_info` in the same namespace, ground truth and depth.
 
     Image topics, `camera_info` and those of depth follow the remapping of `image_raw`, as with
-    image_transport. `camera_info` has the calibration of the scene with depth, else that of the settings, if
-    any, and is transient local. `~/truth` has the shapes of the synthetic scene with their true identities,
-    `~/ground_truth_masks` their pixels. The camera sends both, and depth, before the image. `forms` create
-    the image messages, only for subscribers.
+    image_transport. `camera_info` describes the camera of the scene with depth, else that of the settings,
+    if any, and is transient local. `~/truth` has the shapes of the synthetic scene with their true
+    identities, `~/ground_truth_masks` their pixels. The camera sends both, and depth, before the image.
+    `forms` create the image messages, only for subscribers.
 
     Raises RuntimeError or ParameterException for invalid `qos_overrides`, and SettingsError for an invalid
-    calibration.
+    `camera_info_url`.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class CameraOutputs:
     ) -> None:
         self._node = node
         self._settings = settings
-        self._calibration = settings.calibration
+        self._camera_info = settings.camera_info
         topic = node.resolve_topic_name("image_raw")
         offered = _RELIABILITIES[settings.reliability]
         self._images = [
@@ -115,12 +115,12 @@ class CameraOutputs:
     def publish(self, frame: SourceFrame) -> None:
         """Publish one frame, stamped now, on each image topic that has a subscriber.
 
-        Raises SourceError if its size differs from that of the calibration.
+        Raises SourceError if its size differs from that in `camera_info_url`.
         """
-        _check_calibrated(frame, self._calibration)
+        _check_size(frame, self._camera_info)
         header = Header(stamp=self._node.get_clock().now().to_msg(), frame_id=self._settings.frame_id)
-        calibration = self._calibration if frame.depth is None else frame.depth.calibration
-        info = camera_info(header, frame.image.size_hw, calibration)
+        known = self._camera_info if frame.depth is None else frame.depth.camera_info
+        info = camera_info_message(header, frame.image.size_hw, known)
         if frame.truth is not None:
             self._publish_scene(frame, frame.truth, info)
         for publisher, message in self._images:
@@ -148,22 +148,24 @@ class CameraOutputs:
             self._depth.publish(frame.depth, truths, info)
 
 
-def camera_info(header: Header, size_hw: tuple[int, int], calibration: Calibration | None) -> CameraInfo:
-    """CameraInfo for an image of `size_hw`; zero matrices, which mean uncalibrated, without calibration."""
+def camera_info_message(
+    header: Header, size_hw: tuple[int, int], known: CameraInfoValues | None
+) -> CameraInfo:
+    """CameraInfo for an image of `size_hw`; without `known` zero matrices, which mean uncalibrated."""
     info = CameraInfo(header=header, height=size_hw[0], width=size_hw[1])
-    if calibration is not None:
-        info.distortion_model = calibration.distortion_model
-        info.d = calibration.distortion_coefficients.data
-        info.k = calibration.camera_matrix.data
-        info.r = calibration.rectification_matrix.data
-        info.p = calibration.projection_matrix.data
+    if known is not None:
+        info.distortion_model = known.distortion_model
+        info.d = known.distortion_coefficients.data
+        info.k = known.camera_matrix.data
+        info.r = known.rectification_matrix.data
+        info.p = known.projection_matrix.data
     return info
 
 
-def _check_calibrated(frame: SourceFrame, calibration: Calibration | None) -> None:
-    if calibration is None or frame.image.size_hw == calibration.size_hw:
+def _check_size(frame: SourceFrame, known: CameraInfoValues | None) -> None:
+    if known is None or frame.image.size_hw == known.size_hw:
         return
-    (height, width), (calibrated_height, calibrated_width) = frame.image.size_hw, calibration.size_hw
+    (height, width), (calibrated_height, calibrated_width) = frame.image.size_hw, known.size_hw
     raise SourceError(
         f"The images are {width} x {height}, but camera_info_url has the calibration for "
         f"{calibrated_width} x {calibrated_height}: calibrate again at this size, or set width and height if "

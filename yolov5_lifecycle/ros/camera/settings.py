@@ -15,7 +15,7 @@ from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, SettingsError, contradiction
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 from yolov5_lifecycle.settings.synonyms import QOS_PREFIX
-from yolov5_lifecycle.sources.calibration import Calibration, CalibrationError, read_calibration
+from yolov5_lifecycle.sources.camera_info import CameraInfoError, CameraInfoValues, read_camera_info
 from yolov5_lifecycle.sources.source import SYNTHETIC
 
 Transport = Literal["raw", "compressed", "both"]
@@ -94,21 +94,21 @@ class CameraSettings(BaseModel):
         return self
 
     @cached_property
-    def calibration(self) -> Calibration | None:
-        """Calibration at `camera_info_url`, None if that is empty; raises SettingsError."""
+    def camera_info(self) -> CameraInfoValues | None:
+        """The values at `camera_info_url`, None if that is empty; raises SettingsError."""
         if not self.camera_info_url:
             return None
         try:
-            calibration = read_calibration(self.camera_info_url)
-        except CalibrationError as error:
+            camera_info = read_camera_info(self.camera_info_url)
+        except CameraInfoError as error:
             raise SettingsError([Problem("camera_info_url", str(error))]) from None
-        if self.size_hw not in (None, calibration.size_hw):
+        if self.size_hw not in (None, camera_info.size_hw):
             asked = f"{self.width} x {self.height}"
-            known = f"{calibration.image_width} x {calibration.image_height}"
+            known = f"{camera_info.image_width} x {camera_info.image_height}"
             raise SettingsError(
                 [Problem("width, height", f"{asked} requested, but the calibration is for {known}.")]
             )
-        return calibration
+        return camera_info
 
     @property
     def size_hw(self) -> tuple[int, int] | None:

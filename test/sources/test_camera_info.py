@@ -1,4 +1,4 @@
-"""Calibration files of cameras: what is read, and what is refused with which message."""
+"""The file at camera_info_url: what is read, and what is refused with which message."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 
 import pytest
-from support.calibration_file import FILE
+from support.camera_info_file import FILE
 
-from yolov5_lifecycle.sources.calibration import MAX_FILE_BYTES, CalibrationError, read_calibration
+from yolov5_lifecycle.sources.camera_info import MAX_FILE_BYTES, CameraInfoError, read_camera_info
 
 
 @pytest.fixture
@@ -20,12 +20,12 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("quoted", [False, True])
 def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
-    calibration = read_calibration(path.as_uri() if quoted else f"file://{path}")
-    assert calibration.size_hw == (480, 640)
-    assert calibration.camera_name == "narrow_stereo"
-    assert list(calibration.camera_matrix.data) == [438.78, 0, 305.59, 0, 437.34, 243.74, 0, 0, 1]
-    assert list(calibration.distortion_coefficients.data) == [-0.3615, 0.1661, 4.8e-05, 1e-05, 0]
-    assert calibration.projection_matrix.data[5] == 393.66
+    known = read_camera_info(path.as_uri() if quoted else f"file://{path}")
+    assert known.size_hw == (480, 640)
+    assert known.camera_name == "narrow_stereo"
+    assert list(known.camera_matrix.data) == [438.78, 0, 305.59, 0, 437.34, 243.74, 0, 0, 1]
+    assert list(known.distortion_coefficients.data) == [-0.3615, 0.1661, 4.8e-05, 1e-05, 0]
+    assert known.projection_matrix.data[5] == 393.66
 
 
 def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,7 +35,7 @@ def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.
     (tmp_path / "share" / "my_robot").mkdir()
     path.rename(tmp_path / "share" / "my_robot" / "lens.yaml")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    assert read_calibration("package://my_robot/lens.yaml").size_hw == (480, 640)
+    assert read_camera_info("package://my_robot/lens.yaml").size_hw == (480, 640)
 
 
 @pytest.mark.parametrize(
@@ -70,11 +70,11 @@ def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.
         pytest.param(FILE, "\x1b[31m: {", "camera_calibration writes", id="control characters"),
     ],
 )
-def test_a_wrong_calibration_is_refused_with_the_reason(path: Path, old: str, new: str, told: str) -> None:
+def test_wrong_values_are_refused_with_the_reason(path: Path, old: str, new: str, told: str) -> None:
     assert old in FILE
     path.write_text(FILE.replace(old, new, 1))
-    with pytest.raises(CalibrationError) as raised:
-        read_calibration(f"file://{path}")
+    with pytest.raises(CameraInfoError) as raised:
+        read_camera_info(f"file://{path}")
     assert str(raised.value).startswith(f"{path}: ")
     assert told in str(raised.value)
     assert str(raised.value).isprintable()
@@ -95,11 +95,11 @@ def test_a_wrong_calibration_is_refused_with_the_reason(path: Path, old: str, ne
     ],
 )
 def test_a_url_without_a_file_is_refused_with_the_reason(url: str, told: str) -> None:
-    with pytest.raises(CalibrationError, match=told):
-        read_calibration(url)
+    with pytest.raises(CameraInfoError, match=told):
+        read_camera_info(url)
 
 
 def test_a_pipe_does_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(CalibrationError, match="expected a regular file"):
-        read_calibration(f"file://{tmp_path / 'pipe'}")
+    with pytest.raises(CameraInfoError, match="expected a regular file"):
+        read_camera_info(f"file://{tmp_path / 'pipe'}")

@@ -1,4 +1,4 @@
-"""A calibration as camera_calibration writes it."""
+"""A file for camera_info_url, as camera_calibration writes it."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ projection_matrix:
 """
 
 
-def calibration_url(folder: Path, width: int, height: int) -> str:
-    """URL of a new calibration in `folder` for images of this size."""
+def camera_info_url(folder: Path, width: int, height: int) -> str:
+    """URL of a new file in `folder` for images of this size."""
     path = folder / "lens.yaml"
     path.write_text(FILE.replace("640", str(width), 1).replace("480", str(height), 1))
     return f"file://{path}"

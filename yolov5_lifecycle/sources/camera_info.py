@@ -1,4 +1,4 @@
-"""Camera calibration from a YAML file of camera_calibration."""
+"""The values of camera_info from a YAML file, as camera_calibration writes it."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _FILE, _PACKAGE = "file://", "package://"
 Side = Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
 
 
-class CalibrationError(ValueError):
-    """An invalid calibration; the message names the file, what was expected and what was found."""
+class CameraInfoError(ValueError):
+    """An invalid file; the message names the file, what was expected and what was found."""
 
 
 class Matrix(BaseModel):
@@ -46,8 +46,8 @@ class Matrix(BaseModel):
         return self
 
 
-class Calibration(BaseModel):
-    """Camera intrinsics for one image size."""
+class CameraInfoValues(BaseModel):
+    """What a sensor_msgs/CameraInfo says of a camera and one image size, under the names in the file."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -61,7 +61,7 @@ class Calibration(BaseModel):
     projection_matrix: Matrix
 
     @model_validator(mode="after")
-    def _has_the_right_shapes(self) -> Calibration:
+    def _has_the_right_shapes(self) -> CameraInfoValues:
         for name, shape in (
             ("camera_matrix", (3, 3)),
             ("rectification_matrix", (3, 3)),
@@ -84,16 +84,16 @@ class Calibration(BaseModel):
 
     @property
     def size_hw(self) -> tuple[int, int]:
-        """Height and width in pixels of the calibrated image size."""
+        """Height and width in pixels of the images."""
         return self.image_height, self.image_width
 
 
-def read_calibration(url: str) -> Calibration:
-    """Read the calibration at `file:///PATH` or `package://PACKAGE/PATH`; raises CalibrationError."""
+def read_camera_info(url: str) -> CameraInfoValues:
+    """Read the file at `file:///PATH` or `package://PACKAGE/PATH`; raises CameraInfoError."""
     path = _path(url)
     try:
         content = read_regular_file(path, MAX_FILE_BYTES)
-        return Calibration.model_validate(_tree(content))
+        return CameraInfoValues.model_validate(_tree(content))
     except ValidationError as error:
         problem = _described(error)
     except RegularFileError as error:
@@ -102,7 +102,7 @@ def read_calibration(url: str) -> Calibration:
         problem = error.strerror or type(error).__name__
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         problem = f"expected the YAML file that camera_calibration writes: {error}"
-    raise CalibrationError(f"{in_one_line(str(path))}: {in_one_line(problem).removesuffix('.')}.")
+    raise CameraInfoError(f"{in_one_line(str(path))}: {in_one_line(problem).removesuffix('.')}.")
 
 
 def _path(url: str) -> Path:
@@ -110,10 +110,10 @@ def _path(url: str) -> Path:
         try:
             return Path(resolve_package(url))
         except ValueError as error:
-            raise CalibrationError(in_one_line(str(error))) from None
+            raise CameraInfoError(in_one_line(str(error))) from None
     path = Path(unquote(url.removeprefix(_FILE)))
     if not (url.startswith(_FILE) and path.is_absolute()):
-        raise CalibrationError(
+        raise CameraInfoError(
             f"'{in_one_line(url)}': expected file:///PATH with an absolute path, or package://PACKAGE/PATH."
         )
     return path
@@ -136,7 +136,7 @@ def _tree(content: bytes) -> object:
 
 
 def _problem(text: str) -> PydanticCustomError:
-    return PydanticCustomError("calibration", "{text}", {"text": text})
+    return PydanticCustomError("camera_info", "{text}", {"text": text})
 
 
 def _described(error: ValidationError) -> str:
