@@ -15,7 +15,7 @@ from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Batches
-from yolov5_lifecycle.ros.detector.camera import Camera
+from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 
 CAMERAS = ("front", "rear")
@@ -264,14 +264,14 @@ def test_a_camera_that_a_failed_change_added_ends_with_the_change(
     served: ServedNode, cameras: dict[str, CameraClient], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     served.bring_to("active")
-    start = Camera.start
+    start = DetectorCamera.start
 
-    def fail_to_start(camera: Camera, *arguments: Any, **options: Any) -> None:
+    def fail_to_start(camera: DetectorCamera, *arguments: Any, **options: Any) -> None:
         if camera.name == "left":
             raise RuntimeError("no left camera")
         start(camera, *arguments, **options)
 
-    monkeypatch.setattr(Camera, "start", fail_to_start)
+    monkeypatch.setattr(DetectorCamera, "start", fail_to_start)
     done, _ = served.set(cameras=["front", "rear", "left"])
     assert not done
     served.wait_for_log("camera left removed: ")

@@ -12,7 +12,7 @@ from support.camera_client import CameraClient
 from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of
 
-from yolov5_lifecycle.ros.detector.camera import Camera
+from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
 from yolov5_lifecycle.ros.detector.frame_failures import CameraFailures
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
@@ -114,10 +114,10 @@ def test_the_sizes_for_which_a_model_is_prepared_are_read_where_cameras_are_chan
         assert cameras.threads == {served.serving_thread}
 
 
-class ThreadsThatRead(dict[str, Camera]):
+class ThreadsThatRead(dict[str, DetectorCamera]):
     """Cameras that know which threads look at all of them."""
 
-    def __init__(self, cameras: dict[str, Camera]) -> None:
+    def __init__(self, cameras: dict[str, DetectorCamera]) -> None:
         super().__init__(cameras)
         self.threads: set[int] = set()
 

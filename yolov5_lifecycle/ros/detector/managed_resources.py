@@ -12,7 +12,7 @@ from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare, most_lanes
 from yolov5_lifecycle.process.memory import resident_mb
 from yolov5_lifecycle.ros.detector.background import Background
-from yolov5_lifecycle.ros.detector.camera import Camera
+from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
 from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import ModelLoader, Preparation
@@ -58,8 +58,8 @@ class ManagedResources:
         self._worker: Worker[ReceivedFrame, DetectedFrame] = Worker()
         self._track_ids = itertools.count(1)
         self._waits = Background(node, "waits")
-        self._cameras: dict[str, Camera] = {}
-        self._removed: list[Camera] = []
+        self._cameras: dict[str, DetectorCamera] = {}
+        self._removed: list[DetectorCamera] = []
         """Cameras whose last frame may still be in progress; see `end_removed`."""
         self.loader = ModelLoader(
             node,
@@ -142,7 +142,7 @@ class ManagedResources:
         if session is not None and executor is not None and self._renewal(session):
             executor.create_task(self._renew, session)
 
-    def _close(self, camera: Camera) -> None:
+    def _close(self, camera: DetectorCamera) -> None:
         log = self._node.get_logger()
         if not camera.close(REST_TIMEOUT_S):
             log.error(ABANDONED)
@@ -270,9 +270,9 @@ class ManagedResources:
         """The cameras that the parameters name; valid even if other settings are not."""
         return self._parameters.value("cameras") or ("",)
 
-    def _camera(self, name: str) -> Camera:
+    def _camera(self, name: str) -> DetectorCamera:
         if name not in self._cameras:
-            self._cameras[name] = Camera(
+            self._cameras[name] = DetectorCamera(
                 self._node,
                 name,
                 names=self._names,

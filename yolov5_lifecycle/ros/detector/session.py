@@ -12,7 +12,7 @@ from vision_msgs.msg import LabelInfo, VisionClass
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems
 from yolov5_lifecycle.ros.detector.batch_detection import BatchDetection
-from yolov5_lifecycle.ros.detector.camera import Camera
+from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import Preparation
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
@@ -42,7 +42,7 @@ class Session:
         node: LifecycleNode,
         *,
         preparation: Preparation,
-        cameras: Mapping[str, Camera],
+        cameras: Mapping[str, DetectorCamera],
         label_info: LifecyclePublisher,
         worker: Worker[ReceivedFrame, DetectedFrame],
     ) -> None:

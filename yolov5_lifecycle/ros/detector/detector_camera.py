@@ -20,7 +20,7 @@ from yolov5_lifecycle.streaming.pipeline import Networks
 from yolov5_lifecycle.streaming.worker import Worker
 
 
-class Camera:
+class DetectorCamera:
     """Owns a camera's frame balance and topic until `close`, and its publishers and stream while needed.
 
     `name` is "" for the one camera of a node without `cameras`; `names()` returns those of all cameras.
