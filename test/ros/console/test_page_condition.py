@@ -70,6 +70,7 @@ def killed(browser: Chrome) -> Iterator[ConsolePage]:
         detector.bring_to("active")
         page = ConsolePage(browser, address(console))
         page.open()
+        wait_for_condition(page, "ok", "ok", "ok")
         page.wait_for(lambda: RATE.search(page.text(".camera .figures")), "the rate")
         detector.process.stop(signal.SIGKILL)
         page.wait_for_text(".notice.error", f"{NODE} is lost")
@@ -81,7 +82,7 @@ def test_nothing_of_a_lost_detector_is_shown_as_current(killed: ConsolePage) -> 
     assert condition(page) == ("lost", "lost", "lost")
     assert page.state == "lost"
     assert page.text(".camera .figures") == "lost"
-    assert "Last message: detecting" in page.text(".reason")
+    assert "Not known now. Last message:" in page.text(".reason")  # of a busy machine, not always the same
     assert page.find_all("[data-transition]") == []
     assert page.find_all('[data-condition="ok"]') == []
     assert [part.text for part in page.find_all(".plot strong")] == ["- Hz", "- ms"]
