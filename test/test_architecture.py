@@ -26,6 +26,7 @@ ROS_MODULES = (
     "rcl_interfaces",
     "sensor_msgs",
     "std_msgs",
+    "std_srvs",
     "vision_msgs",
 )
 # A folder may import folders of lower rows; the first row holds the modules that lie beside the folders.
@@ -37,6 +38,7 @@ RANKS = (
     ("quantization",),
     ("detection",),
     ("tracking", "evaluation"),
+    ("collecting",),
     ("commands",),
     ("doctor", "offline"),
     ("ros",),
@@ -47,7 +49,7 @@ ROS_RANK = {"": 0, "parameters": 1, "camera": 2, "console": 2, "detector": 2, "d
 EDGE = (
     *("settings.", "commands.", "offline.", "ros."),
     *("detection.prepared_model", "detection.python_api", "detection.selection"),
-    "tracking.tracked_detection",
+    *("tracking.tracked_detection", "collecting.rules"),
 )
 WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process", "tracking", "evaluation")
 

@@ -178,8 +178,12 @@ def check_dataset(*words: str) -> None:
     dataset.parser().parse_args(words)
 
 
-def check_service(verb: str, service: str, service_type: str, request: str) -> None:
-    assert (verb, service) == ("call", f"{NODE}/set_parameters_atomically")
+def check_service(verb: str, service: str, service_type: str, request: str = "{}") -> None:
+    assert verb == "call"
+    if (service, service_type) == (f"{NODE}/collect", "std_srvs/srv/Trigger"):
+        assert request == "{}"
+        return
+    assert service == f"{NODE}/set_parameters_atomically"
     assert service_type == "rcl_interfaces/srv/SetParametersAtomically"
     messages = [
         ParameterMessage(name=parameter["name"], value=ParameterValue(**parameter["value"]))

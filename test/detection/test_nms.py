@@ -153,7 +153,7 @@ def test_many_boxes_that_do_not_count_leave_place_for_those_that_do() -> None:
         ),
         pytest.param({"class_thresholds": ((1, 0.01),), "classes": frozenset({0})}, 0.25, id="not wanted"),
         pytest.param({"classes": frozenset()}, 0.25, id="no class"),
-        pytest.param({"tracked_threshold": 0.1}, 0.1, id="tracked"),
+        pytest.param({"extra_threshold": 0.1}, 0.1, id="tracked"),
     ],
 )
 def test_the_network_is_asked_for_the_lowest_threshold_of_a_wanted_class(
@@ -166,7 +166,7 @@ def test_the_network_is_asked_for_the_lowest_threshold_of_a_wanted_class(
 
 def test_what_only_a_tracker_wants_replaces_nothing_that_is_admitted() -> None:
     rows = [(10, 10, 10, 10, 0.4, 1.0, 0.0), (10, 10, 10, 10, 0.3, 0.0, 1.0)]
-    selection = Selection(class_thresholds=((0, 0.5),), agnostic_nms=True, tracked_threshold=0.1)
+    selection = Selection(class_thresholds=((0, 0.5),), agnostic_nms=True, extra_threshold=0.1)
     assert select(raw_rows(*rows), selection).class_ids.tolist() == [1]
     one = replace(selection, agnostic_nms=False, max_detections=1)
     assert select(raw_rows(*rows), one).class_ids.tolist() == [1]

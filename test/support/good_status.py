@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from rclpy.qos import ReliabilityPolicy
 
+from yolov5_lifecycle.collecting.collector import CollectorStatus
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.ros.detector.depth_placing import PlacingCounts
 from yolov5_lifecycle.ros.detector.depth_status import DepthStatus, SourceStatus
@@ -45,6 +46,7 @@ GOOD_CAMERA = CameraStatus(
     segments=True,
     mask_subscribers=1,
     busy_s=0.02,
+    collecting_problem="",
 )
 GOOD = Status(
     state="active",
@@ -54,6 +56,7 @@ GOOD = Status(
     cameras=(GOOD_CAMERA,),
     abandoned_threads=0,
     resident_mb=350.4,
+    collected=CollectorStatus(kept=3, duplicates=5, frames=12, megabytes=4.2),
 )
 OF_CAMERAS = replace(GOOD, cameras=(replace(GOOD_CAMERA, camera="front"),))
 """The same of a node whose camera has a name."""

@@ -28,6 +28,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
 from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from yolov5_lifecycle.detection.prepared_model import Prepare
@@ -40,6 +41,7 @@ STATES = ("unconfigured", "inactive", "active")
 
 
 _SERVICES = {
+    "collect": Trigger,
     "change_state": ChangeState,
     "get_state": GetState,
     "describe_parameters": DescribeParameters,

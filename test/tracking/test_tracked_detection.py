@@ -18,13 +18,13 @@ from support.scripted_runtime import ScriptedRuntime
 from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.nms import Selection, select
+from yolov5_lifecycle.detection.nms import Selection, narrowed, select
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.images.region import Region
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import cluttered_background
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, admitted, tracker_settings
+from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection, tracker_settings
 
 LEFT = Region(((0.0, 0.0), (0.5, 0.0), (0.5, 1.0), (0.0, 1.0)))
 IMAGE = ColourImage(np.zeros((64, 64, 3), np.uint8), "rgb")
@@ -205,9 +205,9 @@ def test_the_published_detections_are_those_of_their_threshold(
     listed: list[tuple[float, ...]], selection: Selection
 ) -> None:
     raw = np.array(listed, np.float32).reshape(-1, 7)
-    tracked = select(raw, replace(selection, tracked_threshold=LOW))
-    ids = [str(row) for row in range(len(tracked))]
-    found = admitted(tracked, ids, selection)
+    tracked = select(raw, replace(selection, extra_threshold=LOW))
+    ids = tuple(str(row) for row in range(len(tracked)))
+    found = narrowed(replace(tracked, track_ids=ids), selection)
     expected = select(raw, selection)
     np.testing.assert_array_equal(found.boxes_xyxy, expected.boxes_xyxy)
     np.testing.assert_array_equal(found.scores, expected.scores)
@@ -218,7 +218,7 @@ def test_the_published_detections_are_those_of_their_threshold(
 
 def test_a_missed_score_that_is_noise_is_not_reported() -> None:
     noise = Detections(np.zeros((1, 4), np.float32), np.array([0.03], np.float32), np.zeros(1, np.int64))
-    found = admitted(noise, [""], Selection())
+    found = narrowed(replace(noise, track_ids=("",)), Selection())
     assert (len(found), found.best_missed, found.track_ids) == (0, 0.0, ())
 
 

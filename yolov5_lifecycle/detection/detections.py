@@ -31,7 +31,9 @@ class Detections:
     masks: Masks | None = None
     """Masks of the n detections; None unless the model segments and masks were requested."""
     best_filtered: float = 0.0
-    """Without detections: the highest score above the threshold, of a box that does not count, else 0."""
+    """The highest score above the threshold, of a box that does not count; 0 if there is none."""
+    embedding: NDArray[np.float32] | None = None
+    """(C,) what the whole image looks like to the network; None unless it was requested."""
 
     def __post_init__(self) -> None:
         count = len(self.scores)
@@ -67,6 +69,7 @@ class Detections:
             track_ids=tuple(self.track_ids[row] for row in kept) if self.track_ids else (),
             masks=None if self.masks is None else self.masks.of(kept),
             best_filtered=self.best_filtered,
+            embedding=self.embedding,
         )
 
     def label_image(self) -> NDArray[np.uint16] | None:

@@ -164,6 +164,7 @@ class Detector:
         if selection.with_masks and predictions.compute_prototypes is not None:
             coefficients = raw[found.rows[visible], 5 + len(self.class_names) :]
             masks = _masks(predictions.compute_prototypes, coefficients, letterbox.source_hw)
+        compute_embedding = predictions.compute_embedding if selection.with_embedding else None
         return Detections(
             boxes_xyxy[visible],
             found.scores[visible],
@@ -171,6 +172,7 @@ class Detector:
             found.best_missed,
             masks=masks,
             best_filtered=found.best_filtered,
+            embedding=compute_embedding() if compute_embedding else None,
         )
 
     def warm_up(self, sizes_hw: Iterable[tuple[int, int]]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import cv2
@@ -32,8 +32,8 @@ class Selection:
     """Threshold of the classes without their own."""
     class_thresholds: tuple[tuple[int, float], ...] = ()
     """Class ids, each once, and their own thresholds."""
-    tracked_threshold: float | None = None
-    """Scores above it are reported, too, after those that the thresholds admit: a tracker needs them."""
+    extra_threshold: float | None = None
+    """Scores above it are reported, too, after those that the thresholds admit; see `wider`."""
     iou_threshold: float = 0.45
     max_detections: int = 1000
     classes: frozenset[int] | None = None
@@ -42,6 +42,13 @@ class Selection:
     """None: all boxes count."""
     with_masks: bool = False
     """Whether to compute masks; without effect if the model does not segment."""
+    with_embedding: bool = False
+    """Whether to compute `Detections.embedding`."""
+
+    def wider(self, threshold: float) -> Selection:
+        """Reports scores above `threshold`, too: a tracker or a collection of images needs them."""
+        present = self.extra_threshold
+        return replace(self, extra_threshold=threshold if present is None else min(present, threshold))
 
     @property
     def min_score(self) -> float:
@@ -49,7 +56,7 @@ class Selection:
         wanted = self.classes
         own = [value for class_id, value in self.class_thresholds if wanted is None or class_id in wanted]
         others = [] if wanted and len(own) == len(wanted) else [self.confidence_threshold]
-        tracked = [] if self.tracked_threshold is None else [self.tracked_threshold]
+        tracked = [] if self.extra_threshold is None else [self.extra_threshold]
         return min([*own, *others, *tracked])
 
     @property
@@ -61,10 +68,15 @@ class Selection:
         """Which of the detections (n,) score above the threshold of their class."""
         if not self.class_thresholds:
             return scores > self.confidence_threshold
-        ids, values = zip(*self.class_thresholds, strict=True)
-        thresholds = np.full(max(*ids, class_ids.max(initial=0)) + 1, self.confidence_threshold, np.float32)
-        thresholds[list(ids)] = values
-        return scores > thresholds[class_ids]
+        return scores > self.thresholds(class_ids)
+
+    def thresholds(self, class_ids: NDArray[np.int64]) -> NDArray[np.float32]:
+        """The threshold (n,) of each class."""
+        own = dict(self.class_thresholds)
+        count = max([*own, int(class_ids.max(initial=0))]) + 1
+        of_classes = np.full(count, self.confidence_threshold, np.float32)
+        of_classes[list(own)] = list(own.values())
+        return of_classes[class_ids]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +126,22 @@ def select(raw: NDArray[np.float32], selection: Selection, counts: Counts | None
     )
 
 
+def narrowed(detections: Detections, selection: Selection) -> Detections:
+    """Those of `detections` that `selection` reports: they were found with a wider one.
+
+    In NMS no lower score removes a higher one, and none that is not admitted removes an admitted one, so
+    these are the same as with `selection` alone. Without any, `best_missed` is the highest score worth
+    reporting, as it would be there.
+    """
+    is_reported = selection.admits(detections.scores, detections.class_ids)
+    if selection.extra_threshold is not None:
+        is_reported |= detections.scores > selection.extra_threshold
+    best_missed = detections.best_missed
+    if not is_reported.any() and len(detections) and detections.scores[0] > WORTH_TELLING:
+        best_missed = float(detections.scores[0])
+    return replace(detections[is_reported], best_missed=best_missed)
+
+
 class _Candidates(NamedTuple):
     """Rows (n,) of raw predictions, with their scores and class ids."""
 
@@ -150,8 +178,8 @@ def _by_priority(found: _Candidates, selection: Selection) -> _Candidates:
     if not selection.class_thresholds:
         return found.at(np.argsort(-found.scores, kind="stable")[:MAX_CANDIDATES])
     is_wanted = is_admitted = selection.admits(found.scores, found.class_ids)
-    if selection.tracked_threshold is not None:
-        is_wanted = is_admitted | (found.scores > selection.tracked_threshold)
+    if selection.extra_threshold is not None:
+        is_wanted = is_admitted | (found.scores > selection.extra_threshold)
         found = found._replace(priorities=found.scores + is_admitted.astype(np.float32))
     found = found.at(is_wanted)
     return found.at(np.lexsort((-found.scores, -found.priorities))[:MAX_CANDIDATES])

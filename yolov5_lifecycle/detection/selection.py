@@ -139,6 +139,7 @@ def _safe(entry: str) -> str:
 _MODEL_DEPENDENT: Mapping[str, Callable[[Sequence[str], Sequence[str]], object]] = {
     "classes": class_ids,
     "class_thresholds": class_thresholds,
+    "collect_classes": class_ids,
 }
 """By setting: the function that resolves it with the class names, or raises ClassFilterError."""
 

@@ -72,15 +72,15 @@ def decode_image_file(data: NDArray[np.uint8]) -> ColourImage:
     return ColourImage(_opencv_pixels(data, cv2.IMREAD_COLOR), "bgr")
 
 
-def encode_jpeg(image: ColourImage, encoding: Literal["bgr8", "mono8"] = "bgr8") -> NDArray[np.uint8]:
-    """Encode an image as a JPEG file (N,), in colour or greyscale.
+def encode_jpeg(
+    image: ColourImage, encoding: Literal["bgr8", "mono8"] = "bgr8", *, quality: int = JPEG_QUALITY
+) -> NDArray[np.uint8]:
+    """Encode an image as a JPEG file (N,), in colour or greyscale; `quality` from 1 to 100.
 
     Raises ImageError when OpenCV cannot encode it.
     """
     try:
-        is_encoded, data = cv2.imencode(
-            ".jpg", encoded(image, encoding), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
-        )
+        is_encoded, data = cv2.imencode(".jpg", encoded(image, encoding), (cv2.IMWRITE_JPEG_QUALITY, quality))
     except cv2.error as error:
         raise ImageError(f"OpenCV cannot compress the image: {error.err}.") from None
     if not is_encoded:

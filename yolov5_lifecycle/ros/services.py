@@ -29,8 +29,8 @@ from yolov5_lifecycle.ros.rclpy_internals import (
     replace_conversion,
 )
 
-MAX_ITEMS = 500
-"""Max parameters, names or prefixes in one request; the node with overrides for 16 cameras has 407."""
+MAX_ITEMS = 800
+"""Max parameters, names or prefixes in one request; the node with overrides for 16 cameras has 648."""
 MAX_RESULTS = 1000
 """Max results in the response to an oversized request; each takes 2 us to send."""
 

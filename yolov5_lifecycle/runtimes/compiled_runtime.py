@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from typing import TypeVar
 from weakref import WeakValueDictionary
 
@@ -93,7 +94,11 @@ class CompiledRuntime:
             features = compiled.features(frames, orders)
             of_frames = [[level[index : index + 1] for level in features] for index in range(len(frames))]
             return [
-                Predictions(compiled.rows(levels, least), self._prototypes(shape, levels[0]))
+                Predictions(
+                    compiled.rows(levels, least),
+                    self._prototypes(shape, levels[0]),
+                    partial(_mean, levels[-1]),
+                )
                 for levels, least in zip(of_frames, min_objectness, strict=True)
             ]
 
@@ -202,6 +207,12 @@ class _Compiled:
         (batch,) = self._run_proto(finest)
         prototypes: NDArray[np.float32] = batch[0].copy()  # the next run may overwrite them
         return prototypes
+
+
+def _mean(features: Features) -> NDArray[np.float32]:
+    """The mean (channels,) over all cells of one frame's features (1, channels, ny, nx)."""
+    mean: NDArray[np.float32] = features[0].mean(axis=(1, 2), dtype=np.float32)
+    return mean
 
 
 def write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uint8]) -> None:

@@ -14,9 +14,9 @@ _CAPTURE_PATIENCE_S = 10.0
 _ONE_AT_A_TIME = threading.Lock()
 _HAS_FAILED = threading.Event()
 
-Forward = Callable[[Tensor], tuple[Tensor, Tensor]]
+Forward = Callable[[Tensor], tuple[Tensor, Tensor, Tensor]]
 """Frames (batch, h, w, 3) RGB or (batch, h, w, 1) grey -> all predictions (batch, N, 5 + C + M), and the
-features of the finest level (batch, channels, ny, nx). The next run may overwrite both.
+features of the finest and of the coarsest level (batch, channels, ny, nx). The next run may overwrite them.
 """
 
 
@@ -43,7 +43,7 @@ class RecordedNetwork:
                     self._predictions = forward(self._frames)
             torch.cuda.current_stream().wait_stream(stream)
 
-    def __call__(self, frames: Tensor) -> tuple[Tensor, Tensor]:
+    def __call__(self, frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The output of `forward`, in memory that the next run overwrites."""
         self._frames.copy_(frames)
         self._graph.replay()

@@ -31,6 +31,11 @@ class Predictions:
 
     Computed when called, which must happen before the next run. Raises InferenceError.
     """
+    compute_embedding: Callable[[], NDArray[np.float32]] | None = None
+    """What the whole frame looks like, (C,): the features of the coarsest level, their mean over all cells.
+
+    Computed as the prototypes are. None for a runtime without one, such as a test's.
+    """
 
 
 class Runtime(Protocol):

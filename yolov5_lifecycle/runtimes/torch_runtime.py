@@ -115,9 +115,13 @@ class TorchRuntime:
         shape = shape_of_batch(frames, orders, min_objectness)
 
         def predict(forward: Forward) -> list[Predictions]:
-            raw, finest = forward(_stacked(frames, orders, self._channels))
+            raw, finest, coarsest = forward(_stacked(frames, orders, self._channels))
             return [
-                Predictions(_likely(rows, least), self._prototypes(shape, finest[index : index + 1]))
+                Predictions(
+                    _likely(rows, least),
+                    self._prototypes(shape, finest[index : index + 1]),
+                    self._embedding(shape, coarsest[index]),
+                )
                 for index, (rows, least) in enumerate(zip(raw, min_objectness, strict=True))
             ]
 
@@ -128,6 +132,10 @@ class TorchRuntime:
         if (proto := self._proto) is None:
             return None
         return lambda: self._using(shape, lambda _: proto(finest)[0].float().cpu().numpy())
+
+    def _embedding(self, shape: Shape, coarsest: Tensor) -> Callable[[], NDArray[np.float32]]:
+        """Computes the mean over all cells of the features of the coarsest level, (channels, ny, nx)."""
+        return lambda: self._using(shape, lambda _: coarsest.float().mean(dim=(1, 2)).cpu().numpy())
 
     def _using(self, shape: Shape, use: Callable[[Forward], Result]) -> Result:
         """The result of `use` on the network for batches of `shape`; torch errors become InferenceError."""
@@ -218,11 +226,11 @@ def _as_channels(frame: NDArray[np.uint8], order: Order, channels: int) -> NDArr
 def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: torch.dtype) -> Forward:
     """Forward pass of `network` on uint8 frames (batch, h, w, channels), as a CUDA graph where possible."""
 
-    def eager(frames: Tensor) -> tuple[Tensor, Tensor]:
+    def eager(frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         # The frames are channels-last already.
         pixels = frames.to(device).permute(0, 3, 1, 2).to(dtype) / 255
         features = network.features(pixels)
-        return network.predictions(features), features[0]
+        return network.predictions(features), features[0], features[-1]
 
     if device.type != "cuda":
         return eager

@@ -41,3 +41,8 @@ def without_scipy(tracker: str, absence: str) -> Problem:
     """The `tracker` needs scipy, of which `absence` says why it cannot be used and how to install it."""
     reason = f"'{tracker}' needs scipy. {absence.rstrip('.')}, or use the tracker 'none'."
     return Problem("tracker", reason)
+
+
+def without_folder() -> Problem:
+    """Images cannot be collected without a folder, which only the start of the process can name."""
+    return Problem("collect", "true needs a folder. Restart the node with collect_dir set to one.")

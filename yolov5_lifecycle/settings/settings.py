@@ -19,6 +19,7 @@ from yolov5_lifecycle.settings.contradictions import (
     either_parallel_or_batches,
     not_above,
     precision_rule,
+    without_folder,
     without_scipy,
 )
 from yolov5_lifecycle.settings.schema import Change, Entries, Problem, Scope, contradiction
@@ -208,6 +209,89 @@ class Settings(BaseModel):
         le=10,
         description="Largest difference in seconds between the stamps of an image and of its depth image.",
     )
+    collect: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
+        False, description="Keep the images that are worth a label in collect_dir; see docs/data-loop.md."
+    )
+    collect_classes: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA] = Field(
+        (), max_length=10_000, description="Names or indices of classes whose images are kept. Empty: none."
+    )
+    collect_blank_regions: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA, Entries.WITH_COMMAS] = Field(
+        (),
+        max_length=32,
+        description="Polygons that are black in kept images, such as faces or screens, written like regions.",
+    )
+    collect_score_margin: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="Keep an image with a score at most this far from its threshold. 0: not for this.",
+    )
+    collect_unsteady: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
+        True,
+        description="Keep an image in which an object is found again after some images without it, or "
+        "changes its class.",
+    )
+    collect_appeared: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
+        True,
+        description="Keep an image in which an object came or went without crossing the border of the image.",
+    )
+    collect_filtered_score: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="Keep an image with a detection of at least this score that does not count because of "
+        "regions or size limits. 0: not for this.",
+    )
+    collect_novelty: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        0.1,
+        ge=0,
+        le=2,
+        description="Keep an image whose features differ from those of all kept images by at least this "
+        "cosine distance. 0: not for this.",
+    )
+    collect_every: Annotated[int, Change.LIVE, Scope.CAMERA] = Field(
+        0, ge=0, le=1_000_000, description="Keep every n-th image as a fair sample. 0: not for this."
+    )
+    collect_duplicate_distance: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        0.005,
+        ge=0,
+        le=2,
+        description="Do not keep an image whose features differ from those of a kept image by less than this "
+        "cosine distance.",
+    )
+    collect_gap_s: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        1.0, ge=0, le=3600, description="Minimum seconds between two kept images of a camera."
+    )
+    collect_per_minute: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        20.0, ge=0, le=6000, description="Maximum number of kept images of a camera per minute. 0: no limit."
+    )
+    collect_jpeg_quality: Annotated[int, Change.LIVE, Scope.CAMERA] = Field(
+        90,
+        ge=1,
+        le=100,
+        description="Quality of kept images. JPEG images are kept as they were received.",
+    )
+    collect_dir: Annotated[str, Change.READ_ONLY] = Field(
+        "",
+        max_length=4096,
+        description="Folder of the kept images, of this detector alone: an absolute path or ~. It is created "
+        "if its parent folder exists. Empty: nothing can be collected.",
+    )
+    collect_max_mb: Annotated[int, Change.READ_ONLY] = Field(
+        2000,
+        ge=1,
+        le=10_000_000,
+        description="Maximum size of collect_dir in MB; the least valuable images are removed first.",
+    )
+    collect_max_frames: Annotated[int, Change.READ_ONLY] = Field(
+        5000, ge=1, le=100_000, description="Maximum number of images in collect_dir."
+    )
+    collect_min_free_mb: Annotated[int, Change.READ_ONLY] = Field(
+        1000,
+        ge=0,
+        le=10_000_000,
+        description="Nothing is kept while less than this is free on the disk of collect_dir, in MB.",
+    )
     autostart: Annotated[bool, Change.READ_ONLY] = Field(
         False, description="Configure and activate automatically, once, when the process starts."
     )
@@ -312,6 +396,8 @@ def _contradictions(settings: Settings) -> list[Problem]:
     low, high = settings.min_box_size, settings.max_box_size
     if 0 < high < low and (low > 1) == (high > 1):  # a fraction and pixels cannot be compared
         problems.append(not_above("min_box_size", low, "max_box_size", high))
+    if settings.collect and not settings.collect_dir:
+        problems.append(without_folder())
     if settings.tracker != "none" and (absence := absence_of("scipy.optimize")):
         problems.append(without_scipy(settings.tracker, absence))
     return problems

@@ -28,6 +28,13 @@ def folders(value: tuple[str, ...]) -> tuple[str, ...]:
     return value
 
 
+def folder(value: str) -> str:
+    """A folder that does not depend on where the process was started, or nothing."""
+    if value and not value.startswith(("/", "~")):
+        raise violation("must be an absolute path, or begin with ~.")
+    return value
+
+
 def device(value: str) -> str:
     """A device by its full name."""
     kind, _, index = value.partition(":")
@@ -91,5 +98,8 @@ RULES: Mapping[str, Rule] = {
     "class_thresholds": thresholds_of_classes,
     "regions": regions,
     "ignore_regions": regions,
+    "collect_blank_regions": regions,
+    "collect_classes": classes,
+    "collect_dir": folder,
 }
 """By the name of the setting."""

@@ -51,6 +51,8 @@ class Networks:
     """For frames of different cameras at the same time; they share the processors. Empty: one at a time."""
     batch: Batch | None = None
     """Runs frames that wait at the same time together, in `whole`; None: each runs alone."""
+    weights_sha256: str = ""
+    """Identifies the weights of the model; "" if they come from no file."""
 
 
 class Pipeline(Protocol[AnyFrame, Result]):

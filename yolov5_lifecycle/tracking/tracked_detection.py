@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
-
-import numpy as np
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
+from yolov5_lifecycle.detection.nms import Selection, narrowed
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
@@ -46,7 +44,7 @@ class TrackedDetection:
 
     def wider(self, selection: Selection) -> Selection:
         """`selection`, extended by what may continue a track."""
-        return replace(selection, tracked_threshold=self.settings.track_low_threshold)
+        return selection.wider(self.settings.track_low_threshold)
 
     def follow(
         self, found: Detections, image: ColourImage, selection: Selection, stamp_s: float
@@ -61,22 +59,7 @@ class TrackedDetection:
         else:
             self.camera.reset()
         ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings, camera=camera)
-        return admitted(found, ids, selection)
-
-
-def admitted(detections: Detections, ids: Sequence[str], selection: Selection) -> Detections:
-    """Those of `detections` that the thresholds of `selection` admit, with their `ids`.
-
-    In NMS no lower score removes a higher one, and none that is not admitted removes an admitted one, so
-    these are the same as with the thresholds alone. Without any, `best_missed` is the highest score worth
-    reporting, as it would be there.
-    """
-    rows = np.flatnonzero(selection.admits(detections.scores, detections.class_ids))
-    best_missed = detections.best_missed
-    if not len(rows) and len(detections) and detections.scores[0] > WORTH_TELLING:
-        best_missed = float(detections.scores[0])
-    of_rows = tuple(ids[row] for row in rows.tolist())
-    return replace(detections[rows], best_missed=best_missed, track_ids=of_rows)
+        return narrowed(replace(found, track_ids=ids), selection)
 
 
 def tracker_settings(settings: Settings) -> TrackerSettings:

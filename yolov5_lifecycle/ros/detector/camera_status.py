@@ -39,7 +39,8 @@ class CameraStatus:
     `latency`, `empty`: while active. `tracking`: values of the tracker, empty without one.
     `depth_status`: while active with the setting `depth`. `subscribers_3d`: subscriptions to detections in
     space. `segments`: whether there is a model and it segments. `mask_subscribers`: subscriptions to masks.
-    `busy_s`: time that inference has spent on the current image, in seconds.
+    `busy_s`: time that inference has spent on the current image, in seconds. `collecting_problem`: why no
+    images are kept although they should be, else "".
     """
 
     camera: str
@@ -59,6 +60,7 @@ class CameraStatus:
     segments: bool
     mask_subscribers: int
     busy_s: float
+    collecting_problem: str
 
     @property
     def hint(self) -> str:
@@ -84,6 +86,8 @@ class CameraStatus:
             return _losses(self.input.recent)
         if self.recent_failure:
             return self.recent_failure
+        if self.collecting_problem:
+            return f"no images are collected: {self.collecting_problem}"
         return self.depth_status.hint if self.depth_status else ""
 
     @property

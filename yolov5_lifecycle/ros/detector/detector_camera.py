@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rclpy.lifecycle import LifecycleNode
 
+from yolov5_lifecycle.collecting.collector import Collector
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
@@ -36,6 +37,7 @@ class DetectorCamera:
         worker: Worker[ReceivedFrame, DetectedFrame],
         failures: FrameFailures,
         track_ids: Iterator[int],
+        collector: Collector | None,
     ) -> None:
         self._node = node
         self.name = name
@@ -43,6 +45,7 @@ class DetectorCamera:
         self._feed = worker.feed(on_failure=self._failures.failed, on_success=self._failures.succeeded)
         self._topic = ImageTopic(node, "raw", camera=name, cameras=names)
         self._track_ids = track_ids
+        self._collector = collector
         self.last_image = LastImage()
         self._outputs: Outputs | None = None
         self.stream: Stream | None = None
@@ -70,6 +73,7 @@ class DetectorCamera:
             feed=self._feed,
             last_image=self.last_image,
             track_ids=self._track_ids,
+            collector=self._collector,
         )
         if is_active:
             self._outputs.activate()
@@ -79,6 +83,13 @@ class DetectorCamera:
         """Subscribe or unsubscribe, depending on the subscribers of the outputs."""
         if self.stream is not None:
             self.stream.follow_subscribers()
+
+    def collect_next(self) -> bool:
+        """Keep the next image; False if this camera collects none."""
+        if self.stream is None or not self.stream.collects:
+            return False
+        self.stream.collect_next()
+        return True
 
     def unsubscribe(self) -> None:
         """End the stream; the caller stops the feed, alone or together with those of the other cameras."""
@@ -142,4 +153,7 @@ class DetectorCamera:
             segments=stream.segments if stream else False,
             mask_subscribers=self._outputs.mask_subscribers if self._outputs else 0,
             busy_s=self._feed.busy_s(),
+            collecting_problem=self._collector.status.problem
+            if self._collector and stream and stream.collects
+            else "",
         )

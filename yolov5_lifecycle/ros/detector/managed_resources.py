@@ -12,6 +12,7 @@ from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare, most_lanes
 from yolov5_lifecycle.process.memory import resident_mb
 from yolov5_lifecycle.ros.detector.background import Background
+from yolov5_lifecycle.ros.detector.collect_service import CollectService
 from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
 from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
@@ -59,14 +60,10 @@ class ManagedResources:
         self._track_ids = itertools.count(1)
         self._waits = Background(node, "waits")
         self._cameras: dict[str, DetectorCamera] = {}
+        self._collecting = CollectService(node, parameters, self._cameras)
         self._removed: list[DetectorCamera] = []
         """Cameras whose last frame may still be in progress; see `end_removed`."""
-        self.loader = ModelLoader(
-            node,
-            prepare,
-            sizes_hw=self._sizes_hw,
-            on_device_lost=on_device_lost,
-        )
+        self.loader = ModelLoader(node, prepare, sizes_hw=self._sizes_hw, on_device_lost=on_device_lost)
         self.session: Session | None = None
         self._label_info: LifecyclePublisher | None = None
         self._loading_for: LifecyclePublisher | None = None
@@ -229,6 +226,7 @@ class ManagedResources:
             log.warning("a model is still being loaded or freed: its thread is abandoned")
         if not self._worker.close(REST_TIMEOUT_S):
             log.warning("inference has still not finished: its thread is abandoned")
+        self._collecting.close()
         self._waits.close()
 
     def abandoned_threads(self) -> int:
@@ -251,6 +249,7 @@ class ManagedResources:
             ),
             abandoned_threads=self._worker.abandoned_threads(),
             resident_mb=resident_mb(),
+            collected=self._collecting.status,
         )
 
     def _sizes_hw(self, settings: Settings) -> list[tuple[int, int]]:
@@ -279,6 +278,7 @@ class ManagedResources:
                 worker=self._worker,
                 failures=self._failures,
                 track_ids=self._track_ids,
+                collector=self._collecting.collector,
             )
         return self._cameras[name]
 

@@ -9,10 +9,12 @@ from functools import partial
 
 from vision_msgs.msg import Detection2DArray
 
+from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
+from yolov5_lifecycle.collecting.candidate import Origin
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
-from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.nms import Selection, narrowed
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing, PlacedImage
@@ -58,6 +60,8 @@ class CameraPipeline:
     placing: DepthPlacing | None
     """None while the setting `depth` is false."""
     tracking: TrackedDetection | None = None
+    collecting: CameraCollecting | None = None
+    """None while the setting `collect` is false."""
 
     def detect(self, frame: ReceivedFrame, network: Detector) -> DetectedFrame:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
@@ -80,12 +84,17 @@ class CameraPipeline:
         """What the detector should report for the next image.
 
         With a tracker, also detections that may continue a track; masks while a topic that shows them has a
-        subscriber.
+        subscriber; what a look at the frame needs if it may be collected.
         """
         outputs = self.outputs
         with_masks = self.networks.whole.segments and outputs.mask_subscribers + outputs.image_subscribers > 0
-        selection = replace(self.selection, with_masks=with_masks)
-        return selection if self.tracking is None else self.tracking.wider(selection)
+        selection = replace(self._selected, with_masks=with_masks)
+        return selection if self.collecting is None else self.collecting.wanted(selection)
+
+    @property
+    def _selected(self) -> Selection:
+        """What the tracker needs, or what is published without one."""
+        return self.selection if self.tracking is None else self.tracking.wider(self.selection)
 
     def messages(self, result: DetectedFrame) -> Iterator[Send]:
         """The detections, then for subscribers their places, masks and the annotated image.
@@ -93,6 +102,8 @@ class CameraPipeline:
         The tracker is updated first: a tracker is used by frames of one network only, so not by two threads.
         """
         detections, header = result.found, result.frame.message.header
+        if self.collecting is not None:
+            detections = narrowed(detections, self._selected)
         if self.tracking is not None:
             stamp_s = messages.stamp_s(header)
             detections = self.tracking.follow(detections, result.image, self.selection, stamp_s)
@@ -104,6 +115,11 @@ class CameraPipeline:
             message = messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
             yield partial(self.outputs.detections_3d.publish, message)
         yield from self._images(result, detections, placed.distances_m if placed else ())
+        if self.collecting is not None:
+            message = result.frame.message
+            jpeg = messages.jpeg_of_message(message, result.image)
+            origin = Origin(header.frame_id, header.stamp.sec, header.stamp.nanosec)
+            self.collecting.look(result.found, detections, result.image, jpeg, origin)
 
     def _note(self, detections: Detections, received_s: float) -> None:
         """Add the frame whose detections were published to the statistics."""

@@ -132,7 +132,7 @@ class Session:
         if self.networks is not None and self.networks.whole is model.detector:
             return self.networks
         batch = BatchDetection(model.detector) if model.detector.batch_sizes else None
-        return Networks(model.detector, model.lanes.detectors, batch)
+        return Networks(model.detector, model.lanes.detectors, batch, model.weights_sha256)
 
 
 def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
+from yolov5_lifecycle.collecting.collector import CollectorStatus
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.settings.camera_names import NODE_STATUS
@@ -44,7 +45,7 @@ class Status:
     `problem`: the last reported one. `settings`: from configure on; `model`: while active.
     `cameras`: the named ones, otherwise one with the name ""; none if ROS refuses the names of their topics.
     `abandoned_threads`: threads that hung during deactivate and are still running.
-    `resident_mb`: RAM of the process, None if unknown.
+    `resident_mb`: RAM of the process, None if unknown. `collected`: None without `collect_dir`.
     """
 
     state: str
@@ -54,6 +55,7 @@ class Status:
     cameras: tuple[CameraStatus, ...]
     abandoned_threads: int
     resident_mb: float | None
+    collected: CollectorStatus | None
 
     @property
     def of_node(self) -> Summary:
@@ -94,7 +96,20 @@ class Status:
             values["resident memory MB"] = f"{self.resident_mb:.0f}"
         if self.settings is not None:
             values["configuration"] = _digest(self.settings)
+        if self.collected is not None:
+            values |= _collected(self.collected)
         return values | (self.model.facts if self.model is not None else {})
+
+
+def _collected(status: CollectorStatus) -> dict[str, str]:
+    return {
+        "images collected": str(status.kept),
+        "images not collected, near duplicates": str(status.duplicates),
+        "images not collected, less valuable": str(status.outranked),
+        "images not collected, disk too slow": str(status.dropped),
+        "images in collect_dir": str(status.frames),
+        "collect_dir MB": f"{status.megabytes:.1f}",
+    }
 
 
 @lru_cache(maxsize=1)  # asked every second; with lists of 10,000 classes it takes long

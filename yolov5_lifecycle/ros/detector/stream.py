@@ -6,6 +6,10 @@ from collections.abc import Iterator
 
 from rclpy.lifecycle import LifecycleNode
 
+from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
+from yolov5_lifecycle.collecting.collector import Collector
+from yolov5_lifecycle.collecting.rules import CollectRules
+from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.ros.detector.depth_input import DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, InputStatus, ReceivedFrame
@@ -24,7 +28,8 @@ class Stream:
     """Owns a camera's subscriptions, tracker and statistics; gives its frames to the inference thread.
 
     `camera`: see `of_camera`. `settings` are those of the camera. `track_ids` numbers the tracks of all
-    cameras. Detects with `networks` from construction on.
+    cameras; `collector` keeps their images, None if there is no folder for them. Detects with `networks`
+    from construction on.
 
     If the subscription cannot be created, this stays in `problem`; every `look` retries.
     """
@@ -41,6 +46,7 @@ class Stream:
         feed: Feed[ReceivedFrame, DetectedFrame],
         last_image: LastImage,
         track_ids: Iterator[int],
+        collector: Collector | None,
     ) -> None:
         self._node = node
         self._camera = camera
@@ -51,7 +57,9 @@ class Stream:
         self._feed = feed
         self._last_image = last_image
         self._track_ids = track_ids
+        self._collector = collector
         self._tracking = TrackedDetection.started(settings, track_ids)
+        self._collecting: CameraCollecting | None = None
         self._input: ImageInput | None = None
         self.losses = ImageLosses()
         self.latencies = LatencyWindow()
@@ -67,6 +75,16 @@ class Stream:
             return {}
         tracker = self._tracking.tracker
         return {"tracker": self._settings.tracker, "confirmed tracks": str(tracker.confirmed)}
+
+    @property
+    def collects(self) -> bool:
+        """Whether images that are worth a label are kept."""
+        return self._collecting is not None
+
+    def collect_next(self) -> None:
+        """Keep the next image, if any are kept."""
+        if self._collecting is not None:
+            self._collecting.request()
 
     @property
     def segments(self) -> bool:
@@ -104,6 +122,8 @@ class Stream:
             self._tracking = TrackedDetection.started(settings, self._track_ids)
         elif self._tracking is not None:
             self._tracking = self._tracking.with_settings(settings)
+        if is_other_model:
+            self._collecting = None
         self.empty_frames = _no_empty_frames(settings)
         self._start()
         is_resubscribed = bool(before.differing(settings, Change.RESUBSCRIBE))
@@ -112,7 +132,11 @@ class Stream:
             self._topic.follow(settings.image_transport)
         if is_other_camera:
             self.losses.stop()
-        if is_resubscribed or is_other_model or before.lazy != settings.lazy:
+        if (
+            is_resubscribed
+            or is_other_model
+            or (before.lazy, before.collect) != (settings.lazy, settings.collect)
+        ):
             self.follow_subscribers()
 
     def follow_subscribers(self) -> None:
@@ -120,7 +144,8 @@ class Stream:
         is_lazy, outputs = self._settings.lazy, self._outputs
         subscribers_3d = outputs.subscribers_3d if self._settings.depth else 0
         mask_subscribers = outputs.mask_subscribers if self.segments else 0
-        wanted = not is_lazy or outputs.subscribers + mask_subscribers + subscribers_3d > 0
+        subscribers = outputs.subscribers + mask_subscribers + subscribers_3d
+        wanted = not is_lazy or self._settings.collect or subscribers > 0
         if wanted and self._input is None:
             self._input = ImageInput(
                 self._node,
@@ -138,18 +163,38 @@ class Stream:
 
     def _start(self) -> None:
         settings = self._settings
+        selected = selection(settings, self._networks.whole.class_names)
         self._follow_depth()
+        self._follow_collecting(selected)
         pipeline = CameraPipeline(
             networks=self._networks,
-            selection=selection(settings, self._networks.whole.class_names),
+            selection=selected,
             outputs=self._outputs,
             latencies=self.latencies,
             empty_frames=self.empty_frames,
             last_image=self._last_image,
             placing=self.depth.placing if self.depth else None,
             tracking=self._tracking,
+            collecting=self._collecting,
         )
         self._feed.start(pipeline, max_rate_hz=settings.max_rate)
+
+    def _follow_collecting(self, selected: Selection) -> None:
+        """Start or stop looking at frames that may be worth a label, or change the rules."""
+        if not self._settings.collect or self._collector is None:
+            self._collecting = None
+            return
+        rules = CollectRules.of(
+            self._settings,
+            selected,
+            camera=self._camera,
+            class_names=self._networks.whole.class_names,
+            segments=self.segments,
+            weights_sha256=self._networks.weights_sha256,
+        )
+        if self._collecting is None:
+            self._collecting = CameraCollecting(self._collector, rules)
+        self._collecting.rules = rules
 
     def _follow_depth(self) -> None:
         """Start or stop placing detections; restart if the slop changed."""

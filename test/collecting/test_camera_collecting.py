@@ -1,0 +1,157 @@
+"""When a frame of a camera is looked at, and what is offered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.candidates import CAT, SIZE_HW, found, look_of, rules
+
+from yolov5_lifecycle.collecting.camera_collecting import LOOK_PERIOD_S, MAX_CHANGES, CameraCollecting
+from yolov5_lifecycle.collecting.candidate import Candidate, Origin
+from yolov5_lifecycle.collecting.collector import Collector
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.images.image import ColourImage
+
+IMAGE = ColourImage(np.zeros((*SIZE_HW, 3), np.uint8), "bgr")
+
+
+class Offered(Collector):
+    """Notes what is offered, and keeps all of it at once."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda: pytest.fail("no folder is needed"))
+        self.candidates: list[Candidate] = []
+
+    def offer(self, candidate: Candidate) -> None:
+        self.candidates.append(candidate)
+
+
+class Camera:
+    """A camera of 30 Hz whose frames are detected as the collecting wants it."""
+
+    def __init__(self, **changes: Any) -> None:
+        self.now_s = 1000.0
+        self.offered = Offered()
+        self.looks: list[bool] = []
+        self.collecting = CameraCollecting(self.offered, rules(**changes), clock=lambda: self.now_s)
+
+    def frame(self, published: Detections = CAT, **changes: Any) -> None:
+        """Detect in the next frame."""
+        wanted = self.collecting.wanted(Selection())
+        self.looks.append(wanted.with_embedding)
+        embedding = look_of(len(self.looks)) if wanted.with_embedding else None
+        whole = replace(published, embedding=embedding, **changes)
+        self.collecting.look(whole, published, IMAGE, None, Origin("f", 1, 2))
+        self.now_s += 1 / 30
+
+    @property
+    def reasons(self) -> list[dict[str, str]]:
+        return [
+            {reason.value: text for reason, text in each.reasons.items()} for each in self.offered.candidates
+        ]
+
+
+def test_frames_are_looked_at_five_times_a_second_at_most() -> None:
+    camera = Camera()
+    for _ in range(90):
+        camera.frame()
+    assert 12 <= sum(camera.looks) <= 3 / LOOK_PERIOD_S
+    assert len(camera.offered.candidates) == sum(camera.looks)  # each may be novel
+
+
+def test_in_the_gap_after_a_kept_frame_none_is_looked_at() -> None:
+    camera = Camera(gap_s=1.0)
+    camera.frame()
+    camera.offered.candidates[0].pace.kept(camera.now_s, per_minute=20.0)
+    for _ in range(29):
+        camera.frame()
+    assert camera.looks == [True] + [False] * 29
+    for _ in range(5):
+        camera.frame()
+    assert sum(camera.looks) == 2
+
+
+def test_a_frame_that_is_asked_for_is_looked_at_in_the_gap_and_once() -> None:
+    camera = Camera(gap_s=1000.0, novelty=0.0)
+    camera.frame()
+    camera.collecting._pace.kept(camera.now_s, per_minute=20.0)
+    camera.collecting.request()
+    camera.frame()
+    camera.frame()
+    assert camera.looks == [True, True, False]
+    assert camera.reasons == [{"requested": "~/collect"}]
+
+
+def test_without_a_reason_nothing_is_offered_unless_it_may_be_novel() -> None:
+    camera = Camera(novelty=0.0)
+    for _ in range(30):
+        camera.frame()
+    assert camera.offered.candidates == []
+
+
+def test_what_happens_between_two_looks_is_a_reason_at_the_next() -> None:
+    camera = Camera(novelty=0.0)
+    dog = found(("dog", 0.9, (10, 10, 30, 40)))
+    camera.frame()
+    camera.frame(dog)
+    for _ in range(8):
+        camera.frame(dog)
+    assert camera.reasons == [{"unsteady": "cat became dog"}]
+
+
+def test_what_happens_in_the_gap_is_forgotten() -> None:
+    camera = Camera(novelty=0.0, gap_s=1.0)
+    camera.frame()
+    camera.collecting._pace.kept(camera.now_s, per_minute=20.0)
+    camera.frame(found(("dog", 0.9, (10, 10, 30, 40))))
+    for _ in range(60):
+        camera.frame(found(("dog", 0.9, (10, 10, 30, 40))))
+    assert sum(camera.looks) > 2
+    assert camera.reasons == []
+
+
+def test_changes_that_nobody_asks_for_are_no_reason() -> None:
+    camera = Camera(novelty=0.0, unsteady=False)
+    camera.frame()
+    for _ in range(9):
+        camera.frame(found(("dog", 0.9, (10, 10, 30, 40))))
+    assert camera.reasons == []
+
+
+def test_every_nth_frame_is_a_sample() -> None:
+    camera = Camera(novelty=0.0, every=30)
+    for _ in range(300):
+        camera.frame()
+    assert camera.reasons == [{"sample": "one of 30"}] * 9
+
+
+def test_a_candidate_has_what_is_published_and_the_reasons_of_what_was_found() -> None:
+    camera = Camera(novelty=0.0)
+    camera.frame(CAT, best_filtered=0.9)
+    (candidate,) = camera.offered.candidates
+    assert candidate.detections is CAT
+    assert [reason.value for reason in candidate.reasons] == ["filtered"]
+    assert candidate.origin == Origin("f", 1, 2)
+
+
+def test_new_rules_count_from_the_next_frame_on() -> None:
+    camera = Camera(novelty=0.0)
+    camera.frame()
+    camera.collecting.rules = rules(novelty=0.0, classes=frozenset({0}))
+    for _ in range(9):
+        camera.frame()
+    assert camera.reasons == [{"class": "cat"}]
+
+
+def test_of_very_many_changes_the_last_are_written_down() -> None:
+    camera = Camera(novelty=0.0)
+    camera.frame(found())
+    boxes = [(x, 5.0, x + 1.5, 8.0) for x in range(4, 4 + 2 * (MAX_CHANGES + 3), 2)]
+    camera.frame(found(*[("cat", 0.9, box) for box in boxes]))
+    for _ in range(9):
+        camera.frame(found(*[("cat", 0.9, box) for box in boxes]))
+    assert camera.reasons == [{"appeared": ", ".join(["cat came"] * MAX_CHANGES)}]

@@ -1,0 +1,229 @@
+"""The folder of kept images: readable at every moment, within its quota, of one process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.candidates import CLASS_NAMES, candidate, keep, look_of
+
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, CollectingError, Quota
+from yolov5_lifecycle.collecting.frame_list import FRAMES, read_frame_list
+from yolov5_lifecycle.collecting.kept_frame import kept_frame
+from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.evaluation.ground_truth import Problems
+from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
+
+LARGE = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
+ROOM = 3
+
+
+def images(folder: Path) -> list[str]:
+    return sorted(os.fspath(path.relative_to(folder)) for path in folder.rglob("*.jpg"))
+
+
+def labels(folder: Path) -> list[str]:
+    return sorted(os.fspath(path.relative_to(folder)) for path in folder.rglob("*.txt"))
+
+
+def check(folder: Path, names: tuple[str, ...] = CLASS_NAMES) -> int:
+    """Check that the images, the labels and the list agree; return their number."""
+    listed = read_frame_list(folder)
+    assert (listed.broken, listed.without_image) == (0, ())
+    assert sorted(frame.image for frame in listed.frames) == images(folder)
+    assert sorted(frame.labels for frame in listed.frames) == labels(folder)
+    assert [*folder.rglob("*.part")] == []
+    told: list[str] = []
+    problems = Problems(told.append)
+    data = read_yolo_folder(folder, problems)
+    assert (data.class_names, told) == (names, [])
+    assert len(data.images) == len(listed.frames)
+    return len(listed.frames)
+
+
+def test_a_kept_frame_is_an_image_its_labels_and_a_line(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path / "new", LARGE, now_s=lambda: 0.0)
+    assert keep(folder)
+    assert (folder.frames, folder.drive[:17]) == (1, "19700101T000000Z-")
+    (frame,) = read_frame_list(tmp_path / "new").frames
+    assert frame.image == f"images/{folder.drive}/000001.jpg"
+    assert (frame.frame_id, frame.sec, frame.nanosec, frame.size_wh) == ("optical_frame", 12, 34, (64, 48))
+    assert [(each.class_name, each.box_xyxy) for each in frame.objects] == [("cat", (10, 10, 30, 40))]
+    assert frame.weights_sha256 == "ab" * 32
+    written = sum((tmp_path / "new" / path).stat().st_size for path in (frame.image, frame.labels))
+    assert folder.size_bytes == written
+    folder.close()
+    assert check(tmp_path / "new") == 1
+
+
+def test_the_least_valuable_frame_goes_first_and_of_equals_the_oldest(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, replace(LARGE, max_frames=ROOM))
+    kept = [keep(folder, seed, value=value) for seed, value in enumerate([2.0, 1.0, 1.0, 2.0, 0.5, 1.0])]
+    assert kept == [True, True, True, True, False, True]
+    folder.close()
+    assert check(tmp_path) == ROOM
+    assert [frame.value for frame in read_frame_list(tmp_path).frames] == [2.0, 2.0, 1.0]
+    assert images(tmp_path) == [f"images/{folder.drive}/{number:06d}.jpg" for number in (1, 4, 6)]
+
+
+def test_the_folder_is_never_larger_than_its_quota(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, replace(LARGE, max_bytes=30_000))
+    for seed in range(40):
+        assert keep(folder, seed)
+        size = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.suffix in (".jpg", ".txt"))
+        assert size == folder.size_bytes <= 30_000
+    folder.close()
+    assert check(tmp_path) > 2
+
+
+def test_a_frame_that_is_larger_than_the_quota_removes_nothing(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, LARGE)
+    keep(folder)
+    folder.close()
+    small = CollectedFolder(tmp_path, replace(LARGE, max_bytes=folder.size_bytes))
+    record, _, text = kept_frame(candidate(1), {Reason.REQUESTED: ""}, small)
+    assert not small.add(record, b"x" * 100_000, text)
+    small.close()
+    assert check(tmp_path) == 1
+
+
+def test_a_smaller_quota_takes_effect_when_the_folder_is_opened(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, LARGE)
+    for seed in range(5):
+        keep(folder, seed, value=seed)
+    folder.close()
+    CollectedFolder(tmp_path, replace(LARGE, max_frames=2)).close()
+    assert check(tmp_path) == 2
+    assert [frame.value for frame in read_frame_list(tmp_path).frames] == [3.0, 4.0]
+
+
+def test_what_was_kept_before_is_known_again(tmp_path: Path) -> None:
+    first = CollectedFolder(tmp_path, LARGE)
+    keep(first, 5)
+    first.close()
+    again = CollectedFolder(tmp_path, LARGE)
+    assert (again.frames, again.size_bytes, again.class_names) == (1, first.size_bytes, CLASS_NAMES)
+    assert again.embeddings.distance(look_of(5)) == pytest.approx(0, abs=1e-3)
+    assert again.embeddings.distance(look_of(6)) > 0.5
+    assert again.drive != first.drive
+    again.close()
+
+
+def test_models_with_other_classes_share_the_folder_by_their_names(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, LARGE)
+    keep(folder, 0)
+    keep(folder, 1, names=('a "bird": #1\\', "cat"))
+    folder.close()
+    names = ("cat", "dog", 'a "bird": #1\\')
+    assert check(tmp_path, names) == 2
+    ids = [path.read_text().split()[0] for path in sorted(tmp_path.rglob("*.txt"))]
+    assert ids == ["0", "2"]  # class 0 of each model
+
+
+def test_only_one_process_has_the_folder(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, LARGE)
+    with pytest.raises(CollectingError, match="another process"):
+        CollectedFolder(tmp_path, LARGE)
+    folder.close()
+    folder.close()
+    CollectedFolder(tmp_path, LARGE).close()
+
+
+def test_without_space_nothing_is_written(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, replace(LARGE, min_free_bytes=1 << 60))
+    with pytest.raises(CollectingError, match="free on the disk"):
+        keep(folder)
+    assert images(tmp_path) == labels(tmp_path) == []
+
+
+def test_nothing_is_written_into_another_folder_of_the_same_name(tmp_path: Path) -> None:
+    path = tmp_path / "stick"
+    folder = CollectedFolder(path, LARGE)
+    keep(folder, 0)
+    path.rename(tmp_path / "unplugged")
+    with pytest.raises(CollectingError, match="unmounted"):
+        keep(folder, 1)
+    path.mkdir()
+    with pytest.raises(CollectingError, match="unmounted"):
+        keep(folder, 1)
+    assert [*path.iterdir()] == []
+
+
+def test_a_folder_is_not_created_where_a_disk_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        CollectedFolder(tmp_path / "media" / "stick", LARGE)
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_a_frame_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, LARGE)
+    keep(folder, 0)
+    in_the_way = tmp_path / "labels" / folder.drive / "000002.txt"
+    in_the_way.mkdir()
+    with pytest.raises(IsADirectoryError):
+        keep(folder, 1)
+    in_the_way.rmdir()
+    assert keep(folder, 2)
+    folder.close()
+    assert check(tmp_path) == 2
+
+
+@pytest.mark.parametrize("damage", ["missing", "broken"])
+def test_without_the_names_of_its_classes_a_folder_is_refused(tmp_path: Path, damage: str) -> None:
+    folder = CollectedFolder(tmp_path, LARGE)
+    keep(folder)
+    folder.close()
+    description = tmp_path / "data.yaml"
+    description.unlink() if damage == "missing" else description.write_text("names: {{{")
+    with pytest.raises(CollectingError, match=r"data\.yaml"):
+        CollectedFolder(tmp_path, LARGE)
+    assert len(images(tmp_path)) == 1
+
+
+def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
+    (tmp_path / "images" / "mine").mkdir(parents=True)
+    (tmp_path / "images" / "mine" / "1.jpg").touch()
+    (tmp_path / "notes.txt").write_text("mine")
+    folder = CollectedFolder(tmp_path, replace(LARGE, max_frames=1))
+    for seed in range(3):
+        keep(folder, seed)
+    folder.close()
+    CollectedFolder(tmp_path, LARGE).close()
+    assert (tmp_path / "images" / "mine" / "1.jpg").exists()
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+WRITER = """
+import sys
+from pathlib import Path
+sys.path[:0] = {path!r}
+from support.candidates import keep
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
+folder = CollectedFolder(Path({folder!r}), Quota(max_bytes=1 << 30, max_frames=20, min_free_bytes=0))
+for seed in range(100_000):
+    keep(folder, seed, value=seed % 7)
+    print(seed, flush=True)
+"""
+
+
+def test_a_process_that_is_killed_leaves_a_readable_folder(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(8):
+        program = WRITER.format(path=sys.path, folder=os.fspath(tmp_path))
+        with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as writer:
+            assert writer.stdout is not None
+            for _ in range(int(rng.integers(1, 60))):
+                assert writer.stdout.readline()
+            writer.send_signal(signal.SIGKILL)
+        left = read_frame_list(tmp_path)
+        assert left.broken <= 1
+        assert all((tmp_path / frame.labels).exists() for frame in left.frames)
+        CollectedFolder(tmp_path, LARGE).close()
+        assert 1 <= check(tmp_path) <= 20
+    assert (tmp_path / FRAMES).stat().st_size < 1 << 20

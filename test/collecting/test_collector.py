@@ -1,0 +1,246 @@
+"""The thread that decides and writes: it never makes a frame wait, and tells what it does not keep."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.candidates import CAT, candidate, look_of, rules
+
+from yolov5_lifecycle.collecting import collector as module
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
+from yolov5_lifecycle.collecting.collector import MAX_WAITING, MAX_WAITING_BYTES, RETRY_S, Collector
+from yolov5_lifecycle.collecting.frame_list import read_frame_list
+from yolov5_lifecycle.collecting.pace import Pace
+from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.record import CollectedFrame
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.images.region import Region
+
+PATIENCE_S = 60.0
+QUOTA = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
+
+
+class Clock:
+    """Each call is `step_s` after the last one."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+        self.step_s = 0.0
+
+    def __call__(self) -> float:
+        self.now_s += self.step_s
+        return self.now_s
+
+
+class Disk:
+    """A folder that can be made to block or fail; `collector` writes into it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.gate = threading.Event()
+        self.gate.set()
+        self.opening = threading.Event()
+        self.failures: list[str] = []
+        self.quota = QUOTA
+        self.clock = Clock()
+        self.collector = Collector(self.open, clock=self.clock)
+
+    def open(self) -> CollectedFolder:
+        self.opening.set()
+        assert self.gate.wait(PATIENCE_S)
+        if self.failures:
+            raise OSError(self.failures.pop())
+        return CollectedFolder(self.path, self.quota)
+
+    def settled(self) -> tuple[CollectedFrame, ...]:
+        """What is kept after the collector has written everything."""
+        assert self.collector.close(PATIENCE_S)
+        return read_frame_list(self.path).frames
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Disk]:
+    disk = Disk(tmp_path)
+    yield disk
+    disk.gate.set()
+    assert disk.collector.close(PATIENCE_S)
+
+
+def test_a_frame_with_a_reason_is_kept_with_it(disk: Disk) -> None:
+    disk.collector.offer(candidate(reasons={Reason.CLASS: "cat", Reason.UNCERTAIN: "cat 0.26"}))
+    (frame,) = disk.settled()
+    reasons = {"class": "cat", "uncertain": "cat 0.26", "novel": "the first of its kind"}
+    assert frame.reasons == reasons
+    assert frame.value == 8 + 2 + 3
+    status = disk.collector.status
+    assert (status.kept, status.frames, status.problem) == (1, 1, "")
+    assert status.megabytes > 0
+
+
+def test_a_frame_without_reason_is_kept_only_if_it_is_novel(disk: Disk) -> None:
+    looks = [look_of(0), look_of(0) + 0.2 * look_of(1), look_of(2)]
+    for look in looks:
+        disk.collector.offer(candidate(reasons={}, embedding=look))
+    kept = disk.settled()
+    assert [[*frame.reasons] for frame in kept] == [["novel"], ["novel"]]
+    assert "distance" in kept[1].reasons["novel"]
+
+
+def test_without_the_search_for_novel_images_such_a_frame_is_not_kept(disk: Disk) -> None:
+    disk.collector.offer(candidate(reasons={}, rules=rules(novelty=0.0)))
+    assert disk.settled() == ()
+
+
+def test_near_duplicates_are_not_kept_unless_somebody_asked_for_them(disk: Disk) -> None:
+    near = look_of(0) + 0.01 * look_of(1)
+    disk.collector.offer(candidate(embedding=look_of(0)))
+    disk.collector.offer(candidate(embedding=near))
+    disk.collector.offer(candidate(embedding=near, reasons={Reason.REQUESTED: "~/collect"}))
+    assert [next(iter(frame.reasons)) for frame in disk.settled()] == ["class", "requested"]
+    assert (disk.collector.status.kept, disk.collector.status.duplicates) == (2, 1)
+
+
+def test_frames_of_a_camera_have_a_gap_between_them_and_those_of_others_do_not_count(disk: Disk) -> None:
+    slow, front, rear = rules(gap_s=2.0, per_minute=0.0), Pace(), Pace()
+    disk.collector.offer(candidate(0, rules=slow, pace=front))
+    disk.collector.offer(candidate(1, rules=slow, pace=front))
+    disk.collector.offer(candidate(2, rules=slow, pace=rear))
+    disk.collector.offer(candidate(3, rules=slow, pace=front, reasons={Reason.REQUESTED: ""}))
+    assert len(disk.settled()) == 3
+
+
+def test_a_slow_disk_delays_no_frame_and_what_is_lost_is_counted(disk: Disk) -> None:
+    disk.gate.clear()
+    disk.collector.offer(candidate(0))
+    assert disk.opening.wait(PATIENCE_S)
+    for seed in range(1, MAX_WAITING + 5):
+        disk.collector.offer(candidate(seed))
+    assert disk.collector.status.dropped == 4
+    disk.gate.set()
+    assert len(disk.settled()) == 1 + MAX_WAITING
+
+
+def test_large_frames_that_wait_have_a_bound_of_memory(disk: Disk) -> None:
+    disk.gate.clear()
+    disk.collector.offer(candidate(0))
+    assert disk.opening.wait(PATIENCE_S)
+    side = 4096
+    large = ColourImage(np.zeros((side, side, 3), np.uint8), "bgr")
+    for _ in range(MAX_WAITING):
+        disk.collector.offer(candidate(1, image=large))
+    fitting = MAX_WAITING_BYTES // large.pixels.nbytes
+    assert disk.collector.status.dropped == MAX_WAITING - fitting > 0
+
+
+def test_one_frame_larger_than_the_bound_is_taken_alone(disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_WAITING_BYTES", 10)
+    disk.collector.offer(candidate(0))
+    assert len(disk.settled()) == 1
+
+
+def test_a_disk_that_fails_is_told_once(disk: Disk, caplog: pytest.LogCaptureFixture) -> None:
+    disk.failures = ["No space left\x1b[31m on device"] * 3
+    disk.clock.step_s = RETRY_S
+    with caplog.at_level(logging.WARNING):
+        for seed in range(3):
+            disk.collector.offer(candidate(seed))
+        assert disk.settled() == ()
+    assert disk.failures == []
+    assert [record.getMessage() for record in caplog.records] == [
+        "no images are collected: No space left?[31m on device"
+    ]
+    assert disk.collector.status.problem == "No space left?[31m on device"
+    assert disk.collector.status.dropped == 3
+
+
+def test_a_disk_that_fails_is_left_alone_for_a_while_and_then_used_again(disk: Disk) -> None:
+    disk.failures = ["Input/output error"]
+    disk.clock.step_s = RETRY_S / 2
+    for seed in range(3):
+        disk.collector.offer(candidate(seed))
+    assert [frame.image[-10:] for frame in disk.settled()] == ["000001.jpg"]
+    assert (disk.collector.status.dropped, disk.collector.status.kept) == (2, 1)
+    assert disk.collector.status.problem == ""
+
+
+def test_after_the_end_nothing_is_taken(disk: Disk) -> None:
+    assert disk.collector.close(PATIENCE_S)
+    disk.collector.offer(candidate())
+    assert disk.collector.status.dropped == 1
+    assert disk.settled() == ()
+
+
+def test_a_disk_that_hangs_does_not_keep_the_process(disk: Disk) -> None:
+    disk.gate.clear()
+    disk.collector.offer(candidate())
+    assert disk.opening.wait(PATIENCE_S)
+    assert not disk.collector.close(0.01)
+
+
+def test_a_collector_that_is_idle_for_long_lets_others_have_the_folder(
+    disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "IDLE_S", 0.05)
+    closed = threading.Event()
+    close = CollectedFolder.close
+
+    def close_and_tell(folder: CollectedFolder) -> None:
+        close(folder)
+        closed.set()
+
+    monkeypatch.setattr(CollectedFolder, "close", close_and_tell)
+    disk.collector.offer(candidate(0))
+    assert closed.wait(PATIENCE_S)
+    CollectedFolder(disk.path, QUOTA).close()
+    disk.collector.offer(candidate(1))
+    assert len(disk.settled()) == 2
+
+
+def test_a_full_folder_counts_what_is_worth_less(disk: Disk) -> None:
+    disk.quota = replace(QUOTA, max_frames=1)
+    disk.collector.offer(candidate(0, reasons={Reason.REQUESTED: ""}))
+    disk.collector.offer(candidate(1))
+    (frame,) = disk.settled()
+    assert "requested" in frame.reasons
+    assert disk.collector.status.outranked == 1
+
+
+def written(disk: Disk) -> NDArray[np.uint8]:
+    (frame,) = disk.settled()
+    return np.fromfile(disk.path / frame.image, np.uint8)
+
+
+def test_a_jpeg_is_kept_as_it_was_received(disk: Disk) -> None:
+    jpeg = cv2.imencode(".jpg", candidate().image.pixels)[1].reshape(-1)
+    disk.collector.offer(candidate(jpeg=jpeg))
+    np.testing.assert_array_equal(written(disk), jpeg)
+
+
+def test_a_raw_image_is_compressed_with_the_quality_of_the_settings(disk: Disk) -> None:
+    image = candidate().image
+    disk.collector.offer(candidate(rules=rules(jpeg_quality=31)))
+    expected = cv2.imencode(".jpg", image.pixels, (cv2.IMWRITE_JPEG_QUALITY, 31))[1].reshape(-1)
+    np.testing.assert_array_equal(written(disk), expected)
+
+
+def test_blank_regions_are_black_and_their_objects_are_not_labelled(disk: Disk) -> None:
+    left = Region.parse("0,0 0.5,0 0.5,1 0,1")
+    white = ColourImage(np.full((48, 64, 3), 255, np.uint8), "rgb")
+    jpeg = cv2.imencode(".jpg", white.pixels)[1].reshape(-1)
+    disk.collector.offer(candidate(image=white, jpeg=jpeg, rules=rules(blank_regions=(left,))))
+    pixels = cv2.imdecode(written(disk), cv2.IMREAD_COLOR)
+    assert pixels[:, :30].max() < 20
+    assert pixels[:, 34:].min() > 235
+    assert white.pixels.min() == 255
+    (frame,) = read_frame_list(disk.path).frames
+    assert frame.objects == ()
+    assert len(CAT) == 1
+    assert (disk.path / frame.labels).read_text() == ""

@@ -1,0 +1,82 @@
+"""Lines of `frames.jsonl`, which anybody may have written."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from support.candidates import look_of
+
+from yolov5_lifecycle.collecting.record import (
+    MAX_RECORD_BYTES,
+    CollectedFrame,
+    CollectedObject,
+    RecordError,
+    embedding_of,
+    embedding_text,
+)
+
+FRAME = CollectedFrame(
+    image="images/20261124T070343Z-0a1b2c/000001_front.jpg",
+    camera="front",
+    frame_id='optical "frame"\n',
+    sec=1,
+    nanosec=2,
+    size_wh=(64, 48),
+    weights_sha256="ab" * 32,
+    configuration="0123456789ab",
+    reasons={"uncertain": "cat 0.26, threshold 0.25"},
+    value=2.0,
+    objects=(CollectedObject(class_name="cat", score=0.9, box_xyxy=(1.5, 2, 3, 4), track_id="7"),),
+    embedding=embedding_text(look_of(0)),
+)
+
+
+def test_a_record_is_one_line_that_reads_back() -> None:
+    assert FRAME.line().count(b"\n") == 1
+    assert CollectedFrame.of_line(FRAME.line()) == FRAME
+    assert FRAME.labels == "labels/20261124T070343Z-0a1b2c/000001_front.txt"
+    assert FRAME.drive == "20261124T070343Z-0a1b2c"
+
+
+def changed(**values: Any) -> bytes:
+    return json.dumps(json.loads(FRAME.line()) | values).encode() + b"\n"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        pytest.param(b"", id="empty"),
+        pytest.param(b"{}\n", id="nothing in it"),
+        pytest.param(FRAME.line()[:50], id="torn"),
+        pytest.param(FRAME.line()[:-1], id="without its end"),
+        pytest.param(b" " * MAX_RECORD_BYTES + FRAME.line(), id="too long"),
+        pytest.param(b"\xff\xfe\n", id="no UTF-8"),
+        pytest.param(changed(image="images/../../etc/1.jpg"), id="another folder"),
+        pytest.param(changed(image="/images/drive/000001.jpg"), id="an absolute path"),
+        pytest.param(changed(image="images/drive/000001.jpg\n"), id="a line break"),
+        pytest.param(changed(image="images/drive/000001_" + "a" * 99 + ".jpg"), id="a long name"),
+        pytest.param(changed(value=float("nan")), id="no number"),
+        pytest.param(changed(unknown=1), id="another field"),
+        pytest.param(changed(embedding="%"), id="no base64"),
+        pytest.param(changed(embedding="AA=="), id="half a number"),
+        pytest.param(changed(embedding="/38="), id="an embedding that is NaN"),
+    ],
+)
+def test_what_is_no_record_is_refused(line: bytes) -> None:
+    with pytest.raises(RecordError):
+        CollectedFrame.of_line(line)
+
+
+def test_an_embedding_keeps_its_direction() -> None:
+    wanted = look_of(1) * 1000
+    stored = embedding_of(embedding_text(wanted))
+    assert np.linalg.norm(stored) == pytest.approx(1, abs=1e-3)
+    np.testing.assert_allclose(stored, wanted / np.linalg.norm(wanted), atol=1e-3)
+
+
+@pytest.mark.parametrize("value", [0, np.nan, np.inf])
+def test_an_embedding_without_direction_is_empty(value: float) -> None:
+    assert embedding_of(embedding_text(np.full(4, value, np.float32))).shape == (0,)

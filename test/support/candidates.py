@@ -1,0 +1,77 @@
+"""Frames that may be collected, with the rules of a test's model of cats and dogs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.collecting.candidate import Candidate, Origin
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
+from yolov5_lifecycle.collecting.kept_frame import kept_frame
+from yolov5_lifecycle.collecting.pace import Pace
+from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.rules import CollectRules
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.settings.settings import Settings
+
+CLASS_NAMES = ("cat", "dog")
+SIZE_HW = (48, 64)
+
+
+def rules(**changes: Any) -> CollectRules:
+    """The default rules of a camera, with `changes`."""
+    of_settings = CollectRules.of(
+        Settings(),
+        Selection(),
+        camera="",
+        class_names=CLASS_NAMES,
+        segments=False,
+        weights_sha256="ab" * 32,
+    )
+    return replace(of_settings, **changes)
+
+
+def found(*objects: tuple[str, float, tuple[float, ...]], ids: tuple[str, ...] = ()) -> Detections:
+    """Detections from class name, score and box each, highest score first."""
+    return Detections(
+        np.array([box for *_, box in objects], np.float32).reshape(-1, 4),
+        np.array([score for _, score, _ in objects], np.float32),
+        np.array([CLASS_NAMES.index(name) for name, *_ in objects], np.int64),
+        track_ids=ids,
+    )
+
+
+CAT = found(("cat", 0.9, (10, 10, 30, 40)))
+
+
+def look_of(seed: int) -> NDArray[np.float32]:
+    """What an image looks like to a network: far from that of any other seed."""
+    return np.random.default_rng(seed).normal(size=64).astype(np.float32)
+
+
+def candidate(seed: int = 0, **changes: Any) -> Candidate:
+    """A frame of a cat, worth keeping because somebody asked for one of its class."""
+    pixels = np.random.default_rng(seed).integers(0, 255, (*SIZE_HW, 3)).astype(np.uint8)
+    usual = Candidate(
+        image=ColourImage(pixels, "bgr"),
+        jpeg=None,
+        detections=CAT,
+        embedding=look_of(seed),
+        origin=Origin("optical_frame", 12, 34),
+        reasons={Reason.CLASS: "cat"},
+        rules=rules(gap_s=0.0, per_minute=0.0),
+        pace=Pace(),
+    )
+    return replace(usual, **changes)
+
+
+def keep(folder: CollectedFolder, seed: int = 0, *, value: float = 1.0, names: tuple[str, ...] = ()) -> bool:
+    """Offer the frame number `seed` to the folder, of a model with the class `names`."""
+    frame = candidate(seed, rules=rules(class_names=names or CLASS_NAMES))
+    record, jpeg, labels = kept_frame(frame, frame.reasons, folder)
+    return folder.add(record.model_copy(update={"value": value}), jpeg, labels)

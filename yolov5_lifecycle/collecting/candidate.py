@@ -1,0 +1,54 @@
+"""A frame that may be kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.collecting.pace import Pace
+from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.rules import CollectRules
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.images.image import ColourImage
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where and when an image was taken: frame_id and stamp of its message."""
+
+    frame_id: str
+    sec: int
+    nanosec: int
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A frame with what was found in it, on its way to the thread that decides and writes.
+
+    The thread that offers it changes nothing in it afterwards.
+    """
+
+    image: ColourImage
+    jpeg: NDArray[np.uint8] | None
+    """(N,) the image as it was received, if that was a JPEG file."""
+    detections: Detections
+    """Those that are published, with masks if the model segments."""
+    embedding: NDArray[np.float32]
+    """(C,) see `Detections.embedding`."""
+    origin: Origin
+    reasons: Mapping[Reason, str]
+    """Why it is worth keeping, in words. May be empty: it may still be novel."""
+    rules: CollectRules
+    pace: Pace
+
+    @property
+    def is_requested(self) -> bool:
+        return Reason.REQUESTED in self.reasons
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory that it holds while it waits."""
+        return self.image.pixels.nbytes + (0 if self.jpeg is None else self.jpeg.nbytes)

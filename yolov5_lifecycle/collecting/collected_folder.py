@@ -1,0 +1,232 @@
+"""The folder of kept images while one process writes into it: complete at every moment, within its quota."""
+
+from __future__ import annotations
+
+import math
+import os
+import secrets
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, write_whole
+from yolov5_lifecycle.collecting.class_list import read_class_names, with_names, write_class_names
+from yolov5_lifecycle.collecting.frame_list import append_frame, read_frame_list, write_frame_list
+from yolov5_lifecycle.collecting.kept_embeddings import KeptEmbeddings
+from yolov5_lifecycle.collecting.record import CollectedFrame, embedding_of
+from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
+from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned
+
+_REMOVED_BEFORE_REWRITE = 100
+"""Lines without an image in the list of frames; after a kill they are left out when it is read."""
+IMAGES, LABELS = "images", "labels"
+
+
+class CollectingError(ValueError):
+    """Nothing can be kept now; the message has the cause and a remedy."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quota:
+    """What a folder may take of its disk."""
+
+    max_bytes: int
+    max_frames: int
+    min_free_bytes: int
+    """Free on the disk, whoever uses the rest."""
+
+
+class CollectedFolder:
+    """Owns the folder at `path`, which is created if its parent exists, until `close`.
+
+    Only one process at a time has it, by a lock on the folder. What a killed process left unfinished is
+    removed. `now_s`: seconds since the epoch, which name the drive: all that is kept until `close`.
+
+    Raises CollectingError if another process has the folder, or it is not one of kept images, and OSError.
+    """
+
+    def __init__(self, path: Path, quota: Quota, *, now_s: Callable[[], float] = time.time) -> None:
+        if not path.exists():
+            path.mkdir()
+        self._path = path
+        self._quota = quota
+        self._removed = 0
+        self._number = 0
+        self.drive = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime(now_s()))}-{secrets.token_hex(3)}"
+        self.embeddings = KeptEmbeddings()
+        self._sizes: dict[str, int] = {}
+        self._frames: dict[str, CollectedFrame] = {}
+        """By path of the image, in the order in which they were kept."""
+        self._descriptor = open_itself(path, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            if not hold(self._descriptor, path):
+                raise CollectingError(
+                    f"{path}: another process collects into it; give each detector a collect_dir of its own"
+                )
+            self.class_names = _known_class_names(path)
+            self._read()
+        except BaseException:
+            os.close(self._descriptor)
+            raise
+
+    @property
+    def frames(self) -> int:
+        return len(self._frames)
+
+    @property
+    def size_bytes(self) -> int:
+        """Of images and labels."""
+        return sum(self._sizes.values())
+
+    def place(self, camera: str) -> tuple[str, str]:
+        """New paths for an image of `camera`, "" without a name, and for its labels, below the folder."""
+        self._number += 1
+        name = f"{self._number:06d}" + (f"_{camera}" if camera else "")
+        return f"{IMAGES}/{self.drive}/{name}.jpg", f"{LABELS}/{self.drive}/{name}.txt"
+
+    def ids_of(self, class_names: Sequence[str]) -> list[int]:
+        """The class ids in this folder of a model's `class_names`; adds those that are new to `data.yaml`.
+
+        Raises CollectingError beyond MAX_CLASSES classes, and OSError.
+        """
+        names = with_names(self.class_names, class_names)
+        if len(names) > MAX_CLASSES:
+            raise CollectingError(
+                f"{self._path}: has more than {MAX_CLASSES} classes; use another collect_dir"
+            )
+        if names != self.class_names:
+            write_class_names(self._path, names)
+            self.class_names = names
+        return [names.index(name) for name in class_names]
+
+    def add(self, frame: CollectedFrame, jpeg: bytes, labels: str) -> bool:
+        """Keep a frame, and remove less valuable ones if the quota needs it; False if all are more valuable.
+
+        The frame is there once its image is, which is written last: an image without labels would count as
+        one without objects, and what has no image is removed when the folder is read again.
+
+        Raises CollectingError if the disk has too little space or is another one, and OSError.
+        """
+        self._check_disk(len(jpeg))
+        size = len(jpeg) + len(labels)
+        if not self._make_room(1, size, frame.value):
+            return False
+        image = self._path / frame.image
+        for path in (image, self._path / frame.labels):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            append_frame(self._path, frame)
+            write_whole(self._path / frame.labels, labels.encode())
+            write_whole(image, jpeg)
+        except OSError:
+            self._unlink(frame)
+            self._removed += 1
+            raise
+        self._remember(frame, size)
+        return True
+
+    def close(self) -> None:
+        """Let other processes have the folder. Idempotent."""
+        if self._descriptor >= 0:
+            with suppress(OSError):
+                self._rewrite(if_removed=1)
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def _check_disk(self, size: int) -> None:
+        is_same = False
+        with suppress(OSError):
+            is_same = os.path.samestat(self._path.stat(), os.fstat(self._descriptor))
+        if not is_same:
+            raise CollectingError(
+                f"{self._path}: the folder was removed, or its disk unmounted; mount it again"
+            )
+        free, least = shutil.disk_usage(self._path).free, self._quota.min_free_bytes
+        if free - size < least:
+            raise CollectingError(
+                f"{self._path}: {free >> 20} MiB are free on the disk, collect_min_free_mb keeps "
+                f"{least >> 20}; remove something, or lower collect_max_mb"
+            )
+
+    def _make_room(self, count: int, size: int, value: float) -> bool:
+        """Remove the least valuable frames, the oldest first, until `count` more of `size` bytes fit.
+
+        Returns False, and removes nothing, if one that is worth more than `value` would have to go.
+        """
+        excess = self.frames + count - self._quota.max_frames
+        excess_bytes = self.size_bytes + size - self._quota.max_bytes
+        if max(excess, excess_bytes) <= 0:
+            return True
+        leaving: list[CollectedFrame] = []
+        for frame in sorted(self._frames.values(), key=lambda kept: kept.value):
+            if max(excess - len(leaving), excess_bytes) <= 0 or frame.value > value:
+                break
+            leaving.append(frame)
+            excess_bytes -= self._sizes[frame.image]
+        if max(excess - len(leaving), excess_bytes) > 0:
+            return False
+        for frame in leaving:
+            self._forget(frame)
+        self._rewrite(if_removed=_REMOVED_BEFORE_REWRITE)
+        return True
+
+    def _forget(self, frame: CollectedFrame) -> None:
+        self._unlink(frame)
+        del self._frames[frame.image], self._sizes[frame.image]
+        self.embeddings.remove(frame.image)
+        self._removed += 1
+
+    def _unlink(self, frame: CollectedFrame) -> None:
+        """Remove the image, then its labels; a disk that fails keeps them, and they are removed later."""
+        for path in (frame.image, frame.labels):
+            with suppress(OSError):
+                (self._path / path).unlink(missing_ok=True)
+
+    def _rewrite(self, *, if_removed: int) -> None:
+        """Leave removed frames out of the list if they are at least that many."""
+        if self._removed >= if_removed:
+            write_frame_list(self._path, self._frames.values())
+            self._removed = 0
+
+    def _remember(self, frame: CollectedFrame, size: int) -> None:
+        self._frames[frame.image] = frame
+        self._sizes[frame.image] = size
+        self.embeddings.add(frame.image, embedding_of(frame.embedding))
+
+    def _read(self) -> None:
+        """Remember what is there, remove what a killed process did not finish and what exceeds the quota."""
+        listed = read_frame_list(self._path)
+        if listed.frames and not self.class_names:
+            raise CollectingError(
+                f"{self._path}: data.yaml is missing, so nobody knows the classes of the labels; bring it "
+                "back, or use another collect_dir"
+            )
+        for frame in listed.frames:
+            self._remember(frame, _size(self._path / frame.image) + _size(self._path / frame.labels))
+        for frame in listed.without_image:
+            self._unlink(frame)
+        self._removed = listed.broken + len(listed.without_image)
+        self._make_room(0, 0, math.inf)
+        self._rewrite(if_removed=1)
+        drives = {frame.drive for frame in (*listed.frames, *listed.without_image)}
+        folders = [self._path, *(self._path / kind / drive for kind in (IMAGES, LABELS) for drive in drives)]
+        for folder in folders:
+            with suppress(OSError):
+                remove_abandoned(folder, prefix=UNFINISHED_PREFIX, suffix=UNFINISHED_SUFFIX)
+
+
+def _known_class_names(path: Path) -> tuple[str, ...]:
+    try:
+        return read_class_names(path)
+    except DataError as error:
+        raise CollectingError(f"{error} Correct it, or use another collect_dir") from None
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
