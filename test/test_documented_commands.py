@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_p
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import StoragePlugin
 from sensor_msgs.msg import Image
+from support.candidates import keep
 from support.checkpoint_builder import official_model, saved, stripped
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from support.detector_process import NODE, environment
@@ -44,6 +45,7 @@ from benchmark.tracking import __main__ as tracking
 from tools import matrix
 from tools.mutants import options as mutants
 from tools.shapes import dataset
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.commands import convert, fetch_weights, official_weights
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
@@ -257,7 +259,7 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     """The reader's, and the folder in which the commands are typed."""
     for folder in ("config", "docs", "weights"):
         (tmp_path / folder).symlink_to(REPOSITORY / folder)
-    for name in ("best.pt", "yolov5n.pt", "models/best.pt", ".ros/yolov5/yolov5n.pt"):
+    for name in ("best.pt", "new.pt", "yolov5n.pt", "models/best.pt", ".ros/yolov5/yolov5n.pt"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(checkpoint)
     (tmp_path / "models" / "yolov5n-seg.pt").write_bytes(segmentation_checkpoint())
@@ -265,6 +267,11 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     record(tmp_path / "drive", [raw(0)], storage=StoragePlugin.MCAP)
     labelled_drive(tmp_path / "corrected_drive")
     dataset.write_dataset(tmp_path / "shapes", images=2)
+    collected = CollectedFolder(
+        tmp_path / "corrected", Quota(max_bytes=1 << 20, max_frames=9, min_free_bytes=0)
+    )
+    keep(collected, names=CLASS_NAMES)
+    collected.close()
     (tmp_path / "drives").mkdir()
     for name in ("drives/monday", "drives/tuesday"):
         record(tmp_path / name, [raw(0)], storage=StoragePlugin.MCAP)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import http.client
 import shutil
 import socket
@@ -19,8 +18,10 @@ import pytest
 from support.console_process import address, console_process
 from support.served_node import PATIENCE_S
 from support.worker import worker_domain
-from websockets.asyncio.client import connect
+from websockets.client import ClientProtocol
+from websockets.frames import Frame, Opcode
 from websockets.typing import Origin
+from websockets.uri import parse_uri
 
 from yolov5_lifecycle.ros.console.bounded_listener import MAX_CONNECTIONS_OF_ADDRESS
 
@@ -46,15 +47,27 @@ class EncryptedConsole:
             connection.request("GET", "/")
             return connection.getresponse().status
 
-    async def first_message(self) -> str:
+    def first_message(self) -> str:
         """What the console sends first to a page.
 
-        In one thread, as websockets' other client reads and writes in two, and Python's SSL loses requests
-        then (python/cpython#76714).
+        In one thread, because websockets' blocking client reads and writes in two, in which Python's SSL loses
+        requests (python/cpython#76714); without asyncio, because Python 3.10's leaves TLS transports open.
         """
         url, origin = f"wss://127.0.0.1:{self.port}/ws", Origin(f"https://127.0.0.1:{self.port}")
-        async with connect(url, origin=origin, ssl=self.context, proxy=None) as page:
-            return str(await asyncio.wait_for(page.recv(), PATIENCE_S))
+        page = ClientProtocol(parse_uri(url), origin=origin)
+        page.send_request(page.connect())
+        with (
+            socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S) as plain,
+            self.context.wrap_socket(plain, server_hostname="127.0.0.1") as connection,
+        ):
+            for data in page.data_to_send():
+                connection.sendall(data)
+            while received := connection.recv(4096):
+                page.receive_data(received)
+                for event in page.events_received():
+                    if isinstance(event, Frame) and event.opcode is Opcode.TEXT:
+                        return bytes(event.data).decode()
+        pytest.fail("the console closed the connection before it sent a message")
 
     def silent_connection(self, timeout_s: float) -> socket.socket:
         """A connection that has not begun a TLS handshake."""
@@ -95,7 +108,7 @@ def is_closed(connection: socket.socket) -> bool:
 
 def test_with_a_certificate_it_speaks_tls(encrypted: EncryptedConsole) -> None:
     assert encrypted.status_of_page() == 200
-    assert '"welcome"' in asyncio.run(encrypted.first_message())
+    assert '"welcome"' in encrypted.first_message()
 
 
 def test_excess_connections_that_begin_no_tls_are_closed(encrypted: EncryptedConsole) -> None:
