@@ -50,7 +50,7 @@ class EncryptedConsole:
     def first_message(self) -> str:
         """What the console sends first to a page.
 
-        In one thread, because websockets' blocking client reads and writes in two, in which Python's SSL loses
+        In one thread, because the blocking client of websockets uses two, in which Python's SSL loses
         requests (python/cpython#76714); without asyncio, because Python 3.10's leaves TLS transports open.
         """
         url, origin = f"wss://127.0.0.1:{self.port}/ws", Origin(f"https://127.0.0.1:{self.port}")
