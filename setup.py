@@ -139,6 +139,7 @@ setup(
             f"calibrate = {name}.commands.entry_points:calibrate",
             f"camera = {name}.ros.entry_points:camera",
             f"console = {name}.ros.entry_points:console",
+            f"collected = {name}.commands.entry_points:collected",
             f"convert = {name}.commands.entry_points:convert",
             f"demo = {name}.commands.entry_points:demo",
             f"detect_bag = {name}.commands.entry_points:detect_bag",

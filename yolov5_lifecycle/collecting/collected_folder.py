@@ -128,6 +128,10 @@ class CollectedFolder:
         self._remember(frame, size)
         return True
 
+    def remove(self, frame: CollectedFrame) -> None:
+        """Remove a kept frame. Raises KeyError if it is not there."""
+        self._forget(frame)
+
     def close(self) -> None:
         """Let other processes have the folder. Idempotent."""
         if self._descriptor >= 0:

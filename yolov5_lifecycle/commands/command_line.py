@@ -24,12 +24,12 @@ def version_line(command: str) -> str:
 class CommandParser(argparse.ArgumentParser):
     """Parser of the commands other than the nodes, with `--version` and usage errors in one line."""
 
-    def __init__(self, command: str, **options: Any) -> None:
-        super().__init__(prog=command, **options)
+    def __init__(self, prog: str, **options: Any) -> None:
+        super().__init__(prog=prog, **options)
         self.add_argument(
             "--version",
             action="version",
-            version=version_line(command),
+            version=version_line(prog),
             help="print the version and exit",
         )
 

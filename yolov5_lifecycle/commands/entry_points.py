@@ -28,6 +28,7 @@ from yolov5_lifecycle.process.termination import end_at_once, on_termination
 MODULES: Mapping[str, str] = MappingProxyType(
     {
         "calibrate": "yolov5_lifecycle.offline.calibrate.command",
+        "collected": "yolov5_lifecycle.offline.collected.command",
         "convert": "yolov5_lifecycle.commands.convert",
         "demo": "yolov5_lifecycle.ros.demo.command",
         "detect_bag": "yolov5_lifecycle.offline.detect_bag",
@@ -40,6 +41,7 @@ MODULES: Mapping[str, str] = MappingProxyType(
 ARGUMENTS: Mapping[str, str] = MappingProxyType(
     {
         "calibrate": "yolov5_lifecycle.offline.calibrate.arguments",
+        "collected": "yolov5_lifecycle.offline.collected.arguments",
         "convert": "yolov5_lifecycle.commands.convert_arguments",
         "detect_bag": "yolov5_lifecycle.offline.detect_bag_arguments",
         "evaluate": "yolov5_lifecycle.offline.evaluate.arguments",
@@ -107,6 +109,7 @@ def _check_arguments(command: str) -> None:
 
 
 calibrate = partial(_run, "calibrate")
+collected = partial(_run, "collected")
 convert = partial(_run, "convert")
 demo = partial(_run, "demo")
 detect_bag = partial(_run, "detect_bag")

@@ -1,0 +1,248 @@
+"""The command `collected`: what a detector has collected, looked at, merged, split and removed."""
+
+from __future__ import annotations
+
+import base64
+import re
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.candidates import CLASS_NAMES, candidate, found, keep
+
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
+from yolov5_lifecycle.collecting.drive_split import validation_drives
+from yolov5_lifecycle.collecting.frame_list import append_frame, read_frame_list
+from yolov5_lifecycle.collecting.kept_frame import kept_frame
+from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.record import CollectedFrame
+from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
+from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
+from yolov5_lifecycle.offline.collected.command import main
+
+QUOTA = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
+
+
+def collected(folder: Path, *counts: int, names: tuple[str, ...] = CLASS_NAMES) -> Path:
+    """A folder with drives of so many images of a cat."""
+    for drive, count in enumerate(counts):
+        with closing(CollectedFolder(folder, QUOTA)) as into:
+            for number in range(count):
+                keep(into, 100 * drive + number, names=names)
+    return folder
+
+
+def drives(folder: Path) -> list[str]:
+    return list(dict.fromkeys(frame.drive for frame in read_frame_list(folder).frames))
+
+
+def run(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+def test_what_is_there_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = collected(tmp_path / "robot", 2, 1)
+    assert run("show", folder) == 0
+    first, second = drives(folder)
+    assert capsys.readouterr().out.splitlines() == [
+        "images         3",
+        f"drive          2  {first}",
+        f"drive          1  {second}",
+        "camera         3  (without a name)",
+        "model          3  abababababab",
+        "reason         3  class",
+        "class          3  cat",
+    ]
+
+
+def test_the_sheet_is_one_page_with_every_image_and_its_reason(tmp_path: Path) -> None:
+    folder = collected(tmp_path / "robot <1>", 2)
+    with closing(CollectedFolder(folder, QUOTA)) as into:
+        white = replace(candidate(7).image, pixels=np.full((900, 1600, 3), 255, np.uint8))
+        box = found(("dog", 0.9, (400, 200, 1200, 700)))
+        reasons = {Reason.NOVEL: "<script>alert(1)</script>", Reason.SAMPLE: "one of 9"}
+        into.add(*kept_frame(candidate(7, image=white, detections=box), reasons, into))
+    sheet = tmp_path / "sheet.html"
+    assert run("sheet", folder, "--output", sheet) == 0
+    page = sheet.read_text()
+    assert re.findall(r"<h2>(.*?)</h2>", page) == ["class: 2", "novel: 1"]
+    assert "<script" not in page
+    assert "Collected: robot &lt;1&gt;" in page
+    assert "http" not in page
+    pictures = [
+        cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+        for data in re.findall(r'base64,([^"]+)"', page)
+    ]
+    assert [max(picture.shape) for picture in pictures] == [64, 64, 320]
+    assert pictures[2][90, 160].min() > 240  # in the box
+    assert pictures[2][40:140, 75:85].min() < 200  # its left side
+
+
+def test_the_sheet_has_the_most_valuable_images_and_replaces_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = collected(tmp_path / "robot", 3)
+    sheet = tmp_path / "sheet.html"
+    assert run("sheet", folder, "--output", sheet, "--most", 2) == 0
+    assert sheet.read_text().count("<figure>") == 2
+    assert run("sheet", folder, "--output", sheet) == 1
+    assert "exists" in capsys.readouterr().err
+
+
+def test_an_image_that_cannot_be_read_is_told_in_its_place(tmp_path: Path) -> None:
+    folder = collected(tmp_path / "robot", 2)
+    (folder / read_frame_list(folder).frames[0].image).write_bytes(b"no image")
+    assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
+    page = (tmp_path / "sheet.html").read_text()
+    assert page.count("<img") == 1
+    assert page.count("<figure>") == 2
+
+
+def test_a_box_from_elsewhere_does_not_end_the_sheet(tmp_path: Path) -> None:
+    folder = collected(tmp_path / "robot", 1)
+    (frame,) = read_frame_list(folder).frames
+    strange = frame.objects[0].model_copy(update={"box_xyxy": (1e308, -1e308, -5.0, 7.0)})
+    append_frame(folder, frame.model_copy(update={"objects": (strange, *frame.objects)}))
+    assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
+
+
+def test_whole_drives_are_for_training_or_validation(tmp_path: Path) -> None:
+    folder = collected(tmp_path / "robot", 6, 2, 2)
+    assert run("split", folder, "--share", 0.2) == 0
+    parts = {
+        name: {path.path.parent.name for path in labelled(folder / "split.yaml", name)}
+        for name in ("train", "val")
+    }
+    assert len(labelled(folder / "split.yaml", "val")) == 2
+    assert len(labelled(folder / "split.yaml", "train")) == 8
+    assert parts["train"].isdisjoint(parts["val"])
+
+
+def labelled(data: Path, split: str) -> tuple[LabelledPath, ...]:
+    told: list[str] = []
+    images = read_yolo_folder(data, Problems(told.append), split=split).images
+    assert told == []
+    return images
+
+
+@pytest.mark.parametrize(
+    ("counts", "share", "validation"),
+    [
+        ([5, 5], 0.2, [0]),
+        ([9, 1], 0.2, [1]),
+        ([1, 9], 0.5, [0]),
+        ([4, 3, 3], 0.3, [1]),
+        ([1] * 10, 0.2, [0, 1]),
+        ([1, 1], 0.99, [0]),
+    ],
+)
+def test_validation_has_about_its_share(counts: list[int], share: float, validation: list[int]) -> None:
+    template = kept_template()
+    frames = [
+        template.model_copy(update={"image": f"images/{drive:02d}/{number:06d}.jpg"})
+        for drive, count in enumerate(counts)
+        for number in range(count)
+    ]
+    assert validation_drives(frames, share) == tuple(f"{drive:02d}" for drive in validation)
+
+
+def kept_template() -> CollectedFrame:
+    return CollectedFrame(
+        image="images/0/000000.jpg",
+        camera="",
+        frame_id="",
+        sec=0,
+        nanosec=0,
+        size_wh=(1, 1),
+        weights_sha256="",
+        configuration="",
+        reasons={},
+        value=0.0,
+        objects=(),
+        embedding="",
+    )
+
+
+def test_a_single_drive_is_not_split(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("split", collected(tmp_path / "robot", 5)) == 1
+    assert "at least two drives, found 1" in capsys.readouterr().err
+
+
+def test_folders_of_several_robots_become_one_with_classes_by_name(tmp_path: Path) -> None:
+    one = collected(tmp_path / "one", 2)
+    other = collected(tmp_path / "other", 1, names=("bird", "cat"))
+    corrected = next((one / "labels").rglob("*.txt"))
+    corrected.write_text("1 0.5 0.5 0.5 0.5\n\n0 0.5 0.5 0.25 0.25 0.75 0.75\n")
+    assert run("merge", one, other, "--output", tmp_path / "all") == 0
+    told: list[str] = []
+    data = read_yolo_folder(tmp_path / "all", Problems(told.append))
+    assert (data.class_names, told) == (("cat", "dog", "bird"), [])
+    assert sorted(image.labels.boxes.class_ids.tolist() for image in data.images) == [[0], [1, 0], [2]]
+    assert len(read_frame_list(tmp_path / "all").frames) == 3
+    with closing(CollectedFolder(tmp_path / "all", QUOTA)) as merged:
+        assert merged.frames == 3
+
+
+def test_the_same_image_twice_is_refused_and_nothing_is_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = collected(tmp_path / "one", 1)
+    assert run("merge", one, one, "--output", tmp_path / "all") == 1
+    assert "leave one out" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one"]
+
+
+def test_labels_that_cannot_be_read_are_not_merged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = collected(tmp_path / "one", 1)
+    next((one / "labels").rglob("*.txt")).write_text("9 0.5 0.5 0.5 0.5\n")
+    assert run("merge", one, "--output", tmp_path / "all") == 1
+    assert "expected a class from 0 to 1" in capsys.readouterr().err
+
+
+def test_images_of_a_drive_or_of_a_reason_are_removed(tmp_path: Path) -> None:
+    folder = collected(tmp_path / "robot", 2, 3)
+    with closing(CollectedFolder(folder, QUOTA)) as into:
+        into.add(*kept_frame(candidate(9), {Reason.CLASS: "", Reason.NOVEL: ""}, into))
+    first, *_ = drives(folder)
+    assert run("remove", folder, "--drive", first) == 0
+    assert len(read_frame_list(folder).frames) == 4
+    assert run("remove", folder, "--reason", "class") == 0
+    (left,) = read_frame_list(folder).frames
+    assert {*left.reasons} == {"class", "novel"}
+    assert len(list(folder.rglob("*.jpg"))) == len(list(folder.rglob("*.txt"))) == 1
+
+
+def test_nothing_is_removed_while_a_detector_collects(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = collected(tmp_path / "robot", 2)
+    with closing(CollectedFolder(folder, QUOTA)):
+        assert run("remove", folder, "--reason", "class") == 1
+    assert "another process" in capsys.readouterr().err
+    assert len(read_frame_list(folder).frames) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["show", "missing"], "expected the collect_dir of a detector"),
+        (["remove", "."], "remove needs --drive or --reason"),
+        (["split", ".", "--share", "1"], "between 0 and 1"),
+        (["sheet", ".", "--output", "x", "--most", "0"], "from 1 to 10000"),
+        ([], "ACTION"),
+    ],
+)
+def test_what_cannot_be_done_is_told(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        code = run(*words)
+    except SystemExit as end:
+        code = int(end.code or 0)
+    assert code in (1, 2)
+    assert message in capsys.readouterr().err

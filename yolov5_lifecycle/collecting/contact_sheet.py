@@ -1,0 +1,94 @@
+"""All collected images on one page, which needs neither a server nor other files."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.record import CollectedFrame
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.draw import annotate
+from yolov5_lifecycle.images.compressed import decode_image_file, encode_jpeg
+from yolov5_lifecycle.images.image import ColourImage, ImageError
+from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.printable import in_one_line
+
+MAX_IMAGE_BYTES = 256 << 20
+THUMBNAIL_PX = 320
+"""Longer side of an image on the page."""
+_QUALITY = 70
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<style>
+body {{ font: 14px system-ui, sans-serif; margin: 1em; color-scheme: light dark }}
+section {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(260px, 1fr)); gap: 1em }}
+figure {{ margin: 0; overflow-wrap: anywhere }} img {{ width: 100% }}
+</style>
+<h1>{title}</h1>
+"""
+
+
+def contact_sheet(folder: Path, frames: Sequence[CollectedFrame], *, title: str) -> Iterator[str]:
+    """The page in parts: `frames` by their most valuable reason, with what the model found drawn in them.
+
+    An image that cannot be read is told in its place.
+    """
+    yield _PAGE.format(title=html.escape(title))
+    for reason in Reason:
+        of_reason = [frame for frame in frames if _first_reason(frame) is reason]
+        if of_reason:
+            yield f"<h2>{reason.value}: {len(of_reason)}</h2>\n<section>\n"
+            for frame in sorted(of_reason, key=lambda frame: -frame.value):
+                yield _figure(folder, frame)
+            yield "</section>\n"
+    yield "</html>\n"
+
+
+def _first_reason(frame: CollectedFrame) -> Reason:
+    """The most valuable one, as `Reason` lists them; of one that this version does not know, the last."""
+    known = [reason for reason in Reason if reason.value in frame.reasons]
+    return known[0] if known else Reason.SAMPLE
+
+
+def _figure(folder: Path, frame: CollectedFrame) -> str:
+    try:
+        jpeg = base64.b64encode(_thumbnail(folder, frame)).decode()
+        picture = f'<img loading="lazy" alt="" src="data:image/jpeg;base64,{jpeg}">'
+    except (ImageError, RegularFileError, OSError) as error:
+        picture = f"<p>{html.escape(in_one_line(str(error)))}</p>"
+    reasons = "; ".join(f"{name}: {text}" for name, text in frame.reasons.items())
+    caption = html.escape(in_one_line(f"{frame.image} {reasons}"))
+    return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>\n"
+
+
+def _thumbnail(folder: Path, frame: CollectedFrame) -> bytes:
+    """A small JPEG file of the image with the objects that the model found."""
+    data = np.frombuffer(read_regular_file(folder / frame.image, MAX_IMAGE_BYTES), np.uint8)
+    image = decode_image_file(data)
+    height, width = image.size_hw
+    scale = min(THUMBNAIL_PX / max(height, width), 1.0)
+    size_wh = max(round(width * scale), 1), max(round(height * scale), 1)
+    pixels = np.asarray(cv2.resize(image.pixels, size_wh, interpolation=cv2.INTER_AREA), np.uint8)
+    names = list(dict.fromkeys(found.class_name for found in frame.objects))
+    drawn = annotate(ColourImage(pixels, image.order), _detections(frame, names, scale), names)
+    return encode_jpeg(ColourImage(drawn, image.order), quality=_QUALITY).tobytes()
+
+
+def _detections(frame: CollectedFrame, names: Sequence[str], scale: float) -> Detections:
+    """The objects of `frame`, whose boxes may come from anywhere, in an image that is `scale` as large."""
+    found = sorted(frame.objects, key=lambda one: -one.score)
+    corners = np.array([one.box_xyxy for one in found], np.float64).reshape(-1, 2, 2)
+    corners = np.sort(np.clip(corners, -1e6, 1e6), axis=1) * scale
+    return Detections(
+        corners.reshape(-1, 4).astype(np.float32),
+        np.array([one.score for one in found], np.float32),
+        np.array([names.index(one.class_name) for one in found], np.int64),
+        track_ids=tuple(one.track_id for one in found),
+    )

@@ -1,0 +1,49 @@
+"""Which drives are for training, and which for validation: neighbouring images would show the same scene."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.collecting.collected_folder import IMAGES, CollectingError
+from yolov5_lifecycle.collecting.record import CollectedFrame
+
+SPLIT = "split.yaml"
+_TOLERANCE = 1.25
+"""Drives for validation have at most so many times the share that was asked for."""
+
+
+def validation_drives(frames: Sequence[CollectedFrame], share: float) -> tuple[str, ...]:
+    """Whole drives with about `share` of the images, in the order of their names.
+
+    At least one drive, and not all. Raises CollectingError if there are fewer than two.
+    """
+    counts = Counter(frame.drive for frame in frames)
+    if len(counts) < 2:
+        raise CollectingError(
+            f"expected images of at least two drives, found {len(counts)}: a part of a drive is no test of "
+            "what was learnt from the rest"
+        )
+    most, chosen = _TOLERANCE * share * len(frames), list[str]()
+    for drive, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
+        taken = sum(counts[other] for other in chosen)
+        if len(chosen) < len(counts) - 1 and taken + count <= most:
+            chosen.append(drive)
+    smallest = min(counts, key=lambda drive: (counts[drive], drive))
+    return tuple(sorted(chosen or [smallest]))
+
+
+def write_split(
+    folder: Path, frames: Sequence[CollectedFrame], validation: Sequence[str], class_names: Sequence[str]
+) -> Path:
+    """Write a description of the data set with lists of drives; returns its path. Raises OSError."""
+    drives = sorted({frame.drive for frame in frames})
+    lines = []
+    for name, of_split in (("train", set(drives) - {*validation}), ("val", {*validation})):
+        lines += [f"{name}:", *(f"  - {IMAGES}/{drive}" for drive in drives if drive in of_split)]
+    names = [f"  {index}: {json.dumps(name)}" for index, name in enumerate(class_names)]
+    write_whole(folder / SPLIT, "\n".join([*lines, "names:", *names, ""]).encode())
+    return folder / SPLIT

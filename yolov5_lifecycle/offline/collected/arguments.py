@@ -1,0 +1,68 @@
+"""Arguments of `collected`. They import no library that may be missing, so that `--help` always works."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from yolov5_lifecycle.commands.command_line import CommandParser
+
+MAX_SHOWN = 10_000
+"""Images on one contact sheet; each takes about 15 kB."""
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """The argument parser of the command."""
+    parser = CommandParser(
+        "collected", description="Show, merge, split and clear out what a detector has collected."
+    )
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    show = actions.add_parser("show", help="how many images there are, and why they were kept")
+    show.add_argument("folder", type=Path, metavar="FOLDER", help="the collect_dir of a detector")
+    sheet = actions.add_parser("sheet", help="write one HTML file with all images, sorted by reason")
+    sheet.add_argument("folder", type=Path, metavar="FOLDER")
+    sheet.add_argument("--output", type=Path, required=True, metavar="SHEET.html", help="a new file")
+    sheet.add_argument(
+        "--most",
+        type=_count,
+        default=500,
+        metavar="N",
+        help="show the N most valuable images; default: %(default)s",
+    )
+    split = actions.add_parser("split", help="write split.yaml: whole drives for training or validation")
+    split.add_argument("folder", type=Path, metavar="FOLDER")
+    split.add_argument(
+        "--share",
+        type=_share,
+        default=0.2,
+        metavar="SHARE",
+        help="about this share of the images is for validation; default: %(default)s",
+    )
+    merge = actions.add_parser("merge", help="copy the images of several robots into a new folder")
+    merge.add_argument("folders", type=Path, nargs="+", metavar="FOLDER")
+    merge.add_argument("--output", type=Path, required=True, metavar="NEW", help="a new folder")
+    remove = actions.add_parser("remove", help="remove images, while no detector collects into the folder")
+    remove.add_argument("folder", type=Path, metavar="FOLDER")
+    remove.add_argument("--drive", action="append", default=[], metavar="DRIVE", help="those of this drive")
+    remove.add_argument(
+        "--reason",
+        action="append",
+        default=[],
+        metavar="REASON",
+        help="those that were kept for no other reason than these",
+    )
+    return parser
+
+
+def _count(text: str) -> int:
+    count = int(text)
+    if not 1 <= count <= MAX_SHOWN:
+        raise argparse.ArgumentTypeError(f"expected a number from 1 to {MAX_SHOWN}, found {text}")
+    return count
+
+
+def _share(text: str) -> float:
+    share = float(text)
+    if not 0 < share < 1:
+        raise argparse.ArgumentTypeError(f"expected a number between 0 and 1, found {text}")
+    return share
