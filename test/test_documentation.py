@@ -48,7 +48,7 @@ from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAM
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 FILES_OF_USERS = {
-    *("data.yaml", "labels/a/1.txt"),
+    *("data.yaml", "split.yaml", "labels/a/1.txt"),
     *("report.json", "ground_truth.json", "detections.json", "detections_other.json"),
     "detections_in_frame.py",
 }

@@ -17,6 +17,7 @@ PACKAGE = "yolov5_lifecycle"
 COMMANDS = (
     "calibrate",
     "camera",
+    "collected",
     "console",
     "convert",
     "demo",
