@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from support.candidates import CLASS_NAMES, candidate, found, keep
 
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
@@ -70,15 +71,32 @@ def test_the_sheet_is_one_page_with_every_image_and_its_reason(tmp_path: Path) -
     page = sheet.read_text()
     assert re.findall(r"<h2>(.*?)</h2>", page) == ["class: 2", "novel: 1"]
     assert "<script" not in page
-    assert "Collected: robot &lt;1&gt;" in page
+    assert "3 collected images: robot &lt;1&gt;" in page
     assert "http" not in page
-    pictures = [
-        cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+    assert [max(picture.shape) for picture in pictures(page)] == [64, 64, 320]
+    white_box = pictures(page)[2]
+    assert white_box[90, 160].min() > 240  # in the box
+    assert white_box[40:140, 75:85].min() < 200  # its left side
+
+
+def test_a_class_has_the_same_colour_in_every_image(tmp_path: Path) -> None:
+    white = replace(candidate(0).image, pixels=np.full((300, 300, 3), 255, np.uint8))
+    dog, cat = found(("dog", 0.9, (100, 100, 200, 200))), found(("cat", 0.9, (10, 100, 60, 200)))
+    both = found(("cat", 0.9, (10, 100, 60, 200)), ("dog", 0.8, (100, 100, 200, 200)))
+    with closing(CollectedFolder(tmp_path / "robot", QUOTA)) as into:
+        for seed, detections in enumerate([dog, both, cat]):
+            frame = candidate(seed, image=white, detections=detections)
+            into.add(*kept_frame(frame, {Reason.CLASS: ""}, into))
+    assert run("sheet", tmp_path / "robot", "--output", tmp_path / "sheet.html") == 0
+    alone, together, _ = pictures((tmp_path / "sheet.html").read_text())
+    np.testing.assert_allclose(alone[150, 100].astype(int), together[150, 100], atol=30)
+
+
+def pictures(page: str) -> list[NDArray[np.uint8]]:
+    return [
+        np.asarray(cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR), np.uint8)
         for data in re.findall(r'base64,([^"]+)"', page)
     ]
-    assert [max(picture.shape) for picture in pictures] == [64, 64, 320]
-    assert pictures[2][90, 160].min() > 240  # in the box
-    assert pictures[2][40:140, 75:85].min() < 200  # its left side
 
 
 def test_the_sheet_has_the_most_valuable_images_and_replaces_nothing(

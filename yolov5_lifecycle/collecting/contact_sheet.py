@@ -40,13 +40,14 @@ def contact_sheet(folder: Path, frames: Sequence[CollectedFrame], *, title: str)
 
     An image that cannot be read is told in its place.
     """
+    names = sorted({found.class_name for frame in frames for found in frame.objects})
     yield _PAGE.format(title=html.escape(title))
     for reason in Reason:
         of_reason = [frame for frame in frames if _first_reason(frame) is reason]
         if of_reason:
             yield f"<h2>{reason.value}: {len(of_reason)}</h2>\n<section>\n"
             for frame in sorted(of_reason, key=lambda frame: -frame.value):
-                yield _figure(folder, frame)
+                yield _figure(folder, frame, names)
             yield "</section>\n"
     yield "</html>\n"
 
@@ -57,9 +58,9 @@ def _first_reason(frame: CollectedFrame) -> Reason:
     return known[0] if known else Reason.SAMPLE
 
 
-def _figure(folder: Path, frame: CollectedFrame) -> str:
+def _figure(folder: Path, frame: CollectedFrame, names: Sequence[str]) -> str:
     try:
-        jpeg = base64.b64encode(_thumbnail(folder, frame)).decode()
+        jpeg = base64.b64encode(_thumbnail(folder, frame, names)).decode()
         picture = f'<img loading="lazy" alt="" src="data:image/jpeg;base64,{jpeg}">'
     except (ImageError, RegularFileError, OSError) as error:
         picture = f"<p>{html.escape(in_one_line(str(error)))}</p>"
@@ -68,7 +69,7 @@ def _figure(folder: Path, frame: CollectedFrame) -> str:
     return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>\n"
 
 
-def _thumbnail(folder: Path, frame: CollectedFrame) -> bytes:
+def _thumbnail(folder: Path, frame: CollectedFrame, names: Sequence[str]) -> bytes:
     """A small JPEG file of the image with the objects that the model found."""
     data = np.frombuffer(read_regular_file(folder / frame.image, MAX_IMAGE_BYTES), np.uint8)
     image = decode_image_file(data)
@@ -76,7 +77,6 @@ def _thumbnail(folder: Path, frame: CollectedFrame) -> bytes:
     scale = min(THUMBNAIL_PX / max(height, width), 1.0)
     size_wh = max(round(width * scale), 1), max(round(height * scale), 1)
     pixels = np.asarray(cv2.resize(image.pixels, size_wh, interpolation=cv2.INTER_AREA), np.uint8)
-    names = list(dict.fromkeys(found.class_name for found in frame.objects))
     drawn = annotate(ColourImage(pixels, image.order), _detections(frame, names, scale), names)
     return encode_jpeg(ColourImage(drawn, image.order), quality=_QUALITY).tobytes()
 

@@ -51,7 +51,8 @@ def _show(arguments: argparse.Namespace) -> str:
 def _sheet(arguments: argparse.Namespace) -> str:
     frames = sorted(_frames(arguments.folder), key=lambda frame: -frame.value)[: arguments.most]
     with whole_output(arguments.output) as unfinished, unfinished.open("w", encoding="utf-8") as file:
-        file.writelines(contact_sheet(arguments.folder, frames, title=f"Collected: {arguments.folder.name}"))
+        title = f"{len(frames)} collected images: {arguments.folder.resolve().name}"
+        file.writelines(contact_sheet(arguments.folder, frames, title=title))
     return f"{arguments.output}: {len(frames)} images\n"
 
 
