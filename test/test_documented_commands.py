@@ -40,7 +40,7 @@ from support.small_families import segmentation_checkpoint
 
 import fuzz.__main__ as fuzz
 import soak.__main__ as soak
-from benchmark import bench, cameras, collecting, depth, mask_accuracy
+from benchmark import bench, cameras, collected_errors, collecting, depth, mask_accuracy
 from benchmark.tracking import __main__ as tracking
 from tools import matrix
 from tools.mutants import options as mutants
@@ -101,6 +101,7 @@ PARSERS = {
 """The parser of the options that `make` passes on."""
 MODULE_PARSERS = {
     "benchmark.cameras": cameras.parser,
+    "benchmark.collected_errors": collected_errors.parser,
     "benchmark.collecting": collecting.parser,
     "benchmark.depth": depth.parser,
     "benchmark.mask_accuracy": mask_accuracy.parser,

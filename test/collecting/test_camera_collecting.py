@@ -51,7 +51,8 @@ class Camera:
     @property
     def reasons(self) -> list[dict[str, str]]:
         return [
-            {reason.value: text for reason, text in each.reasons.items()} for each in self.offered.candidates
+            {reason.value: why.words for reason, why in each.reasons.items()}
+            for each in self.offered.candidates
         ]
 
 

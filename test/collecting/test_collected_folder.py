@@ -16,7 +16,7 @@ from support.candidates import CLASS_NAMES, candidate, keep, look_of
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, CollectingError, Quota
 from yolov5_lifecycle.collecting.frame_list import FRAMES, read_frame_list
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
-from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 
@@ -87,7 +87,7 @@ def test_a_frame_that_is_larger_than_the_quota_removes_nothing(tmp_path: Path) -
     keep(folder)
     folder.close()
     small = CollectedFolder(tmp_path, replace(LARGE, max_bytes=folder.size_bytes))
-    record, _, text = kept_frame(candidate(1), {Reason.REQUESTED: ""}, small)
+    record, _, text = kept_frame(candidate(1), {Reason.REQUESTED: Why("")}, small)
     assert not small.add(record, b"x" * 100_000, text)
     small.close()
     assert check(tmp_path) == 1

@@ -19,7 +19,7 @@ from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.collector import MAX_WAITING, MAX_WAITING_BYTES, RETRY_S, Collector
 from yolov5_lifecycle.collecting.frame_list import read_frame_list
 from yolov5_lifecycle.collecting.pace import Pace
-from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.collecting.record import CollectedFrame
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.images.region import Region
@@ -75,11 +75,11 @@ def disk(tmp_path: Path) -> Iterator[Disk]:
 
 
 def test_a_frame_with_a_reason_is_kept_with_it(disk: Disk) -> None:
-    disk.collector.offer(candidate(reasons={Reason.CLASS: "cat", Reason.UNCERTAIN: "cat 0.26"}))
+    disk.collector.offer(candidate(reasons={Reason.CLASS: Why("cat"), Reason.UNCERTAIN: Why("cat 0.26")}))
     (frame,) = disk.settled()
     reasons = {"class": "cat", "uncertain": "cat 0.26", "novel": "the first of its kind"}
     assert frame.reasons == reasons
-    assert frame.value == 8 + 2 + 3
+    assert frame.value == 20 + 2 + 3
     status = disk.collector.status
     assert (status.kept, status.frames, status.problem) == (1, 1, "")
     assert status.megabytes > 0
@@ -103,7 +103,7 @@ def test_near_duplicates_are_not_kept_unless_somebody_asked_for_them(disk: Disk)
     near = look_of(0) + 0.01 * look_of(1)
     disk.collector.offer(candidate(embedding=look_of(0)))
     disk.collector.offer(candidate(embedding=near))
-    disk.collector.offer(candidate(embedding=near, reasons={Reason.REQUESTED: "~/collect"}))
+    disk.collector.offer(candidate(embedding=near, reasons={Reason.REQUESTED: Why("~/collect")}))
     assert [next(iter(frame.reasons)) for frame in disk.settled()] == ["class", "requested"]
     assert (disk.collector.status.kept, disk.collector.status.duplicates) == (2, 1)
 
@@ -113,7 +113,7 @@ def test_frames_of_a_camera_have_a_gap_between_them_and_those_of_others_do_not_c
     disk.collector.offer(candidate(0, rules=slow, pace=front))
     disk.collector.offer(candidate(1, rules=slow, pace=front))
     disk.collector.offer(candidate(2, rules=slow, pace=rear))
-    disk.collector.offer(candidate(3, rules=slow, pace=front, reasons={Reason.REQUESTED: ""}))
+    disk.collector.offer(candidate(3, rules=slow, pace=front, reasons={Reason.REQUESTED: Why("")}))
     assert len(disk.settled()) == 3
 
 
@@ -206,7 +206,7 @@ def test_a_collector_that_is_idle_for_long_lets_others_have_the_folder(
 
 def test_a_full_folder_counts_what_is_worth_less(disk: Disk) -> None:
     disk.quota = replace(QUOTA, max_frames=1)
-    disk.collector.offer(candidate(0, reasons={Reason.REQUESTED: ""}))
+    disk.collector.offer(candidate(0, reasons={Reason.REQUESTED: Why("")}))
     disk.collector.offer(candidate(1))
     (frame,) = disk.settled()
     assert "requested" in frame.reasons

@@ -35,7 +35,7 @@ DOG_AT_07 = Selection(class_thresholds=((1, 0.7),))
         pytest.param(
             {},
             found(("cat", 0.9, BOX), ("dog", 0.3, BOX), ("dog", 0.24, BOX)),
-            {"uncertain": "dog 0.24, threshold 0.25"},
+            {"uncertain": "dog 0.24, threshold 0.25, and 1 more"},
             id="the closest",
         ),
         pytest.param(
@@ -62,8 +62,13 @@ DOG_AT_07 = Selection(class_thresholds=((1, 0.7),))
 def test_a_frame_has_its_reasons(
     changes: dict[str, object], detections: Detections, expected: dict[str, str]
 ) -> None:
-    reasons = {reason.value: text for reason, text in rules(**changes).reasons(detections)}
+    reasons = {reason.value: why.words for reason, why in rules(**changes).reasons(detections)}
     assert reasons == expected
+
+
+def test_every_score_within_the_margin_counts() -> None:
+    several = found(("cat", 0.9, BOX), ("cat", 0.3, BOX), ("dog", 0.24, BOX), ("dog", 0.1, BOX))
+    assert [why.objects for _, why in rules().reasons(several)] == [2]
 
 
 def test_a_look_finds_more_and_reports_what_the_selection_does() -> None:

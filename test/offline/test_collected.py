@@ -18,7 +18,7 @@ from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.drive_split import validation_drives
 from yolov5_lifecycle.collecting.frame_list import append_frame, read_frame_list
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
-from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.collecting.record import CollectedFrame
 from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
@@ -64,7 +64,7 @@ def test_the_sheet_is_one_page_with_every_image_and_its_reason(tmp_path: Path) -
     with closing(CollectedFolder(folder, QUOTA)) as into:
         white = replace(candidate(7).image, pixels=np.full((900, 1600, 3), 255, np.uint8))
         box = found(("dog", 0.9, (400, 200, 1200, 700)))
-        reasons = {Reason.NOVEL: "<script>alert(1)</script>", Reason.SAMPLE: "one of 9"}
+        reasons = {Reason.NOVEL: Why("<script>alert(1)</script>"), Reason.SAMPLE: Why("one of 9")}
         into.add(*kept_frame(candidate(7, image=white, detections=box), reasons, into))
     sheet = tmp_path / "sheet.html"
     assert run("sheet", folder, "--output", sheet) == 0
@@ -86,7 +86,7 @@ def test_a_class_has_the_same_colour_in_every_image(tmp_path: Path) -> None:
     with closing(CollectedFolder(tmp_path / "robot", QUOTA)) as into:
         for seed, detections in enumerate([dog, both, cat]):
             frame = candidate(seed, image=white, detections=detections)
-            into.add(*kept_frame(frame, {Reason.CLASS: ""}, into))
+            into.add(*kept_frame(frame, {Reason.CLASS: Why("")}, into))
     assert run("sheet", tmp_path / "robot", "--output", tmp_path / "sheet.html") == 0
     alone, together, _ = pictures((tmp_path / "sheet.html").read_text())
     np.testing.assert_allclose(alone[150, 100].astype(int), together[150, 100], atol=30)
@@ -225,7 +225,7 @@ def test_labels_that_cannot_be_read_are_not_merged(
 def test_images_of_a_drive_or_of_a_reason_are_removed(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 2, 3)
     with closing(CollectedFolder(folder, QUOTA)) as into:
-        into.add(*kept_frame(candidate(9), {Reason.CLASS: "", Reason.NOVEL: ""}, into))
+        into.add(*kept_frame(candidate(9), {Reason.CLASS: Why(""), Reason.NOVEL: Why("")}, into))
     first, *_ = drives(folder)
     assert run("remove", folder, "--drive", first) == 0
     assert len(read_frame_list(folder).frames) == 4

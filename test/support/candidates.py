@@ -12,7 +12,7 @@ from yolov5_lifecycle.collecting.candidate import Candidate, Origin
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
 from yolov5_lifecycle.collecting.pace import Pace
-from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.collecting.rules import CollectRules
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
@@ -63,7 +63,7 @@ def candidate(seed: int = 0, **changes: Any) -> Candidate:
         detections=CAT,
         embedding=look_of(seed),
         origin=Origin("optical_frame", 12, 34),
-        reasons={Reason.CLASS: "cat"},
+        reasons={Reason.CLASS: Why("cat")},
         rules=rules(gap_s=0.0, per_minute=0.0),
         pace=Pace(),
     )

@@ -13,7 +13,7 @@ from yolov5_lifecycle.collecting.candidate import Candidate, Origin
 from yolov5_lifecycle.collecting.collector import Collector
 from yolov5_lifecycle.collecting.object_memory import Change, ObjectMemory
 from yolov5_lifecycle.collecting.pace import Pace
-from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.collecting.rules import CollectRules
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
@@ -100,13 +100,13 @@ class CameraCollecting:
                 )
             )
 
-    def _reasons(self, found: Detections) -> Iterator[tuple[Reason, str]]:
-        """Each reason once, with everything that is behind it in words."""
+    def _reasons(self, found: Detections) -> Iterator[tuple[Reason, Why]]:
+        """Each reason once, with everything that is behind it."""
         if self._is_requested:
-            yield Reason.REQUESTED, "~/collect"
+            yield Reason.REQUESTED, Why("~/collect")
         if self._is_sample:
-            yield Reason.SAMPLE, f"one of {self.rules.every}"
+            yield Reason.SAMPLE, Why(f"one of {self.rules.every}")
         yield from self.rules.reasons(found)
         for reason in (Reason.UNSTEADY, Reason.APPEARED):
             if texts := [text for changed, text in self._changes if changed is reason]:
-                yield reason, ", ".join(texts)
+                yield reason, Why(", ".join(texts), len(texts))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.collecting.pace import Pace
-from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.collecting.rules import CollectRules
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.image import ColourImage
@@ -39,8 +39,8 @@ class Candidate:
     embedding: NDArray[np.float32]
     """(C,) see `Detections.embedding`."""
     origin: Origin
-    reasons: Mapping[Reason, str]
-    """Why it is worth keeping, in words. May be empty: it may still be novel."""
+    reasons: Mapping[Reason, Why]
+    """Why it is worth keeping. May be empty: it may still be novel."""
     rules: CollectRules
     pace: Pace
 

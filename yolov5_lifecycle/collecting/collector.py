@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from yolov5_lifecycle.collecting.candidate import Candidate
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, CollectingError
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
-from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.printable import in_one_line
 
@@ -87,6 +87,7 @@ class Collector:
             self._is_closing = True
             self._changed.notify()
         if self._thread is None:
+            self._close_folder()
             return True
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
@@ -100,11 +101,11 @@ class Collector:
             if candidate is None:
                 self._close_folder()
             else:
-                self._decide(candidate)
+                self.decide(candidate)
             if is_over:
                 return
 
-    def _decide(self, candidate: Candidate) -> None:
+    def decide(self, candidate: Candidate) -> None:
         """Keep the candidate or not; a failure is logged once, and tried again after RETRY_S."""
         now_s, rules = self._clock(), candidate.rules
         if self._failed_s is not None and now_s - self._failed_s < RETRY_S:
@@ -170,7 +171,7 @@ class Collector:
             )
 
 
-def _novelty(distance: float) -> str:
-    return (
-        "the first of its kind" if math.isinf(distance) else f"distance {distance:.2f} from the nearest image"
-    )
+def _novelty(distance: float) -> Why:
+    if math.isinf(distance):
+        return Why("the first of its kind")
+    return Why(f"distance {distance:.2f} from the nearest image")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.collecting.candidate import Candidate
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.labels import label_text
-from yolov5_lifecycle.collecting.reason import Reason, value_of
+from yolov5_lifecycle.collecting.reason import Reason, Why, value_of
 from yolov5_lifecycle.collecting.record import CollectedFrame, CollectedObject, embedding_text
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.compressed import encode_jpeg
@@ -22,7 +22,7 @@ _SUBPIXEL_BITS = 4
 
 
 def kept_frame(
-    candidate: Candidate, reasons: Mapping[Reason, str], folder: CollectedFolder
+    candidate: Candidate, reasons: Mapping[Reason, Why], folder: CollectedFolder
 ) -> tuple[CollectedFrame, bytes, str]:
     """The record, the JPEG file and the text of the labels of `candidate` in `folder`, kept for `reasons`.
 
@@ -41,7 +41,7 @@ def kept_frame(
         size_wh=size_hw[::-1],
         weights_sha256=candidate.rules.weights_sha256,
         configuration=candidate.rules.configuration,
-        reasons={reason.value: text for reason, text in reasons.items()},
+        reasons={reason.value: why.words for reason, why in reasons.items()},
         value=value_of(reasons),
         objects=tuple(
             CollectedObject(

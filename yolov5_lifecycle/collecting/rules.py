@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from yolov5_lifecycle.collecting.object_memory import Change
-from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.selection import class_ids
@@ -88,23 +88,23 @@ class CollectRules:
         """Whether a change of the objects is a reason to keep its image."""
         return self.unsteady if change[0] is Reason.UNSTEADY else self.appeared
 
-    def reasons(self, found: Detections) -> Iterator[tuple[Reason, str]]:
-        """Why an image is worth keeping in which `found` was found with `extended`; in words."""
+    def reasons(self, found: Detections) -> Iterator[tuple[Reason, Why]]:
+        """Why an image is worth keeping in which `found` was found with `extended`."""
         if self.score_margin and (uncertain := self._uncertain(found)):
             yield Reason.UNCERTAIN, uncertain
         if self.filtered_score and found.best_filtered >= self.filtered_score:
-            yield Reason.FILTERED, f"{found.best_filtered:.2f}, but it does not count"
+            yield Reason.FILTERED, Why(f"{found.best_filtered:.2f}, but it does not count")
         is_admitted = self.selection.admits(found.scores, found.class_ids)
         if listed := self.classes.intersection(found.class_ids[is_admitted].tolist()):
-            yield Reason.CLASS, ", ".join(self.class_names[class_id] for class_id in sorted(listed))
+            yield Reason.CLASS, Why(", ".join(self.class_names[class_id] for class_id in sorted(listed)))
 
-    def _uncertain(self, found: Detections) -> str:
-        """The detection whose score is closest to its threshold; "" if none is within the margin."""
-        if not len(found):
-            return ""
-        thresholds = self.selection.thresholds(found.class_ids)
-        row = int(np.abs(found.scores - thresholds).argmin())
-        score, threshold = float(found.scores[row]), float(thresholds[row])
-        if abs(score - threshold) > self.score_margin:
-            return ""
-        return f"{self.class_names[int(found.class_ids[row])]} {score:.2f}, threshold {threshold:g}"
+    def _uncertain(self, found: Detections) -> Why | None:
+        """How many scores are within the margin, and the one that is closest to its threshold."""
+        distances = np.abs(found.scores - self.selection.thresholds(found.class_ids))
+        count = int(np.count_nonzero(distances <= self.score_margin))
+        if not count:
+            return None
+        row = int(distances.argmin())
+        name, score = self.class_names[int(found.class_ids[row])], float(found.scores[row])
+        closest = f"{name} {score:.2f}, threshold {float(self.selection.thresholds(found.class_ids)[row]):g}"
+        return Why(closest if count == 1 else f"{closest}, and {count - 1} more", count)

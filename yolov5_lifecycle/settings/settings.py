@@ -253,7 +253,7 @@ class Settings(BaseModel):
         0, ge=0, le=1_000_000, description="Keep every n-th image as a fair sample. 0: not for this."
     )
     collect_duplicate_distance: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
-        0.005,
+        0.0005,
         ge=0,
         le=2,
         description="Do not keep an image whose features differ from those of a kept image by less than this "
