@@ -269,11 +269,10 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     record(tmp_path / "drive", [raw(0)], storage=StoragePlugin.MCAP)
     labelled_drive(tmp_path / "corrected_drive")
     dataset.write_dataset(tmp_path / "shapes", images=2)
-    collected = CollectedFolder(
-        tmp_path / "corrected", Quota(max_bytes=1 << 20, max_frames=9, min_free_bytes=0)
-    )
-    keep(collected, names=CLASS_NAMES)
-    collected.close()
+    quota = Quota(max_bytes=1 << 20, max_frames=9, min_free_bytes=0)
+    for seed, folder in enumerate(("corrected", "collected", "collected", "robot_1", "robot_2")):
+        with closing(CollectedFolder(tmp_path / folder, quota)) as collected:
+            keep(collected, seed, names=CLASS_NAMES)
     (tmp_path / "drives").mkdir()
     for name in ("drives/monday", "drives/tuesday"):
         record(tmp_path / name, [raw(0)], storage=StoragePlugin.MCAP)
