@@ -10,14 +10,13 @@ import statistics
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 from benchmark.camera_fleet import LAYOUTS, Fleet, Layout, Passage, active_fleet
 from benchmark.fairness import equal_shares, others_rates, slow_beside_fast
+from benchmark.materials import materials
 from benchmark.report import Goal, Row, goal_table, row, table, write_report
 
 REPORT = Path(__file__).parents[1] / "build" / "bench" / "cameras.json"
@@ -159,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     counts = options.counts or ((1, FOLLOWED) if options.quick else (1, 2, FOLLOWED, 8))
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
-        bench = CameraBench(*_materials(folder), folder, plan, max_batch=options.max_batch)
+        bench = CameraBench(*materials(IMAGE_HW, folder), folder, plan, max_batch=options.max_batch)
         bench.choose_runtime()
         for count in counts:
             _say(f"measuring: {_cameras(count)}, one node and a node each")
@@ -194,19 +193,6 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--quick", action="store_true", help="1 and 4 cameras, one round, shorter")
     return parser
-
-
-def _materials(folder: Path) -> tuple[Path, Path]:
-    """Weights and image, created in a process that exits, as torch must not stay in this one."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(_made_materials, folder).result()
-
-
-def _made_materials(folder: Path) -> tuple[Path, Path]:
-    from benchmark.models import untrained_weights
-    from benchmark.node import image_file
-
-    return untrained_weights("n", folder), image_file(IMAGE_HW, folder)
 
 
 def _names(count: int) -> list[str]:

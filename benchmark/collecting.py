@@ -10,11 +10,10 @@ import statistics
 import sys
 import tempfile
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 from benchmark.camera_fleet import Passage, active_fleet
+from benchmark.materials import materials
 from benchmark.report import Goal, Row, goal_table, row, table, write_report
 
 REPORT = Path(__file__).parents[1] / "build" / "bench" / "collecting.json"
@@ -71,9 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     passages: dict[str, list[Passage]] = {name: [] for name in _KEEPING}
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
-        # torch must not stay in this process
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            weights, image = pool.submit(_materials, folder).result()
+        weights, image = materials(IMAGE_HW, folder)
         passage(OFF, weights, image, folder, options)  # the runtime is chosen, and cached
         for number in range(options.rounds):
             for way in list(_KEEPING)[:: 1 if number % 2 == 0 else -1]:
@@ -93,13 +90,6 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="default: %(default)g")
     parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="default: %(default)g")
     return parser
-
-
-def _materials(folder: Path) -> tuple[Path, Path]:
-    from benchmark.models import untrained_weights
-    from benchmark.node import image_file
-
-    return untrained_weights("n", folder), image_file(IMAGE_HW, folder)
 
 
 def _cpu_percent(passage: Passage) -> float:

@@ -79,7 +79,7 @@ def test_in_the_gap_after_a_kept_frame_none_is_looked_at() -> None:
 def test_a_frame_that_is_asked_for_is_looked_at_in_the_gap_and_once() -> None:
     camera = Camera(gap_s=1000.0, novelty=0.0)
     camera.frame()
-    camera.collecting._pace.kept(camera.now_s, per_minute=20.0)
+    camera.collecting.past.pace.kept(camera.now_s, per_minute=20.0)
     camera.collecting.request()
     camera.frame()
     camera.frame()
@@ -107,7 +107,7 @@ def test_what_happens_between_two_looks_is_a_reason_at_the_next() -> None:
 def test_what_happens_in_the_gap_is_forgotten() -> None:
     camera = Camera(novelty=0.0, gap_s=1.0)
     camera.frame()
-    camera.collecting._pace.kept(camera.now_s, per_minute=20.0)
+    camera.collecting.past.pace.kept(camera.now_s, per_minute=20.0)
     camera.frame(found(("dog", 0.9, (10, 10, 30, 40))))
     for _ in range(60):
         camera.frame(found(("dog", 0.9, (10, 10, 30, 40))))
@@ -142,9 +142,22 @@ def test_a_candidate_has_what_is_published_and_the_reasons_of_what_was_found() -
 def test_new_rules_count_from_the_next_frame_on() -> None:
     camera = Camera(novelty=0.0)
     camera.frame()
-    camera.collecting.rules = rules(novelty=0.0, classes=frozenset({0}))
+    camera.collecting = camera.collecting.with_rules(rules(novelty=0.0, classes=frozenset({0})))
     for _ in range(9):
         camera.frame()
+    assert camera.reasons == [{"class": "cat"}]
+
+
+def test_a_frame_in_progress_has_the_rules_that_it_began_with() -> None:
+    camera = Camera(novelty=0.0)
+    begun = camera.collecting
+    camera.frame()
+    camera.now_s += 1
+    camera.collecting = begun.with_rules(rules(novelty=0.0, classes=frozenset({0})))
+    embedding = look_of(1)
+    begun.look(replace(CAT, embedding=embedding), CAT, IMAGE, None, Origin("f", 1, 2))
+    assert camera.reasons == []
+    camera.collecting.look(replace(CAT, embedding=embedding), CAT, IMAGE, None, Origin("f", 1, 2))
     assert camera.reasons == [{"class": "cat"}]
 
 

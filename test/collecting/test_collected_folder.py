@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from support.candidates import CLASS_NAMES, candidate, keep, look_of
 
-from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, CollectingError, Quota
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, CollectingError, Drive, Quota
 from yolov5_lifecycle.collecting.frame_list import FRAMES, read_frame_list
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
 from yolov5_lifecycle.collecting.reason import Reason, Why
@@ -48,15 +48,16 @@ def check(folder: Path, names: tuple[str, ...] = CLASS_NAMES) -> int:
 
 
 def test_a_kept_frame_is_an_image_its_labels_and_a_line(tmp_path: Path) -> None:
-    folder = CollectedFolder(tmp_path / "new", LARGE, now_s=lambda: 0.0)
+    folder = CollectedFolder(tmp_path / "new", LARGE, drive=Drive(0.0))
     assert keep(folder)
-    assert (folder.frames, folder.drive[:17]) == (1, "19700101T000000Z-")
+    assert (folder.frames, folder.drive.name[:17]) == (1, "19700101T000000Z-")
     (frame,) = read_frame_list(tmp_path / "new").frames
-    assert frame.image == f"images/{folder.drive}/000001.jpg"
+    assert frame.image == f"images/{folder.drive.name}/000001.jpg"
     assert (frame.frame_id, frame.sec, frame.nanosec, frame.size_wh) == ("optical_frame", 12, 34, (64, 48))
     assert [(each.class_name, each.box_xyxy) for each in frame.objects] == [("cat", (10, 10, 30, 40))]
     assert frame.weights_sha256 == "ab" * 32
-    written = sum((tmp_path / "new" / path).stat().st_size for path in (frame.image, frame.labels))
+    files = (frame.image, frame.labels, FRAMES)
+    written = sum((tmp_path / "new" / path).stat().st_size for path in files)
     assert folder.size_bytes == written
     folder.close()
     assert check(tmp_path / "new") == 1
@@ -69,16 +70,17 @@ def test_the_least_valuable_frame_goes_first_and_of_equals_the_oldest(tmp_path: 
     folder.close()
     assert check(tmp_path) == ROOM
     assert [frame.value for frame in read_frame_list(tmp_path).frames] == [2.0, 2.0, 1.0]
-    assert images(tmp_path) == [f"images/{folder.drive}/{number:06d}.jpg" for number in (1, 4, 6)]
+    assert images(tmp_path) == [f"images/{folder.drive.name}/{number:06d}.jpg" for number in (1, 4, 6)]
 
 
 def test_the_folder_is_never_larger_than_its_quota(tmp_path: Path) -> None:
     folder = CollectedFolder(tmp_path, replace(LARGE, max_bytes=30_000))
     for seed in range(40):
         assert keep(folder, seed)
-        size = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.suffix in (".jpg", ".txt"))
-        assert size == folder.size_bytes <= 30_000
+        assert folder.size_bytes <= 30_000
     folder.close()
+    kept = [path for path in tmp_path.rglob("*") if path.suffix in (".jpg", ".txt", ".jsonl")]
+    assert sum(path.stat().st_size for path in kept) == folder.size_bytes
     assert check(tmp_path) > 2
 
 
@@ -111,8 +113,47 @@ def test_what_was_kept_before_is_known_again(tmp_path: Path) -> None:
     assert (again.frames, again.size_bytes, again.class_names) == (1, first.size_bytes, CLASS_NAMES)
     assert again.embeddings.distance(look_of(5)) == pytest.approx(0, abs=1e-3)
     assert again.embeddings.distance(look_of(6)) > 0.5
-    assert again.drive != first.drive
+    assert again.drive.name != first.drive.name
     again.close()
+
+
+def test_a_process_that_opens_the_folder_again_goes_on_with_its_drive(tmp_path: Path) -> None:
+    drive = Drive(0.0)
+    for seed in range(2):
+        folder = CollectedFolder(tmp_path, LARGE, drive=drive)
+        keep(folder, seed)
+        folder.close()
+    assert images(tmp_path) == [f"images/{drive.name}/{number:06d}.jpg" for number in (1, 2)]
+    assert check(tmp_path) == 2
+
+
+def test_the_folder_may_be_a_link(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "collected").symlink_to(tmp_path / "disk")
+    folder = CollectedFolder(tmp_path / "collected", LARGE)
+    assert keep(folder)
+    folder.close()
+    assert check(tmp_path / "disk") == 1
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("cat \U0001f600", "\u06af\u0631\u0628\u0647\u200c\u0647\u0627"),
+        ("\u732b", "O'Neil: #1"),
+        ("no", "1"),
+        ("../..", "\\"),
+        ("{}", "- [a]"),
+    ],
+)
+def test_class_names_of_any_language_are_read_back(tmp_path: Path, names: tuple[str, str]) -> None:
+    folder = CollectedFolder(tmp_path, LARGE)
+    keep(folder, names=names)
+    folder.close()
+    again = CollectedFolder(tmp_path, LARGE)
+    assert again.class_names == names
+    again.close()
+    assert check(tmp_path, names) == 1
 
 
 def test_models_with_other_classes_share_the_folder_by_their_names(tmp_path: Path) -> None:
@@ -164,7 +205,7 @@ def test_a_folder_is_not_created_where_a_disk_is_missing(tmp_path: Path) -> None
 def test_a_frame_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     folder = CollectedFolder(tmp_path, LARGE)
     keep(folder, 0)
-    in_the_way = tmp_path / "labels" / folder.drive / "000002.txt"
+    in_the_way = tmp_path / "labels" / folder.drive.name / "000002.txt"
     in_the_way.mkdir()
     with pytest.raises(IsADirectoryError):
         keep(folder, 1)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from support.candidates import CAT, candidate, look_of, rules
 
 from yolov5_lifecycle.collecting import collector as module
+from yolov5_lifecycle.collecting.candidate import Origin
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.collector import MAX_WAITING, MAX_WAITING_BYTES, RETRY_S, Collector
 from yolov5_lifecycle.collecting.frame_list import read_frame_list
@@ -159,6 +160,15 @@ def test_a_disk_that_fails_is_told_once(disk: Disk, caplog: pytest.LogCaptureFix
     ]
     assert disk.collector.status.problem == "No space left?[31m on device"
     assert disk.collector.status.dropped == 3
+
+
+def test_what_nobody_expected_does_not_end_the_thread(disk: Disk, caplog: pytest.LogCaptureFixture) -> None:
+    disk.clock.step_s = RETRY_S
+    disk.collector.offer(candidate(0, origin=Origin("x" * 2000, 1, 2)))  # longer than a record takes
+    disk.collector.offer(candidate(1))
+    assert len(disk.settled()) == 1
+    assert "unexpected ValidationError while an image was collected" in caplog.text
+    assert (disk.collector.status.dropped, disk.collector.status.kept) == (1, 1)
 
 
 def test_a_disk_that_fails_is_left_alone_for_a_while_and_then_used_again(disk: Disk) -> None:

@@ -7,42 +7,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.candidates import look_of
+from support.candidates import RECORD, look_of
 
 from yolov5_lifecycle.collecting.record import (
     MAX_RECORD_BYTES,
     CollectedFrame,
-    CollectedObject,
     RecordError,
     embedding_of,
     embedding_text,
 )
 
-FRAME = CollectedFrame(
-    image="images/20261124T070343Z-0a1b2c/000001_front.jpg",
-    camera="front",
-    frame_id='optical "frame"\n',
-    sec=1,
-    nanosec=2,
-    size_wh=(64, 48),
-    weights_sha256="ab" * 32,
-    configuration="0123456789ab",
-    reasons={"uncertain": "cat 0.26, threshold 0.25"},
-    value=2.0,
-    objects=(CollectedObject(class_name="cat", score=0.9, box_xyxy=(1.5, 2, 3, 4), track_id="7"),),
-    embedding=embedding_text(look_of(0)),
-)
-
 
 def test_a_record_is_one_line_that_reads_back() -> None:
-    assert FRAME.line().count(b"\n") == 1
-    assert CollectedFrame.of_line(FRAME.line()) == FRAME
-    assert FRAME.labels == "labels/20261124T070343Z-0a1b2c/000001_front.txt"
-    assert FRAME.drive == "20261124T070343Z-0a1b2c"
+    assert RECORD.line().count(b"\n") == 1
+    assert CollectedFrame.of_line(RECORD.line()) == RECORD
+    assert RECORD.labels == "labels/20261124T070343Z-0a1b2c/000001_front.txt"
+    assert RECORD.drive == "20261124T070343Z-0a1b2c"
 
 
 def changed(**values: Any) -> bytes:
-    return json.dumps(json.loads(FRAME.line()) | values).encode() + b"\n"
+    return json.dumps(json.loads(RECORD.line()) | values).encode() + b"\n"
 
 
 @pytest.mark.parametrize(
@@ -50,9 +34,9 @@ def changed(**values: Any) -> bytes:
     [
         pytest.param(b"", id="empty"),
         pytest.param(b"{}\n", id="nothing in it"),
-        pytest.param(FRAME.line()[:50], id="torn"),
-        pytest.param(FRAME.line()[:-1], id="without its end"),
-        pytest.param(b" " * MAX_RECORD_BYTES + FRAME.line(), id="too long"),
+        pytest.param(RECORD.line()[:50], id="torn"),
+        pytest.param(RECORD.line()[:-1], id="without its end"),
+        pytest.param(b" " * MAX_RECORD_BYTES + RECORD.line(), id="too long"),
         pytest.param(b"\xff\xfe\n", id="no UTF-8"),
         pytest.param(changed(image="images/../../etc/1.jpg"), id="another folder"),
         pytest.param(changed(image="/images/drive/000001.jpg"), id="an absolute path"),

@@ -11,7 +11,7 @@ from support.candidates import CLASS_NAMES, found, rules
 from yolov5_lifecycle.collecting.reason import Reason
 from yolov5_lifecycle.collecting.rules import CollectRules
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
 from yolov5_lifecycle.detection.selection import ClassFilterError
 from yolov5_lifecycle.settings.settings import Settings
 
@@ -79,6 +79,12 @@ def test_a_look_finds_more_and_reports_what_the_selection_does() -> None:
     assert rules(segments=True).extended(DOG_AT_07).with_masks
     scores, classes = np.array([0.65, 0.3], np.float32), np.array([1, 0], np.int64)
     assert extended.admits(scores, classes).tolist() == DOG_AT_07.admits(scores, classes).tolist()
+
+
+@pytest.mark.parametrize("threshold", [0.0, 0.1, 0.14])
+def test_a_look_does_not_search_in_the_noise(threshold: float) -> None:
+    found_with = rules(selection=Selection(confidence_threshold=threshold)).extended(Selection())
+    assert found_with.extra_threshold == WORTH_TELLING
 
 
 def test_a_tracker_keeps_its_lower_threshold() -> None:

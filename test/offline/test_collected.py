@@ -12,14 +12,13 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.candidates import CLASS_NAMES, candidate, found, keep
+from support.candidates import CLASS_NAMES, RECORD, candidate, found, keep
 
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.drive_split import validation_drives
 from yolov5_lifecycle.collecting.frame_list import append_frame, read_frame_list
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
 from yolov5_lifecycle.collecting.reason import Reason, Why
-from yolov5_lifecycle.collecting.record import CollectedFrame
 from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 from yolov5_lifecycle.offline.collected.command import main
@@ -158,30 +157,12 @@ def labelled(data: Path, split: str) -> tuple[LabelledPath, ...]:
     ],
 )
 def test_validation_has_about_its_share(counts: list[int], share: float, validation: list[int]) -> None:
-    template = kept_template()
     frames = [
-        template.model_copy(update={"image": f"images/{drive:02d}/{number:06d}.jpg"})
+        RECORD.model_copy(update={"image": f"images/{drive:02d}/{number:06d}.jpg"})
         for drive, count in enumerate(counts)
         for number in range(count)
     ]
     assert validation_drives(frames, share) == tuple(f"{drive:02d}" for drive in validation)
-
-
-def kept_template() -> CollectedFrame:
-    return CollectedFrame(
-        image="images/0/000000.jpg",
-        camera="",
-        frame_id="",
-        sec=0,
-        nanosec=0,
-        size_wh=(1, 1),
-        weights_sha256="",
-        configuration="",
-        reasons={},
-        value=0.0,
-        objects=(),
-        embedding="",
-    )
 
 
 def test_a_single_drive_is_not_split(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

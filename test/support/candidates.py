@@ -13,6 +13,7 @@ from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
 from yolov5_lifecycle.collecting.pace import Pace
 from yolov5_lifecycle.collecting.reason import Reason, Why
+from yolov5_lifecycle.collecting.record import CollectedFrame, CollectedObject, embedding_text
 from yolov5_lifecycle.collecting.rules import CollectRules
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
@@ -52,6 +53,22 @@ CAT = found(("cat", 0.9, (10, 10, 30, 40)))
 def look_of(seed: int) -> NDArray[np.float32]:
     """What an image looks like to a network: far from that of any other seed."""
     return np.random.default_rng(seed).normal(size=64).astype(np.float32)
+
+
+RECORD = CollectedFrame(
+    image="images/20261124T070343Z-0a1b2c/000001_front.jpg",
+    camera="front",
+    frame_id='optical "frame"\n',
+    sec=1,
+    nanosec=2,
+    size_wh=(64, 48),
+    weights_sha256="ab" * 32,
+    configuration="0123456789ab",
+    reasons={"uncertain": "cat 0.26, threshold 0.25"},
+    value=2.0,
+    objects=(CollectedObject(class_name="cat", score=0.9, box_xyxy=(1.5, 2, 3, 4), track_id="7"),),
+    embedding=embedding_text(look_of(0)),
+)
 
 
 def candidate(seed: int = 0, **changes: Any) -> Candidate:

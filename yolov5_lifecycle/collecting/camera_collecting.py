@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,41 +26,44 @@ MAX_CHANGES = 10
 """Changes between two looks that are written down."""
 
 
-class CameraCollecting:
-    """Offers frames of one camera to `collector`. Used by one inference thread at a time.
+class _Past:
+    """What the next frame of a camera is compared with. Used by one inference thread at a time."""
 
-    `rules` may be replaced between two frames. `clock` returns monotonic seconds.
+    def __init__(self) -> None:
+        self.memory = ObjectMemory()
+        self.pace = Pace()
+        self.looked_s = -math.inf
+        self.frames = 0
+        self.is_sample = False
+        self.changes: list[Change] = []
+        self.is_requested = False
+        """Set in any thread."""
+
+
+@dataclass(frozen=True)
+class CameraCollecting:
+    """Offers frames of one camera to `collector`; `with_rules` of others keeps what is known of the past.
+
+    Used by one inference thread at a time. `clock` returns monotonic seconds.
     """
 
-    def __init__(
-        self,
-        collector: Collector,
-        rules: CollectRules,
-        *,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._collector = collector
-        self._clock = clock
-        self._memory = ObjectMemory()
-        self._pace = Pace()
-        self._looked_s = -math.inf
-        self._frames = 0
-        self._is_sample = False
-        self._changes: list[Change] = []
-        self._is_requested = False
-        self.rules = rules
+    collector: Collector
+    rules: CollectRules
+    clock: Callable[[], float] = time.monotonic
+    past: _Past = field(default_factory=_Past)
+
+    def with_rules(self, rules: CollectRules) -> CameraCollecting:
+        """The same with other rules, for later frames: the one in progress has those that it began with."""
+        return replace(self, rules=rules)
 
     def request(self) -> None:
         """Keep the next frame. May be called in any thread."""
-        self._is_requested = True
+        self.past.is_requested = True
 
     def wanted(self, selection: Selection) -> Selection:
         """What to find in the next frame, besides `selection`: more if the frame will be looked at."""
-        now_s, rules = self._clock(), self.rules
-        is_due = now_s - self._looked_s >= LOOK_PERIOD_S and self._pace.allows(
-            now_s, gap_s=rules.gap_s, per_minute=rules.per_minute
-        )
-        return rules.extended(selection) if is_due or self._is_requested else selection
+        is_due = self.clock() - self.past.looked_s >= LOOK_PERIOD_S and self._may_keep()
+        return self.rules.extended(selection) if is_due or self.past.is_requested else selection
 
     def look(
         self,
@@ -74,20 +78,20 @@ class CameraCollecting:
 
         `jpeg`: see `Candidate`.
         """
-        rules, now_s = self.rules, self._clock()
-        changes = self._memory.changes(published, image.size_hw, rules.class_names)
-        self._changes = [*self._changes, *filter(rules.wants, changes)][-MAX_CHANGES:]
-        self._frames += 1
-        self._is_sample |= bool(rules.every) and self._frames % rules.every == 0
+        rules, past = self.rules, self.past
+        changes = past.memory.changes(published, image.size_hw, rules.class_names)
+        past.changes = [*past.changes, *filter(rules.wants, changes)][-MAX_CHANGES:]
+        past.frames += 1
+        past.is_sample |= bool(rules.every) and past.frames % rules.every == 0
         if found.embedding is None:
-            if not self._pace.allows(now_s, gap_s=rules.gap_s, per_minute=rules.per_minute):
-                self._changes.clear()
+            if not self._may_keep():
+                past.changes.clear()
             return
         reasons = dict(self._reasons(found))
-        self._looked_s, self._is_sample, self._is_requested = now_s, False, False
-        self._changes.clear()
+        past.looked_s, past.is_sample, past.is_requested = self.clock(), False, False
+        past.changes.clear()
         if reasons or rules.novelty:
-            self._collector.offer(
+            self.collector.offer(
                 Candidate(
                     image=image,
                     jpeg=jpeg,
@@ -96,17 +100,22 @@ class CameraCollecting:
                     origin=origin,
                     reasons=reasons,
                     rules=rules,
-                    pace=self._pace,
+                    pace=past.pace,
                 )
             )
 
+    def _may_keep(self) -> bool:
+        """Whether the gap after the last kept frame is over."""
+        rules = self.rules
+        return self.past.pace.allows(self.clock(), gap_s=rules.gap_s, per_minute=rules.per_minute)
+
     def _reasons(self, found: Detections) -> Iterator[tuple[Reason, Why]]:
         """Each reason once, with everything that is behind it."""
-        if self._is_requested:
+        if self.past.is_requested:
             yield Reason.REQUESTED, Why("~/collect")
-        if self._is_sample:
+        if self.past.is_sample:
             yield Reason.SAMPLE, Why(f"one of {self.rules.every}")
         yield from self.rules.reasons(found)
         for reason in (Reason.UNSTEADY, Reason.APPEARED):
-            if texts := [text for changed, text in self._changes if changed is reason]:
+            if texts := [text for changed, text in self.past.changes if changed is reason]:
                 yield reason, Why(", ".join(texts), len(texts))

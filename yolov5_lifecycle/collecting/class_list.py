@@ -20,11 +20,15 @@ def read_class_names(folder: Path) -> tuple[str, ...]:
 
 def write_class_names(folder: Path, class_names: Sequence[str]) -> None:
     """Write a description that `evaluate` and trainers of YOLOv5 read. Raises OSError."""
-    names = "".join(f"  {index}: {json.dumps(name)}\n" for index, name in enumerate(class_names))
-    text = (
-        f"# Labels are predictions until somebody corrects them.\ntrain: images\nval: images\nnames:\n{names}"
-    )
-    write_whole(folder / DATA, text.encode())
+    heading = "# Labels are predictions until somebody corrects them.\ntrain: images\nval: images\n"
+    write_whole(folder / DATA, f"{heading}{names_entry(class_names)}".encode())
+
+
+def names_entry(class_names: Sequence[str]) -> str:
+    """The entry `names` of a description, in YAML."""
+    # YAML does not read the pair of escapes that JSON has for an emoji.
+    lines = (f"  {index}: {json.dumps(name, ensure_ascii=False)}\n" for index, name in enumerate(class_names))
+    return f"names:\n{''.join(lines)}"
 
 
 def with_names(known: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:

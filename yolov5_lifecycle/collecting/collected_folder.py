@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import secrets
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,23 +40,34 @@ class Quota:
     """Free on the disk, whoever uses the rest."""
 
 
+class Drive:
+    """All that one process collects, however often it opens the folder: the subfolder of its images.
+
+    `begun_s`: seconds since the epoch, which name it.
+    """
+
+    def __init__(self, begun_s: float) -> None:
+        self.name = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime(begun_s))}-{secrets.token_hex(3)}"
+        self.numbers = itertools.count(1)
+
+
 class CollectedFolder:
     """Owns the folder at `path`, which is created if its parent exists, until `close`.
 
     Only one process at a time has it, by a lock on the folder. What a killed process left unfinished is
-    removed. `now_s`: seconds since the epoch, which name the drive: all that is kept until `close`.
+    removed. New images belong to `drive`; None: to a new one.
 
     Raises CollectingError if another process has the folder, or it is not one of kept images, and OSError.
     """
 
-    def __init__(self, path: Path, quota: Quota, *, now_s: Callable[[], float] = time.time) -> None:
+    def __init__(self, path: Path, quota: Quota, *, drive: Drive | None = None) -> None:
+        path = path.resolve()
         if not path.exists():
             path.mkdir()
         self._path = path
         self._quota = quota
         self._removed = 0
-        self._number = 0
-        self.drive = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime(now_s()))}-{secrets.token_hex(3)}"
+        self.drive = drive or Drive(time.time())
         self.embeddings = KeptEmbeddings()
         self._sizes: dict[str, int] = {}
         self._frames: dict[str, CollectedFrame] = {}
@@ -78,14 +90,13 @@ class CollectedFolder:
 
     @property
     def size_bytes(self) -> int:
-        """Of images and labels."""
+        """Of images, labels and lines of the list."""
         return sum(self._sizes.values())
 
-    def place(self, camera: str) -> tuple[str, str]:
-        """New paths for an image of `camera`, "" without a name, and for its labels, below the folder."""
-        self._number += 1
-        name = f"{self._number:06d}" + (f"_{camera}" if camera else "")
-        return f"{IMAGES}/{self.drive}/{name}.jpg", f"{LABELS}/{self.drive}/{name}.txt"
+    def new_path(self, camera: str) -> str:
+        """A new path for an image of `camera`, "" without a name, below the folder."""
+        name = f"{next(self.drive.numbers):06d}" + (f"_{camera}" if camera else "")
+        return f"{IMAGES}/{self.drive.name}/{name}.jpg"
 
     def ids_of(self, class_names: Sequence[str]) -> list[int]:
         """The class ids in this folder of a model's `class_names`; adds those that are new to `data.yaml`.
@@ -100,7 +111,8 @@ class CollectedFolder:
         if names != self.class_names:
             write_class_names(self._path, names)
             self.class_names = names
-        return [names.index(name) for name in class_names]
+        ids = {name: index for index, name in enumerate(names)}
+        return [ids[name] for name in class_names]
 
     def add(self, frame: CollectedFrame, jpeg: bytes, labels: str) -> bool:
         """Keep a frame, and remove less valuable ones if the quota needs it; False if all are more valuable.
@@ -111,7 +123,7 @@ class CollectedFolder:
         Raises CollectingError if the disk has too little space or is another one, and OSError.
         """
         self._check_disk(len(jpeg))
-        size = len(jpeg) + len(labels)
+        size = len(jpeg) + len(labels) + len(frame.line())
         if not self._make_room(1, size, frame.value):
             return False
         image = self._path / frame.image
@@ -130,7 +142,10 @@ class CollectedFolder:
 
     def remove(self, frame: CollectedFrame) -> None:
         """Remove a kept frame. Raises KeyError if it is not there."""
-        self._forget(frame)
+        del self._frames[frame.image], self._sizes[frame.image]
+        self.embeddings.remove(frame.image)
+        self._unlink(frame)
+        self._removed += 1
 
     def close(self) -> None:
         """Let other processes have the folder. Idempotent."""
@@ -151,8 +166,8 @@ class CollectedFolder:
         free, least = shutil.disk_usage(self._path).free, self._quota.min_free_bytes
         if free - size < least:
             raise CollectingError(
-                f"{self._path}: {free >> 20} MiB are free on the disk, collect_min_free_mb keeps "
-                f"{least >> 20}; remove something, or lower collect_max_mb"
+                f"{self._path}: {free / 1e6:.0f} MB are free on the disk, collect_min_free_mb keeps "
+                f"{least / 1e6:.0f}; remove something, or lower collect_max_mb"
             )
 
     def _make_room(self, count: int, size: int, value: float) -> bool:
@@ -173,15 +188,9 @@ class CollectedFolder:
         if max(excess - len(leaving), excess_bytes) > 0:
             return False
         for frame in leaving:
-            self._forget(frame)
+            self.remove(frame)
         self._rewrite(if_removed=_REMOVED_BEFORE_REWRITE)
         return True
-
-    def _forget(self, frame: CollectedFrame) -> None:
-        self._unlink(frame)
-        del self._frames[frame.image], self._sizes[frame.image]
-        self.embeddings.remove(frame.image)
-        self._removed += 1
 
     def _unlink(self, frame: CollectedFrame) -> None:
         """Remove the image, then its labels; a disk that fails keeps them, and they are removed later."""
@@ -209,7 +218,8 @@ class CollectedFolder:
                 "back, or use another collect_dir"
             )
         for frame in listed.frames:
-            self._remember(frame, _size(self._path / frame.image) + _size(self._path / frame.labels))
+            files = (self._path / frame.image, self._path / frame.labels)
+            self._remember(frame, sum(map(_size, files)) + len(frame.line()))
         for frame in listed.without_image:
             self._unlink(frame)
         self._removed = listed.broken + len(listed.without_image)

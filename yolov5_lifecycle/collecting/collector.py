@@ -119,6 +119,9 @@ class Collector:
             self._keep(candidate, self._opened(), now_s)
         except (CollectingError, ImageError, OSError) as error:
             self._fail(str(error), now_s)
+        except Exception as error:  # noqa: BLE001 - without this thread no image would be kept any more
+            _log.exception("unexpected %s while an image was collected", type(error).__name__)
+            self._fail(f"unexpected {type(error).__name__}: {error}", now_s)
 
     def _keep(self, candidate: Candidate, folder: CollectedFolder, now_s: float) -> None:
         rules, reasons = candidate.rules, dict(candidate.reasons)

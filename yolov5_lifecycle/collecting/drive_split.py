@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.collecting.class_list import names_entry
 from yolov5_lifecycle.collecting.collected_folder import IMAGES, CollectingError
 from yolov5_lifecycle.collecting.record import CollectedFrame
 
@@ -44,6 +44,5 @@ def write_split(
     lines = []
     for name, of_split in (("train", set(drives) - {*validation}), ("val", {*validation})):
         lines += [f"{name}:", *(f"  - {IMAGES}/{drive}" for drive in drives if drive in of_split)]
-    names = [f"  {index}: {json.dumps(name)}" for index, name in enumerate(class_names)]
-    write_whole(folder / SPLIT, "\n".join([*lines, "names:", *names, ""]).encode())
+    write_whole(folder / SPLIT, "\n".join([*lines, names_entry(class_names)]).encode())
     return folder / SPLIT

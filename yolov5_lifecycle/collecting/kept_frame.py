@@ -31,9 +31,8 @@ def kept_frame(
     """
     size_hw, names = candidate.image.size_hw, candidate.rules.class_names
     detections = _visible(candidate.detections, candidate.rules.blank_regions, size_hw)
-    image, _ = folder.place(candidate.rules.camera)
     record = CollectedFrame(
-        image=image,
+        image=folder.new_path(candidate.rules.camera),
         camera=candidate.rules.camera,
         frame_id=candidate.origin.frame_id,
         sec=candidate.origin.sec,

@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from yolov5_lifecycle.printable import in_one_line
 
-MAX_RECORD_BYTES = 4 << 20
-"""Of a line; one of 1,000 objects has 100 kB."""
+MAX_RECORD_BYTES = 32 << 20
+"""Of a line; one of 30,000 objects with the longest names has 30 MB, one of 1,000 usual ones 150 kB."""
 MAX_EMBEDDING = 8192
 _IMAGE = re.compile(r"images/[0-9A-Za-z-]{1,64}/[0-9]{6,9}(_[0-9A-Za-z_]{1,64})?\.jpg")
 
@@ -59,7 +59,7 @@ class CollectedFrame(BaseModel):
 
     @property
     def drive(self) -> str:
-        """The folder of the images that one process collected in one go."""
+        """The name of the subfolder: of one process."""
         return self.image.split("/")[1]
 
     @property

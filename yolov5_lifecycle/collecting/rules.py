@@ -10,7 +10,7 @@ import numpy as np
 from yolov5_lifecycle.collecting.object_memory import Change
 from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
 from yolov5_lifecycle.detection.selection import class_ids
 from yolov5_lifecycle.images.region import Region
 from yolov5_lifecycle.settings.settings import Settings
@@ -79,8 +79,11 @@ class CollectRules:
         )
 
     def extended(self, selection: Selection) -> Selection:
-        """`selection` and what a look needs: scores within the margin below a threshold, embedding, masks."""
-        lowest = max(self.selection.min_score - self.score_margin, 0)
+        """`selection` and what a look needs: scores within the margin below a threshold, embedding, masks.
+
+        Scores below WORTH_TELLING are noise, and so many that NMS would delay the frame.
+        """
+        lowest = max(self.selection.min_score - self.score_margin, WORTH_TELLING)
         with_masks = selection.with_masks or self.segments
         return replace(selection.wider(lowest), with_masks=with_masks, with_embedding=True)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Drive, Quota
 from yolov5_lifecycle.collecting.collector import Collector, CollectorStatus
 from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
@@ -56,7 +57,7 @@ class CollectService:
             else "no camera collects: activate the node, and set collect to true"
         )
         if problem := self.collector.status.problem:
-            response.success, response.message = False, f"no images are collected: {problem}"
+            response.success, response.message = False, f"no image was kept at the last attempt: {problem}"
         return response
 
 
@@ -69,4 +70,5 @@ def _collector(parameters: SettingsParameters) -> Collector | None:
         max_frames=parameters.value("collect_max_frames"),
         min_free_bytes=parameters.value("collect_min_free_mb") * 1_000_000,
     )
-    return Collector(lambda: CollectedFolder(Path(folder).expanduser(), quota))
+    drive = Drive(time.time())
+    return Collector(lambda: CollectedFolder(Path(folder).expanduser(), quota, drive=drive))

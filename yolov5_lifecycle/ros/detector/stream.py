@@ -192,9 +192,8 @@ class Stream:
             segments=self.segments,
             weights_sha256=self._networks.weights_sha256,
         )
-        if self._collecting is None:
-            self._collecting = CameraCollecting(self._collector, rules)
-        self._collecting.rules = rules
+        present = self._collecting or CameraCollecting(self._collector, rules)
+        self._collecting = present.with_rules(rules)
 
     def _follow_depth(self) -> None:
         """Start or stop placing detections; restart if the slop changed."""
