@@ -41,6 +41,8 @@ PLACES, FRAMES_IN_A_PLACE, FRAMES_OF_A_TURN = 60, 100, 20
 KEPT = 200
 USUAL = "usual"
 _SHARE_OF_WEAK = 0.2
+_SHARE_OF_EMPTY = 0.25
+"""Of the usual places: a model that finds nothing there is right."""
 _SAME_IOU, _DUPLICATE_IOU = 0.5, 0.97
 _VISIBLE = 0.5
 """An object of which less is seen while the camera turns is not expected to be found."""
@@ -97,7 +99,10 @@ View = Callable[[int], tuple[Pixels, Truth]]
 
 
 def _usual(rng: np.random.Generator, seed: int) -> View:
-    return Scene(seed, SIZE_HW).frame
+    if rng.random() >= _SHARE_OF_EMPTY:
+        return Scene(seed, SIZE_HW).frame
+    pixels = cluttered_background(rng, SIZE_HW)
+    return lambda index: (pixels.copy(), Truth(np.empty((0, 4), np.float32), np.empty(0, np.int64)))
 
 
 def _blurred(rng: np.random.Generator, seed: int) -> View:

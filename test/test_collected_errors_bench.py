@@ -56,7 +56,8 @@ def test_a_drive_shows_every_weakness_and_its_truth_is_in_the_image() -> None:
         assert frame.pixels.shape == (*SIZE_HW, 3)
         assert (frame.truth.boxes_xyxy >= 0).all()
         assert (frame.truth.boxes_xyxy[:, 2:] <= SIZE_HW[::-1]).all()
-    assert all(len(frame.truth.class_ids) > 0 for frame in frames)
+    shows_objects = {len(frame.truth.class_ids) > 0 for frame in frames}
+    assert shows_objects == {True, False}
 
 
 @pytest.mark.long

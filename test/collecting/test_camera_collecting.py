@@ -12,6 +12,7 @@ from support.candidates import CAT, SIZE_HW, found, look_of, rules
 from yolov5_lifecycle.collecting.camera_collecting import LOOK_PERIOD_S, MAX_CHANGES, CameraCollecting
 from yolov5_lifecycle.collecting.candidate import Candidate, Origin
 from yolov5_lifecycle.collecting.collector import Collector
+from yolov5_lifecycle.collecting.usual_look import MIN_IMAGES
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
@@ -44,7 +45,7 @@ class Camera:
         wanted = self.collecting.wanted(Selection())
         self.looks.append(wanted.with_embedding)
         embedding = look_of(len(self.looks)) if wanted.with_embedding else None
-        whole = replace(published, embedding=embedding, **changes)
+        whole = replace(published, **{"embedding": embedding, **changes})
         self.collecting.look(whole, published, IMAGE, None, Origin("f", 1, 2))
         self.now_s += 1 / 30
 
@@ -113,6 +114,17 @@ def test_what_happens_in_the_gap_is_forgotten() -> None:
         camera.frame(found(("dog", 0.9, (10, 10, 30, 40))))
     assert sum(camera.looks) > 2
     assert camera.reasons == []
+
+
+@pytest.mark.parametrize(("unusual", "reasons"), [(3.0, ["unusual"]), (0.0, [])])
+def test_an_image_that_looks_unlike_the_usual_ones_is_a_reason(unusual: float, reasons: list[str]) -> None:
+    camera = Camera(novelty=0.0, unusual=unusual, gap_s=0.0)
+    for index in range(MIN_IMAGES + 1):
+        camera.collecting.request()
+        camera.frame(embedding=look_of(0) + np.float32(0.1) * look_of(index))
+    camera.collecting.request()
+    camera.frame(embedding=look_of(1))
+    assert [*camera.reasons[-1]] == ["requested", *reasons]
 
 
 def test_changes_that_nobody_asks_for_are_no_reason() -> None:

@@ -111,8 +111,8 @@ def test_what_was_kept_before_is_known_again(tmp_path: Path) -> None:
     first.close()
     again = CollectedFolder(tmp_path, LARGE)
     assert (again.frames, again.size_bytes, again.class_names) == (1, first.size_bytes, CLASS_NAMES)
-    assert again.embeddings.distance(look_of(5)) == pytest.approx(0, abs=1e-3)
-    assert again.embeddings.distance(look_of(6)) > 0.5
+    assert again.looks.distance(look_of(5)) == pytest.approx(0, abs=1e-3)
+    assert again.looks.distance(look_of(6)) > 0.5
     assert again.drive.name != first.drive.name
     again.close()
 

@@ -80,7 +80,7 @@ def test_a_frame_with_a_reason_is_kept_with_it(disk: Disk) -> None:
     (frame,) = disk.settled()
     reasons = {"class": "cat", "uncertain": "cat 0.26", "novel": "the first of its kind"}
     assert frame.reasons == reasons
-    assert frame.value == 20 + 2 + 3
+    assert frame.value == 20
     status = disk.collector.status
     assert (status.kept, status.frames, status.problem) == (1, 1, "")
     assert status.megabytes > 0
@@ -107,6 +107,14 @@ def test_near_duplicates_are_not_kept_unless_somebody_asked_for_them(disk: Disk)
     disk.collector.offer(candidate(embedding=near, reasons={Reason.REQUESTED: Why("~/collect")}))
     assert [next(iter(frame.reasons)) for frame in disk.settled()] == ["class", "requested"]
     assert (disk.collector.status.kept, disk.collector.status.duplicates) == (2, 1)
+
+
+def test_an_image_that_shows_something_else_to_a_model_that_sees_no_difference_is_no_duplicate(
+    disk: Disk,
+) -> None:
+    disk.collector.offer(candidate(0, embedding=look_of(0)))
+    disk.collector.offer(candidate(1, embedding=look_of(0)))
+    assert len(disk.settled()) == 2
 
 
 def test_frames_of_a_camera_have_a_gap_between_them_and_those_of_others_do_not_count(disk: Disk) -> None:

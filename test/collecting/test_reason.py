@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from yolov5_lifecycle.collecting.reason import MAX_OBJECTS, Reason, Why, value_of
+from yolov5_lifecycle.collecting.reason import Reason, Why, value_of
 
 
-def test_an_image_with_more_doubts_is_worth_more_up_to_a_bound() -> None:
-    values = [value_of({Reason.UNCERTAIN: Why("", count)}) for count in (1, 3, MAX_OBJECTS, 1000)]
-    assert values == [2, 6, 20, 20]
+def test_an_image_is_worth_what_its_best_reason_is() -> None:
+    doubt, novelty = {Reason.UNCERTAIN: Why("", 0.5)}, {Reason.NOVEL: Why("")}
+    assert value_of(doubt) > value_of(novelty)
+    assert value_of({**doubt, **novelty}) == value_of(doubt)
 
 
-def test_the_values_of_several_reasons_add_up_and_a_request_is_worth_more_than_all_others() -> None:
-    others: dict[Reason, Why] = {reason: Why("", 1000) for reason in Reason if reason is not Reason.REQUESTED}
-    assert value_of(others) > value_of({Reason.CLASS: Why("", 1000)})
-    assert value_of({Reason.REQUESTED: Why("")}) > value_of(others)
+def test_what_somebody_asked_for_is_worth_more_than_all_others() -> None:
+    others: dict[Reason, Why] = {
+        reason: Why("") for reason in Reason if reason not in (Reason.REQUESTED, Reason.CLASS)
+    }
+    assert value_of({Reason.CLASS: Why("")}) > value_of(others)
+    assert value_of({Reason.REQUESTED: Why("")}) > value_of({**others, Reason.CLASS: Why("")})

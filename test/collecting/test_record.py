@@ -47,6 +47,8 @@ def changed(**values: Any) -> bytes:
         pytest.param(changed(embedding="%"), id="no base64"),
         pytest.param(changed(embedding="AA=="), id="half a number"),
         pytest.param(changed(embedding="/38="), id="an embedding that is NaN"),
+        pytest.param(changed(shades="AAAA"), id="too few shades"),
+        pytest.param(changed(shades="%"), id="shades that are no base64"),
     ],
 )
 def test_what_is_no_record_is_refused(line: bytes) -> None:

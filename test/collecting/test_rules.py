@@ -66,9 +66,11 @@ def test_a_frame_has_its_reasons(
     assert reasons == expected
 
 
-def test_every_score_within_the_margin_counts() -> None:
-    several = found(("cat", 0.9, BOX), ("cat", 0.3, BOX), ("dog", 0.24, BOX), ("dog", 0.1, BOX))
-    assert [why.objects for _, why in rules().reasons(several)] == [2]
+def test_the_lower_the_scores_are_the_stronger_is_the_doubt() -> None:
+    sure = found(("cat", 0.9, BOX), ("cat", 0.9, BOX), ("dog", 0.3, BOX))
+    unsure = found(("cat", 0.5, BOX), ("cat", 0.4, BOX), ("dog", 0.3, BOX))
+    strengths = [why.strength for each in (sure, unsure) for _, why in rules().reasons(each)]
+    assert strengths == pytest.approx([0.3, 0.6])
 
 
 def test_a_look_finds_more_and_reports_what_the_selection_does() -> None:

@@ -13,8 +13,9 @@ from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
 from yolov5_lifecycle.collecting.pace import Pace
 from yolov5_lifecycle.collecting.reason import Reason, Why
-from yolov5_lifecycle.collecting.record import CollectedFrame, CollectedObject, embedding_text
+from yolov5_lifecycle.collecting.record import CollectedFrame, CollectedObject, embedding_text, shades_text
 from yolov5_lifecycle.collecting.rules import CollectRules
+from yolov5_lifecycle.collecting.shades import SHADES
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
@@ -68,6 +69,7 @@ RECORD = CollectedFrame(
     value=2.0,
     objects=(CollectedObject(class_name="cat", score=0.9, box_xyxy=(1.5, 2, 3, 4), track_id="7"),),
     embedding=embedding_text(look_of(0)),
+    shades=shades_text(np.zeros(SHADES, np.int8)),
 )
 
 

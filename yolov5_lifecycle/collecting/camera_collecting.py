@@ -16,12 +16,15 @@ from yolov5_lifecycle.collecting.object_memory import Change, ObjectMemory
 from yolov5_lifecycle.collecting.pace import Pace
 from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.collecting.rules import CollectRules
+from yolov5_lifecycle.collecting.usual_look import UsualLook
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
 
 LOOK_PERIOD_S = 0.2
 """Frames are looked at no more often; what happens to objects is noticed in every frame."""
+_MOST_UNUSUAL = 8
+"""Times the usual distance: nothing is worth more."""
 MAX_CHANGES = 10
 """Changes between two looks that are written down."""
 
@@ -31,6 +34,7 @@ class _Past:
 
     def __init__(self) -> None:
         self.memory = ObjectMemory()
+        self.usual = UsualLook()
         self.pace = Pace()
         self.looked_s = -math.inf
         self.frames = 0
@@ -87,7 +91,7 @@ class CameraCollecting:
             if not self._may_keep():
                 past.changes.clear()
             return
-        reasons = dict(self._reasons(found))
+        reasons = dict(self._reasons(found, found.embedding))
         past.looked_s, past.is_sample, past.is_requested = self.clock(), False, False
         past.changes.clear()
         if reasons or rules.novelty:
@@ -109,13 +113,16 @@ class CameraCollecting:
         rules = self.rules
         return self.past.pace.allows(self.clock(), gap_s=rules.gap_s, per_minute=rules.per_minute)
 
-    def _reasons(self, found: Detections) -> Iterator[tuple[Reason, Why]]:
+    def _reasons(self, found: Detections, embedding: NDArray[np.float32]) -> Iterator[tuple[Reason, Why]]:
         """Each reason once, with everything that is behind it."""
         if self.past.is_requested:
             yield Reason.REQUESTED, Why("~/collect")
         if self.past.is_sample:
             yield Reason.SAMPLE, Why(f"one of {self.rules.every}")
         yield from self.rules.reasons(found)
+        times = self.past.usual.times_usual(embedding, self.rules.weights_sha256)
+        if self.rules.unusual and times >= self.rules.unusual:
+            yield Reason.UNUSUAL, Why(f"{times:.1f} times as far as usual", min(times / _MOST_UNUSUAL, 1))
         for reason in (Reason.UNSTEADY, Reason.APPEARED):
             if texts := [text for changed, text in self.past.changes if changed is reason]:
-                yield reason, Why(", ".join(texts), len(texts))
+                yield reason, Why(", ".join(texts))

@@ -16,8 +16,8 @@ from pathlib import Path
 from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, write_whole
 from yolov5_lifecycle.collecting.class_list import read_class_names, with_names, write_class_names
 from yolov5_lifecycle.collecting.frame_list import append_frame, read_frame_list, write_frame_list
-from yolov5_lifecycle.collecting.kept_embeddings import KeptEmbeddings
-from yolov5_lifecycle.collecting.record import CollectedFrame, embedding_of
+from yolov5_lifecycle.collecting.kept_looks import KeptLooks
+from yolov5_lifecycle.collecting.record import CollectedFrame, embedding_of, shades_of_text
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
 from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned
 
@@ -68,7 +68,7 @@ class CollectedFolder:
         self._quota = quota
         self._removed = 0
         self.drive = drive or Drive(time.time())
-        self.embeddings = KeptEmbeddings()
+        self.looks = KeptLooks()
         self._sizes: dict[str, int] = {}
         self._frames: dict[str, CollectedFrame] = {}
         """By path of the image, in the order in which they were kept."""
@@ -143,7 +143,7 @@ class CollectedFolder:
     def remove(self, frame: CollectedFrame) -> None:
         """Remove a kept frame. Raises KeyError if it is not there."""
         del self._frames[frame.image], self._sizes[frame.image]
-        self.embeddings.remove(frame.image)
+        self.looks.remove(frame.image)
         self._unlink(frame)
         self._removed += 1
 
@@ -207,7 +207,7 @@ class CollectedFolder:
     def _remember(self, frame: CollectedFrame, size: int) -> None:
         self._frames[frame.image] = frame
         self._sizes[frame.image] = size
-        self.embeddings.add(frame.image, embedding_of(frame.embedding))
+        self.looks.add(frame.image, embedding_of(frame.embedding), shades_of_text(frame.shades))
 
     def _read(self) -> None:
         """Remember what is there, remove what a killed process did not finish and what exceeds the quota."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from yolov5_lifecycle.collecting.candidate import Candidate
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, CollectingError
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
+from yolov5_lifecycle.collecting.kept_looks import KeptLooks
 from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.printable import in_one_line
@@ -125,8 +126,8 @@ class Collector:
 
     def _keep(self, candidate: Candidate, folder: CollectedFolder, now_s: float) -> None:
         rules, reasons = candidate.rules, dict(candidate.reasons)
-        distance = folder.embeddings.distance(candidate.embedding)
-        if distance < rules.duplicate_distance and not candidate.is_requested:
+        distance = folder.looks.distance(candidate.embedding)
+        if distance < rules.duplicate_distance and _shows_nothing_new(candidate, folder.looks):
             self._count(duplicates=1)
             return
         if rules.novelty and distance >= rules.novelty:
@@ -172,6 +173,13 @@ class Collector:
                 outranked=status.outranked + outranked,
                 dropped=status.dropped + dropped,
             )
+
+
+def _shows_nothing_new(candidate: Candidate, looks: KeptLooks) -> bool:
+    """Whether a near image shows the same, and nobody asked for this one."""
+    return not candidate.is_requested and looks.has_same_shades(
+        candidate.embedding, candidate.shades, distance=candidate.rules.duplicate_distance
+    )
 
 
 def _novelty(distance: float) -> Why:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,13 +11,10 @@ from yolov5_lifecycle.collecting.candidate import Candidate
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.labels import label_text
 from yolov5_lifecycle.collecting.reason import Reason, Why, value_of
-from yolov5_lifecycle.collecting.record import CollectedFrame, CollectedObject, embedding_text
+from yolov5_lifecycle.collecting.record import CollectedFrame, CollectedObject, embedding_text, shades_text
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.compressed import encode_jpeg
-from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.images.region import Region
-
-_SUBPIXEL_BITS = 4
 
 
 def kept_frame(
@@ -52,6 +48,7 @@ def kept_frame(
             for found in detections.objects(names)
         ),
         embedding=embedding_text(candidate.embedding),
+        shades=shades_text(candidate.shades),
     )
     labels = label_text(detections, size_hw, folder.ids_of(names), as_polygons=candidate.rules.segments)
     return record, _jpeg(candidate), labels
@@ -62,18 +59,7 @@ def _jpeg(candidate: Candidate) -> bytes:
     regions = candidate.rules.blank_regions
     if candidate.jpeg is not None and not regions:
         return candidate.jpeg.tobytes()
-    image = _blanked(candidate.image, regions) if regions else candidate.image
-    return encode_jpeg(image, quality=candidate.rules.jpeg_quality).tobytes()
-
-
-def _blanked(image: ColourImage, regions: tuple[Region, ...]) -> ColourImage:
-    """A copy of `image` whose `regions` are black."""
-    pixels = np.ascontiguousarray(image.pixels).copy()
-    height, width = image.size_hw
-    for region in regions:
-        corners = np.array(region.points_xy) * (width, height) * (1 << _SUBPIXEL_BITS)
-        cv2.fillPoly(pixels, [np.rint(corners).astype(np.int32)], (0, 0, 0), shift=_SUBPIXEL_BITS)
-    return ColourImage(pixels, image.order)
+    return encode_jpeg(candidate.visible_image, quality=candidate.rules.jpeg_quality).tobytes()
 
 
 def _visible(detections: Detections, regions: tuple[Region, ...], size_hw: tuple[int, int]) -> Detections:

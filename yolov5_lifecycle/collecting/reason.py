@@ -22,6 +22,8 @@ class Reason(Enum):
     """A score is close to its threshold."""
     FILTERED = "filtered"
     """A sure detection does not count because of regions or size limits."""
+    UNUSUAL = "unusual"
+    """The image looks unlike what its camera usually sees."""
     NOVEL = "novel"
     """The image looks unlike those that are kept."""
     SAMPLE = "sample"
@@ -32,17 +34,16 @@ class Why(NamedTuple):
     """What is behind a reason."""
 
     words: str
-    objects: int = 1
-    """How many it is about."""
+    strength: float = 1.0
+    """In [0, 1]."""
 
 
-MAX_OBJECTS = 10
-"""Objects of one reason that make an image more valuable; bounds what noise is worth."""
 _VALUES = {
     Reason.REQUESTED: 1000.0,
     Reason.CLASS: 20.0,
+    Reason.UNCERTAIN: 10.0,
+    Reason.UNUSUAL: 10.0,
     Reason.NOVEL: 3.0,
-    Reason.UNCERTAIN: 2.0,
     Reason.UNSTEADY: 1.0,
     Reason.APPEARED: 1.0,
     Reason.FILTERED: 1.0,
@@ -51,8 +52,8 @@ _VALUES = {
 
 
 def value_of(reasons: Mapping[Reason, Why]) -> float:
-    """What a frame kept for these `reasons` is worth; of a full folder the least valuable goes first.
+    """What a frame is worth that is kept for at least one reason: what its best reason is worth.
 
-    Each object that a reason is about adds the value of the reason.
+    Of a full folder the least valuable goes first.
     """
-    return sum(_VALUES[reason] * min(why.objects, MAX_OBJECTS) for reason, why in reasons.items())
+    return max(_VALUES[reason] * why.strength for reason, why in reasons.items())

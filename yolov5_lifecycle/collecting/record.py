@@ -5,11 +5,13 @@ from __future__ import annotations
 import base64
 import binascii
 import re
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from yolov5_lifecycle.collecting.shades import SHADES, Shades
 from yolov5_lifecycle.printable import in_one_line
 
 MAX_RECORD_BYTES = 32 << 20
@@ -56,6 +58,8 @@ class CollectedFrame(BaseModel):
     objects: tuple[CollectedObject, ...] = Field(max_length=30_000)
     embedding: str = Field(max_length=3 * MAX_EMBEDDING)
     """See `embedding_text`."""
+    shades: str = Field(max_length=2 * SHADES)
+    """See `shades_text`."""
 
     @property
     def drive(self) -> str:
@@ -78,6 +82,7 @@ class CollectedFrame(BaseModel):
         try:
             frame = cls.model_validate_json(line)
             embedding_of(frame.embedding)
+            shades_of_text(frame.shades)
         except ValidationError as error:
             first = error.errors(include_url=False, include_input=False)[0]
             where = ".".join(map(str, first["loc"]))
@@ -95,10 +100,27 @@ def embedding_text(embedding: NDArray[np.float32]) -> str:
 
 def embedding_of(text: str) -> NDArray[np.float32]:
     """The embedding (C,) that `embedding_text` wrote, of length 1, or (0,). Raises RecordError."""
-    try:
-        stored = np.frombuffer(base64.b64decode(text, validate=True), "<f2").astype(np.float32)
-    except (binascii.Error, ValueError):
-        raise RecordError("embedding: expected float16 numbers in base64") from None
+    stored = _numbers("embedding", text, "<f2").astype(np.float32)
     if not np.isfinite(stored).all():
         raise RecordError("embedding: expected finite numbers")
     return stored
+
+
+def shades_text(shades: Shades) -> str:
+    """Shades in base64."""
+    return base64.b64encode(shades.tobytes()).decode()
+
+
+def shades_of_text(text: str) -> Shades:
+    """What `shades_text` wrote. Raises RecordError."""
+    shades = _numbers("shades", text, "i1").astype(np.int8)
+    if len(shades) != SHADES:
+        raise RecordError(f"shades: expected {SHADES} numbers, found {len(shades)}")
+    return shades
+
+
+def _numbers(name: str, text: str, dtype: str) -> NDArray[Any]:
+    try:
+        return np.frombuffer(base64.b64decode(text, validate=True), dtype)
+    except (binascii.Error, ValueError):
+        raise RecordError(f"{name}: expected numbers of type {dtype} in base64") from None

@@ -32,6 +32,7 @@ class CollectRules:
     filtered_score: float
     unsteady: bool
     appeared: bool
+    unusual: float
     novelty: float
     duplicate_distance: float
     every: int
@@ -68,6 +69,7 @@ class CollectRules:
             filtered_score=settings.collect_filtered_score,
             unsteady=settings.collect_unsteady,
             appeared=settings.collect_appeared,
+            unusual=settings.collect_unusual,
             novelty=settings.collect_novelty,
             duplicate_distance=settings.collect_duplicate_distance,
             every=settings.collect_every,
@@ -102,7 +104,7 @@ class CollectRules:
             yield Reason.CLASS, Why(", ".join(self.class_names[class_id] for class_id in sorted(listed)))
 
     def _uncertain(self, found: Detections) -> Why | None:
-        """How many scores are within the margin, and the one that is closest to its threshold."""
+        """The score within the margin that is closest to its threshold; all low scores count."""
         distances = np.abs(found.scores - self.selection.thresholds(found.class_ids))
         count = int(np.count_nonzero(distances <= self.score_margin))
         if not count:
@@ -110,4 +112,5 @@ class CollectRules:
         row = int(distances.argmin())
         name, score = self.class_names[int(found.class_ids[row])], float(found.scores[row])
         closest = f"{name} {score:.2f}, threshold {float(self.selection.thresholds(found.class_ids)[row]):g}"
-        return Why(closest if count == 1 else f"{closest}, and {count - 1} more", count)
+        words = closest if count == 1 else f"{closest}, and {count - 1} more"
+        return Why(words, 1 - float(found.scores.mean()))

@@ -242,6 +242,13 @@ class Settings(BaseModel):
         description="Keep an image with a detection of at least this score that does not count because of "
         "regions or size limits. 0: not for this.",
     )
+    collect_unusual: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        3.0,
+        ge=0,
+        le=1000,
+        description="Keep an image whose features are at least this many times as far from their mean over "
+        "the camera's last images as usual. 0: not for this.",
+    )
     collect_novelty: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
         0.1,
         ge=0,
@@ -253,11 +260,11 @@ class Settings(BaseModel):
         0, ge=0, le=1_000_000, description="Keep every n-th image as a fair sample. 0: not for this."
     )
     collect_duplicate_distance: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
-        0.0005,
+        0.002,
         ge=0,
         le=2,
         description="Do not keep an image whose features differ from those of a kept image by less than this "
-        "cosine distance.",
+        "cosine distance, if no part of it is brighter or darker than there.",
     )
     collect_gap_s: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
         1.0, ge=0, le=3600, description="Minimum seconds between two kept images of a camera."
