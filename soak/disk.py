@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
+
+_REFILL_S = 0.01
 
 
 class Disk:
@@ -60,14 +63,16 @@ class Disk:
 
     @contextmanager
     def full(self) -> Iterator[None]:
-        """All of its space is used."""
-        with suppress(OSError), (self.path / "filling").open("wb", buffering=0) as file:
-            while file.write(bytes(1 << 12)):
-                pass
+        """All of its space is used, also what others free meanwhile."""
+        filling, is_over = self.path / "filling", threading.Event()
+        thread = threading.Thread(target=_fill, args=(filling, is_over))
+        thread.start()
         try:
             yield
         finally:
-            (self.path / "filling").unlink()
+            is_over.set()
+            thread.join()
+            filling.unlink()
 
     def _plug(self) -> None:
         _run("mount", "--bind", os.fspath(self._hidden), os.fspath(self.path))
@@ -75,3 +80,11 @@ class Disk:
 
 def _run(*command: str) -> None:
     subprocess.run(command, check=True, capture_output=True)
+
+
+def _fill(path: Path, is_over: threading.Event) -> None:
+    with path.open("wb", buffering=0) as file:
+        while not is_over.wait(_REFILL_S):
+            with suppress(OSError):
+                while file.write(bytes(1 << 12)):
+                    pass
