@@ -12,6 +12,7 @@ from soak.answer_times import answers_during_inference
 from soak.balance import BalanceWatch, exact_balance
 from soak.bursts import answered_bursts
 from soak.checkpoints import refused_checkpoints
+from soak.collecting import collected_on_bad_disks
 from soak.console_requests import refused_strangers
 from soak.cycles import complete_cycles
 from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts, clean_starts
@@ -93,6 +94,7 @@ def _trials_of_many(seed: int, scale: float) -> dict[str, Trial]:
         "endings": lambda: clean_endings(ENDINGS * times, seed),
         "flooded-endings": endings_beside_floods,
         "starts": lambda: clean_starts(times, seed),
+        "collecting": lambda: collected_on_bad_disks(times, seed),
         "restarts": lambda: clean_restarts([*MOMENTS] * times, seed),
     }
 

@@ -87,7 +87,8 @@ class Subject(DetectorProcess):
         assert self.node.set_parameters(use_sim_time=False) == ""
 
     def statuses(self) -> dict[str, dict[str, str]]:
-        """The values in the first diagnostics made from now on: "" of the node, by name of every camera."""
+        """The values and the `message` in the first diagnostics made from now on: "" of the node, by name of
+        every camera."""
         begun_ns = time.time_ns()
         self.observer.wait_for(lambda: self._statuses[0] > begun_ns, "diagnostics")
         return self._statuses[1]
@@ -101,6 +102,7 @@ class Subject(DetectorProcess):
     def _watch(self, message: DiagnosticArray) -> None:
         statuses = {
             _camera_of(status.name): {value.key: value.value for value in status.values}
+            | {"message": status.message}
             for status in message.status
         }
         self._statuses = stamp_ns(message.header), statuses

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import signal
+import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
 
 import pytest
+from support.candidates import keep
 
 from soak.answer_times import answers_during_inference
 from soak.balance import BalanceWatch, exact_balance
 from soak.bursts import answered_bursts
+from soak.collecting import collected_on_bad_disks, wrong_in
 from soak.console_requests import refused_strangers
 from soak.cycles import complete_cycles
 from soak.endings import clean_endings, clean_restarts
@@ -34,6 +39,7 @@ from soak.spoofed_console import spoofed_console
 from soak.subject import Subject, exceptions_in, subject
 from soak.track_ids import TrackIds
 from soak.transitions import answered_shutdowns, answered_transitions
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 IMAGES = 50
@@ -97,6 +103,9 @@ def test_a_claim_holds_in_a_running_process(
         pytest.param(lambda: survived_slow_steps(["masks"], side_px=2001, is_timed=False), id="slow-steps"),
         pytest.param(lambda: survived_caches(["FIFO", "link to an endless device"]), id="hostile-cache"),
         pytest.param(lambda: removed_leftovers([signal.SIGKILL]), id="leftovers"),
+        pytest.param(
+            lambda: collected_on_bad_disks(2, SEED, ["a second process", "disk full"]), id="collecting"
+        ),
     ],
 )
 def test_a_claim_holds_over_processes(trial: Callable[[], Finding]) -> None:
@@ -202,6 +211,28 @@ def test_a_track_id_that_is_used_twice_is_noticed(
         track_ids.restart(["front"], 50, 60)
     track_ids.take(camera, stamp_ns, ids)
     assert [problem in found for found in track_ids.problems] == [True] * bool(problem)
+
+
+@pytest.mark.parametrize(
+    ("damage", "is_wrong"),
+    [
+        pytest.param("", False, id="nothing"),
+        pytest.param("truncate -s 300 images/*/000001.jpg", True, id="half an image"),
+        pytest.param("rm labels/*/000001.txt", True, id="no labels"),
+        pytest.param("touch labels/$(ls labels)/.x.part", True, id="an unfinished file"),
+        pytest.param("truncate -s 0 frames.jsonl", True, id="images without lines"),
+        pytest.param("truncate -s 1100K frames.jsonl", True, id="beyond the quota"),
+    ],
+)
+def test_what_is_wrong_in_a_folder_of_collected_images_is_noticed(
+    damage: str, is_wrong: bool, tmp_path: Path
+) -> None:
+    with closing(
+        CollectedFolder(tmp_path, Quota(max_bytes=1 << 20, max_frames=9, min_free_bytes=0))
+    ) as folder:
+        assert keep(folder)
+    subprocess.run(damage, shell=True, check=True, cwd=tmp_path)
+    assert bool(wrong_in(tmp_path)) is is_wrong
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,8 @@ from yolov5_lifecycle.collecting.record import CollectedFrame, embedding_of, sha
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
 from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned
 
-_REMOVED_BEFORE_REWRITE = 100
-"""Lines without an image in the list of frames; after a kill they are left out when it is read."""
+_MAX_REMOVED, _MAX_REMOVED_SHARE = 100, 0.05
+"""Lines without an image in the list of frames, and their share of the quota, before it is written again."""
 IMAGES, LABELS = "images", "labels"
 
 
@@ -43,12 +43,23 @@ class Quota:
 class Drive:
     """All that one process collects, however often it opens the folder: the subfolder of its images.
 
-    `begun_s`: seconds since the epoch, which name it.
+    `begun_s`: seconds since the epoch, which name it. It stays on the disk on which it begins: if that is
+    unmounted, its path is a folder of another one.
     """
 
     def __init__(self, begun_s: float) -> None:
         self.name = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime(begun_s))}-{secrets.token_hex(3)}"
         self.numbers = itertools.count(1)
+        self._mount: Path | None = None
+
+    def begin(self, path: Path) -> None:
+        """Images are kept in the folder `path` from now on."""
+        self._mount = next(filter(os.path.ismount, (path, *path.parents)), None)
+
+    def check_mounted(self, path: Path) -> None:
+        """Raise CollectingError if the disk of the folder `path` has been unmounted."""
+        if self._mount is not None and not os.path.ismount(self._mount):
+            raise _missing(path)
 
 
 class CollectedFolder:
@@ -62,12 +73,13 @@ class CollectedFolder:
 
     def __init__(self, path: Path, quota: Quota, *, drive: Drive | None = None) -> None:
         path = path.resolve()
+        self.drive = drive or Drive(time.time())
+        self.drive.check_mounted(path)
         if not path.exists():
             path.mkdir()
         self._path = path
         self._quota = quota
-        self._removed = 0
-        self.drive = drive or Drive(time.time())
+        self._removed = self._removed_bytes = 0
         self.looks = KeptLooks()
         self._sizes: dict[str, int] = {}
         self._frames: dict[str, CollectedFrame] = {}
@@ -80,6 +92,7 @@ class CollectedFolder:
                 )
             self.class_names = _known_class_names(path)
             self._read()
+            self.drive.begin(path)
         except BaseException:
             os.close(self._descriptor)
             raise
@@ -91,7 +104,7 @@ class CollectedFolder:
     @property
     def size_bytes(self) -> int:
         """Of images, labels and lines of the list."""
-        return sum(self._sizes.values())
+        return sum(self._sizes.values()) + self._removed_bytes
 
     def new_path(self, camera: str) -> str:
         """A new path for an image of `camera`, "" without a name, below the folder."""
@@ -101,7 +114,7 @@ class CollectedFolder:
     def ids_of(self, class_names: Sequence[str]) -> list[int]:
         """The class ids in this folder of a model's `class_names`; adds those that are new to `data.yaml`.
 
-        Raises CollectingError beyond MAX_CLASSES classes, and OSError.
+        Raises CollectingError beyond MAX_CLASSES classes or if the disk is another one, and OSError.
         """
         names = with_names(self.class_names, class_names)
         if len(names) > MAX_CLASSES:
@@ -109,6 +122,7 @@ class CollectedFolder:
                 f"{self._path}: has more than {MAX_CLASSES} classes; use another collect_dir"
             )
         if names != self.class_names:
+            self._check_place()
             write_class_names(self._path, names)
             self.class_names = names
         ids = {name: index for index, name in enumerate(names)}
@@ -135,7 +149,6 @@ class CollectedFolder:
             write_whole(image, jpeg)
         except OSError:
             self._unlink(frame)
-            self._removed += 1
             raise
         self._remember(frame, size)
         return True
@@ -145,24 +158,26 @@ class CollectedFolder:
         del self._frames[frame.image], self._sizes[frame.image]
         self.looks.remove(frame.image)
         self._unlink(frame)
-        self._removed += 1
 
     def close(self) -> None:
         """Let other processes have the folder. Idempotent."""
         if self._descriptor >= 0:
-            with suppress(OSError):
+            with suppress(CollectingError, OSError):
+                self._check_place()
                 self._rewrite(if_removed=1)
             os.close(self._descriptor)
             self._descriptor = -1
 
-    def _check_disk(self, size: int) -> None:
+    def _check_place(self) -> None:
+        """Raise CollectingError if another folder is at the path, or none."""
         is_same = False
         with suppress(OSError):
             is_same = os.path.samestat(self._path.stat(), os.fstat(self._descriptor))
         if not is_same:
-            raise CollectingError(
-                f"{self._path}: the folder was removed, or its disk unmounted; mount it again"
-            )
+            raise _missing(self._path)
+
+    def _check_disk(self, size: int) -> None:
+        self._check_place()
         free, least = shutil.disk_usage(self._path).free, self._quota.min_free_bytes
         if free - size < least:
             raise CollectingError(
@@ -175,6 +190,8 @@ class CollectedFolder:
 
         Returns False, and removes nothing, if one that is worth more than `value` would have to go.
         """
+        if self._removed_bytes > self._quota.max_bytes * _MAX_REMOVED_SHARE:
+            self._rewrite(if_removed=1)
         excess = self.frames + count - self._quota.max_frames
         excess_bytes = self.size_bytes + size - self._quota.max_bytes
         if max(excess, excess_bytes) <= 0:
@@ -184,16 +201,21 @@ class CollectedFolder:
             if max(excess - len(leaving), excess_bytes) <= 0 or frame.value > value:
                 break
             leaving.append(frame)
-            excess_bytes -= self._sizes[frame.image]
+            excess_bytes -= self._sizes[frame.image] - len(frame.line())
         if max(excess - len(leaving), excess_bytes) > 0:
             return False
         for frame in leaving:
             self.remove(frame)
-        self._rewrite(if_removed=_REMOVED_BEFORE_REWRITE)
+        self._rewrite(if_removed=_MAX_REMOVED)
         return True
 
     def _unlink(self, frame: CollectedFrame) -> None:
-        """Remove the image, then its labels; a disk that fails keeps them, and they are removed later."""
+        """Remove the image, then its labels; a disk that fails keeps them, and they are removed later.
+
+        Its line stays until the list is written again.
+        """
+        self._removed += 1
+        self._removed_bytes += len(frame.line())
         for path in (frame.image, frame.labels):
             with suppress(OSError):
                 (self._path / path).unlink(missing_ok=True)
@@ -202,7 +224,7 @@ class CollectedFolder:
         """Leave removed frames out of the list if they are at least that many."""
         if self._removed >= if_removed:
             write_frame_list(self._path, self._frames.values())
-            self._removed = 0
+            self._removed = self._removed_bytes = 0
 
     def _remember(self, frame: CollectedFrame, size: int) -> None:
         self._frames[frame.image] = frame
@@ -220,9 +242,10 @@ class CollectedFolder:
         for frame in listed.frames:
             files = (self._path / frame.image, self._path / frame.labels)
             self._remember(frame, sum(map(_size, files)) + len(frame.line()))
+        self._removed = listed.broken
         for frame in listed.without_image:
             self._unlink(frame)
-        self._removed = listed.broken + len(listed.without_image)
+        self._removed_bytes = 0  # the list is written again below
         self._make_room(0, 0, math.inf)
         self._rewrite(if_removed=1)
         drives = {frame.drive for frame in (*listed.frames, *listed.without_image)}
@@ -230,6 +253,10 @@ class CollectedFolder:
         for folder in folders:
             with suppress(OSError):
                 remove_abandoned(folder, prefix=UNFINISHED_PREFIX, suffix=UNFINISHED_SUFFIX)
+
+
+def _missing(path: Path) -> CollectingError:
+    return CollectingError(f"{path}: the folder was removed, or its disk unmounted; mount it again")
 
 
 def _known_class_names(path: Path) -> tuple[str, ...]:

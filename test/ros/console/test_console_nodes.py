@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 
 import pytest
 from support.console_fixtures import ConsoleBesideNode, console_beside_node
@@ -191,6 +192,22 @@ def test_the_balance_grows_while_images_come(console: ConsoleBesideNode, page: P
     assert page.set(lazy=True) == ""
 
 
+def test_a_page_asks_for_an_image_and_is_told_the_answer_of_the_node(tmp_path: Path) -> None:
+    with (
+        console_beside_node(parameters=(f"collect_dir:={tmp_path}",)) as beside,
+        beside.client.page() as page,
+    ):
+        page.wait_for_state("unconfigured")
+        assert page.ask(type="collect") == "no camera collects: activate the node, and set collect to true"
+        assert page.set(collect=True) == ""
+        for label in ("configure", "activate"):
+            assert page.transition(label) == ""
+        number = page.begin(type="collect")
+        page.wait_for(lambda: number in page.answers, "the answer")
+        expected = {"ok": True, "reason": "", "result": "the next image is kept"}
+        assert expected.items() <= page.answers[number].items()
+
+
 @pytest.mark.parametrize(
     ("message", "words"),
     [
@@ -198,13 +215,14 @@ def test_the_balance_grows_while_images_come(console: ConsoleBesideNode, page: P
         pytest.param("[]", "JSON", id="list"),
         pytest.param("[" * 100_000, "JSON", id="nested"),
         pytest.param('{"type":"set","values":{"max_rate":NaN}}', "JSON", id="NaN"),
-        pytest.param('{"type":"reboot"}', "expected the type set or transition", id="type"),
+        pytest.param('{"type":"reboot"}', "expected the type set, transition or collect", id="type"),
         pytest.param('{"type":"set"}', "expected values", id="no values"),
         pytest.param('{"type":"set","node":"/yolov5","values":{}}', "expected values", id="empty"),
         pytest.param('{"type":"transition","node":"/yolov5","label":7}', "expected label", id="label"),
         pytest.param('{"type":"set","node":"/yolov5","values":{"\\ud800":1}}', "the name", id="name"),
         pytest.param('{"type":"transition","node":"/yolov5","label":"\\ud800"}', "not possible", id="text"),
         pytest.param('{"type":"transition","label":"configure"}', "no detector None", id="no node"),
+        pytest.param('{"type":"collect","node":"/yolov5"}', "there is no folder", id="no folder"),
         pytest.param('{"type":"transition","node":"/x","label":"configure"}', "no detector /x", id="node"),
         pytest.param('{"type":"transition","node":["/x"],"label":"configure"}', "no detector", id="list"),
     ],

@@ -287,7 +287,8 @@ def test_view_only_shows_all_and_changes_nothing(console: ConsoleBesideNode) -> 
     ):
         assert page.welcome["view_only"]
         page.wait_for(lambda: NODE in page.nodes, "the detector")
-        for refusal in (page.set(confidence_threshold=0.9), page.transition("configure")):
+        refusals = page.set(confidence_threshold=0.9), page.transition("configure"), page.ask(type="collect")
+        for refusal in refusals:
             assert "--view-only" in refusal
     assert console.served.get("confidence_threshold") == 0.25
     assert console.served.state() == "unconfigured"

@@ -246,7 +246,7 @@ def test_a_console_for_viewing_has_no_controls(browser: Chrome, robot: ConsoleRo
         page = ConsolePage(browser, address(console))
         page.open()
         page.wait_for_image()
-        assert page.find_all("[data-transition]") == []
+        assert page.find_all("[data-transition], .collect") == []
         assert page.find_all(".parameter input, .parameter select, .parameter button:not([hidden])") == []
         page.wait_for_text('[data-parameter="confidence_threshold"] output', "0.25")
 

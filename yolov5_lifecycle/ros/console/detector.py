@@ -178,6 +178,13 @@ class Detector:
             self._want_state()
             self._end(what)
 
+    async def collect(self) -> tuple[bool, str]:
+        """Have the next image of each camera kept: whether the node agrees, and its answer in words."""
+        try:
+            return await self._link.collect()
+        except NotReachedError as error:
+            return False, str(error)
+
     def take_diagnostics(self, statuses: list[StatusView]) -> None:
         self._heard_s = self._clock()
         self._statuses = statuses

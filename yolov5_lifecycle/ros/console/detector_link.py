@@ -20,6 +20,7 @@ from rcl_interfaces.srv import (
 )
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import Trigger
 from vision_msgs.msg import LabelInfo
 
 from yolov5_lifecycle.printable import in_one_line
@@ -29,10 +30,10 @@ from yolov5_lifecycle.ros.console.serialized_message import UnreadableError
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 
 ASK_S = 3.0
-"""Timeout of a query, which is then repeated."""
+"""Timeout of what a node answers at once, such as a query, which is then repeated."""
 ACT_S = 300.0
 """Timeout of a transition or change, which may load a model on a slow machine."""
-_MAX_TRANSITIONS, _MAX_LABEL = 30, 100
+_MAX_TRANSITIONS, _MAX_LABEL, _MAX_WORDS = 30, 100, 5_000
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _SERVICES = {
     "get_state": GetState,
@@ -42,6 +43,7 @@ _SERVICES = {
     "describe_parameters": DescribeParameters,
     "get_parameters": GetParameters,
     "set_parameters_atomically": SetParametersAtomically,
+    "collect": Trigger,
 }
 
 
@@ -115,7 +117,14 @@ class DetectorLink:
         """Set all parameters or none; return the reason for a refusal, "" on success."""
         request = SetParametersAtomically.Request(parameters=messages)
         result = (await self._call("set_parameters_atomically", request, ACT_S)).result
-        return "" if result.successful else in_one_line(result.reason, 5_000) or "the node gave no reason"
+        return (
+            "" if result.successful else in_one_line(result.reason, _MAX_WORDS) or "the node gave no reason"
+        )
+
+    async def collect(self) -> tuple[bool, str]:
+        """Ask for the next image of each camera: whether it will be kept, and the node's words."""
+        answer = await self._ask("collect", Trigger.Request())
+        return bool(answer.success), in_one_line(answer.message, _MAX_WORDS)
 
     async def _ask(self, service: str, request: Any) -> Any:
         return await self._call(service, request, ASK_S)

@@ -185,16 +185,20 @@ class _Page:
         task.add_done_callback(self._requests.discard)
 
     async def _do(self, detector: Detector, request: dict[str, Any]) -> None:
+        reason = result = ""
         if request["type"] == "set":
             reason = await detector.set(request["values"])
-        else:
+        elif request["type"] == "transition":
             reason = await detector.change_state(request["label"])
-        self._answer(request.get("id"), reason)
+        else:
+            is_done, words = await detector.collect()
+            reason, result = ("", words) if is_done else (words or "the node gave no reason", "")
+        self._answer(request.get("id"), reason, result)
 
-    def _answer(self, request_id: object, reason: str) -> None:
+    def _answer(self, request_id: object, reason: str, result: str = "") -> None:
         is_id = isinstance(request_id, (int, str)) and len(str(request_id)) <= 100
         answer = {"type": "answer", "id": request_id if is_id else None, "ok": not reason, "reason": reason}
-        self._answers.append(json.dumps(answer))
+        self._answers.append(json.dumps(answer | {"result": result}))
         self._news.set()
 
 
@@ -226,7 +230,8 @@ def _request(text: str | None) -> tuple[dict[str, Any], str]:
         return request, f"expected values: an object of 1 to {_MAX_VALUES} parameters"
     if request.get("type") == "transition":
         return request, "" if isinstance(request.get("label"), str) else "expected label: a string"
-    return request, "expected the type set or transition"
+    is_known = request.get("type") == "collect"
+    return request, "" if is_known else "expected the type set, transition or collect"
 
 
 def _refuse_constant(name: str) -> object:

@@ -1,5 +1,6 @@
 /** The cameras of a detector: live annotated image, rate, latency, and why there is no output. */
 
+import { CollectButton } from "./collect_button.js";
 import { conditionOf, LOST } from "./condition.js";
 import { element, KeyedViews, setText } from "./element.js";
 import { tenth } from "./figures.js";
@@ -9,17 +10,21 @@ const SILENT_AFTER_S = 3;
 
 export class CameraViews {
   #cameras;
+  #collect;
   #mayReceive = false;
 
-  constructor(node) {
+  constructor(node, request, isViewOnly) {
     const grid = element("div", { class: "cameras" });
     this.#cameras = new KeyedViews(grid, (camera) => new CameraView(node, camera.name));
-    this.element = element("section", { class: "images", "aria-label": "Cameras" }, grid);
+    this.#collect = new CollectButton(request);
+    const controls = isViewOnly ? [] : [this.#collect.element];
+    this.element = element("section", { class: "images", "aria-label": "Cameras" }, grid, ...controls);
   }
 
   update(node) {
     const cameras = node.cameras.map((camera) => ({ ...camera, state: node.state }));
     this.#cameras.update(cameras, (camera) => camera.name);
+    this.#collect.update(node);
     this.receive(this.#mayReceive);
   }
 

@@ -20,7 +20,7 @@ export class Connection extends EventTarget {
     window.addEventListener("pagehide", () => this.#socket?.close());
   }
 
-  /** The answer of the console: `{ok, reason}`, and `isUnknown` if it may have been carried out; never rejects. */
+  /** The answer of the console: `{ok, reason, result}`, and `isUnknown` if it may have been done; never rejects. */
   request(message) {
     if (this.#socket?.readyState !== WebSocket.OPEN) {
       return Promise.resolve({ ok: false, reason: "not sent: the connection to the console is lost" });
@@ -46,7 +46,7 @@ export class Connection extends EventTarget {
       this.dispatchEvent(new Event("open"));
     }
     if (message.type === "answer") {
-      this.#waiting.get(message.id)?.({ ok: message.ok, reason: message.reason });
+      this.#waiting.get(message.id)?.({ ok: message.ok, reason: message.reason, result: message.result });
       this.#waiting.delete(message.id);
     } else {
       this.dispatchEvent(new CustomEvent("message", { detail: message }));

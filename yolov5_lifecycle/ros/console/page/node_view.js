@@ -29,7 +29,7 @@ export class NodeView {
     this.name = name;
     this.isViewOnly = isViewOnly;
     const request = (message) => connection.request({ node: name, ...message });
-    this.#cameras = new CameraViews(name);
+    this.#cameras = new CameraViews(name, request, isViewOnly);
     this.#undo = new UndoBar(request, (changed, value) => this.#parameters.restore(changed, value));
     this.#parameters = new ParameterList(request, this.#undo, isViewOnly);
     this.#parts = [
