@@ -3,7 +3,7 @@
 import { element, setText, uniqueId } from "./element.js";
 import { shownValue } from "./fixed_value.js";
 import { widgetFor, widgetKind } from "./parameter_widgets.js";
-import { isChanged, isOverride, isSame } from "./yaml_text.js";
+import { isChanged, isOverride } from "./yaml_text.js";
 
 const SETTLED_MS = 2000;
 const BETWEEN_MS = 120;
@@ -146,7 +146,8 @@ export class ParameterRow {
 
   #show() {
     const { value } = this.#parameter;
-    if (this.#accepted && (performance.now() > this.#accepted.untilMs || isSame(this.#accepted.value, value))) {
+    // Until then a report may be older than what the node has accepted.
+    if (this.#accepted && performance.now() > this.#accepted.untilMs) {
       this.#accepted = this.#isSending ? this.#accepted : null;
     }
     this.#widget.show((this.#next ?? this.#accepted ?? { value }).value);
