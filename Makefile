@@ -91,11 +91,12 @@ INTERFACES_WHEEL ?= $(RELEASED)
 ACTIVATION := unset $(FOREIGN); export AMENT_PREFIX_PATH="$$VIRTUAL_ENV"
 # As many processes as the machine has room for; each file of tests is run by one of them.
 PYTEST := $(VENV)/bin/python -m pytest -n auto --dist loadfile
+PATIENT := -o timeout=600 -o faulthandler_timeout=700
 DEMO_FOLDER = mkdir -p build/demo && test -w build/demo || { \
   echo 'Run "$(abspath $(VENV))/bin/demo" in a folder of your own: this user cannot write to build/demo.' >&2; exit 1; }
 TYPED := $(wildcard yolov5_lifecycle test soak fuzz tools benchmark launch requirements)
 
-.PHONY: help install demo demo-cameras console test test-all test-matrix coverage soak fuzz mutants bench bench-families lint docs docs-site workflows clean
+.PHONY: help install demo demo-cameras console test test-end-to-end test-all test-matrix coverage soak fuzz mutants bench bench-families lint docs docs-site workflows clean
 .PHONY: release-check package interfaces-wheels release-versions release-metadata release-reproducible release-install
 help:
 	@echo 'make demo     camera and detector as two processes, driven through their services; result in build/demo'
@@ -104,6 +105,7 @@ help:
 	@echo '              (CONSOLE_FLAGS="--port 8090")'
 	@echo 'make test     the tests, without the long ones  (SET=apt: numpy, scipy, OpenCV of Ubuntu 24.04, in .venv-apt)'
 	@echo '              (SET=kilted: ROS 2 Kilted instead of Jazzy, in .venv-kilted)'
+	@echo 'make test-end-to-end  the ways of a user from the start to the end: demo, every command, the page in a browser'
 	@echo 'make test-all all tests'
 	@echo 'make test-matrix  make test with every supported Python and SET, as far as this machine has the Pythons'
 	@echo 'make coverage all tests, with the line coverage of the package, child processes included'
@@ -139,10 +141,13 @@ console: $(PACKAGE)
 	@XDG_CACHE_HOME="$(abspath build/cache)" $(VENV)/bin/demo --console $(CONSOLE_FLAGS)
 
 test: $(TESTS)
-	$(PYTEST) -m 'not long' $(PYTEST_FLAGS)
+	$(PYTEST) -m 'not long and not end_to_end' $(PYTEST_FLAGS)
+
+test-end-to-end: $(TESTS)
+	$(PYTEST) -m end_to_end $(PYTEST_FLAGS)
 
 test-all: $(TESTS)
-	$(PYTEST) $(PYTEST_FLAGS)
+	$(PYTEST) $(PATIENT) $(PYTEST_FLAGS)
 
 # The folder of each environment stays, so a repeated run installs nothing.
 test-matrix:
@@ -150,7 +155,7 @@ test-matrix:
 
 coverage: $(TESTS)
 	rm -rf build/coverage
-	$(VENV)/bin/coverage run -m pytest -o timeout=600 $(PYTEST_FLAGS)
+	$(VENV)/bin/coverage run -m pytest $(PATIENT) $(PYTEST_FLAGS)
 	$(VENV)/bin/coverage combine --quiet
 	$(VENV)/bin/coverage report
 

@@ -22,6 +22,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 import pytest
 from hypothesis import HealthCheck, settings
 from support.colcon_workspace import REPOSITORY, build_workspace
+from support.whole_run import WholeRun
 from support.worker import made_once, run_folder, suitable_count, worker_domain
 
 from yolov5_lifecycle.ros.demo.domain import isolated
@@ -39,6 +40,11 @@ settings.register_profile(
     "suite", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("suite")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        config.pluginmanager.register(WholeRun())
 
 
 @pytest.hookimpl(optionalhook=True)

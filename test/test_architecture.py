@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from inspect import getfile
 from itertools import chain
@@ -64,14 +65,17 @@ def module_name(path: Path) -> str:
     return ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
 
 
-MODULES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py")) if path.name != "__init__.py"}
-every_module = pytest.mark.parametrize("module", MODULES)
+MODULES = {
+    module_name(path): ast.parse(path.read_text())
+    for path in sorted(PACKAGE.rglob("*.py"))
+    if path.name != "__init__.py"
+}
 
 
-def imported_names(path: Path) -> set[str]:
-    """Everything that the file imports, also inside functions, with the names taken from modules."""
+def imported_names(tree: ast.Module) -> set[str]:
+    """Everything that a file imports, also inside functions, with the names taken from modules."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -79,14 +83,11 @@ def imported_names(path: Path) -> set[str]:
     return names
 
 
+@cache
 def imported_modules(module: str) -> set[str]:
     """The modules of this package that `module` imports."""
     own = {name.removeprefix("yolov5_lifecycle.") for name in imported_names(MODULES[module])}
-    return {candidate for candidate in MODULES if own & {candidate, *_members(candidate, own)}}
-
-
-def _members(module: str, names: set[str]) -> set[str]:
-    return {name for name in names if name.rpartition(".")[0] == module}
+    return MODULES.keys() & (own | {name.rpartition(".")[0] for name in own})
 
 
 def folder_of(module: str) -> str:
@@ -99,23 +100,27 @@ def ros_folder_of(module: str) -> str:
     return rest.partition(".")[0] if ros == "ros" and "." in rest else ""
 
 
-@every_module
-def test_a_folder_imports_lower_folders_only(module: str) -> None:
-    rank = RANK[folder_of(module)]
-    others = {other for other in map(folder_of, imported_modules(module)) if other != folder_of(module)}
-    assert {other for other in others if RANK[other] >= rank} == set()
+def test_a_folder_imports_lower_folders_only() -> None:
+    assert [
+        f"{module} imports {other}"
+        for module in MODULES
+        for other in imported_modules(module)
+        if folder_of(other) != folder_of(module) and RANK[folder_of(other)] >= RANK[folder_of(module)]
+    ] == []
 
 
 def test_every_folder_has_a_rank() -> None:
     assert set(map(folder_of, MODULES)) == set(RANK)
 
 
-@every_module
-def test_a_folder_in_ros_imports_lower_ones_only(module: str) -> None:
-    folder = ros_folder_of(module)
-    others = {ros_folder_of(other) for other in imported_modules(module)} - {folder}
-    if module != "ros.entry_points":  # it starts every node
-        assert {other for other in others if ROS_RANK[other] >= ROS_RANK[folder]} == set()
+def test_a_folder_in_ros_imports_lower_ones_only() -> None:
+    assert [
+        f"{module} imports {other}"
+        for module in MODULES.keys() - {"ros.entry_points"}  # which starts every node
+        for other in imported_modules(module)
+        if ros_folder_of(other) != ros_folder_of(module)
+        and ROS_RANK[ros_folder_of(other)] >= ROS_RANK[ros_folder_of(module)]
+    ] == []
 
 
 def test_no_module_imports_itself_in_a_circle() -> None:
@@ -126,15 +131,15 @@ def test_no_module_imports_itself_in_a_circle() -> None:
         pytest.fail(" -> ".join(error.args[1]))
 
 
-@every_module
-def test_settings_are_imported_at_the_edge_only(module: str) -> None:
-    assert module.startswith(EDGE) or "settings.settings" not in imported_modules(module)
+def test_settings_are_imported_at_the_edge_only() -> None:
+    users = {module for module in MODULES if "settings.settings" in imported_modules(module)}
+    assert [module for module in users if not module.startswith(EDGE)] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("folders", "blocked"),
     [
-        pytest.param(tuple(folder for folder in RANK if folder != "ros"), ROS_MODULES, id="ROS"),
         pytest.param(WITHOUT_TORCH, ("torch", *ROS_MODULES), id="torch"),
         pytest.param(("spatial",), ("cv2", "torch", *ROS_MODULES), id="all but numpy"),
     ],
@@ -151,10 +156,10 @@ def test_what_does_not_need_a_library_imports_without_it(
     assert run.returncode == 0, run.stderr
 
 
-def private_attributes(path: Path) -> set[str]:
+def private_attributes(tree: ast.Module) -> set[str]:
     """Private attributes of something other than `self` and `cls`, also as a constant in getattr."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree):
         owner, name = None, ""
         if isinstance(node, ast.Attribute):
             owner, name = node.value, node.attr
@@ -167,15 +172,18 @@ def private_attributes(path: Path) -> set[str]:
     return {name for name in names if not name.startswith(("self._", "cls._"))}
 
 
-@every_module
-def test_private_parts_of_other_packages_are_used_in_one_file(module: str) -> None:
-    if module != "ros.rclpy_internals":
-        assert private_attributes(MODULES[module]) - PRIVATE_BY_NAME_ONLY == set()
+def test_private_parts_of_other_packages_are_used_in_one_file() -> None:
+    assert [
+        f"{module} uses {name}"
+        for module, tree in MODULES.items()
+        if module != "ros.rclpy_internals"
+        for name in private_attributes(tree) - PRIVATE_BY_NAME_ONLY
+    ] == []
 
 
-def attributes_set(path: Path) -> set[str]:
-    """Attributes that the classes in the file set on `self`."""
-    attributes = (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Attribute))
+def attributes_set(tree: ast.Module) -> set[str]:
+    """Attributes that the classes in a file set on `self`."""
+    attributes = (node for node in ast.walk(tree) if isinstance(node, ast.Attribute))
     return {
         node.attr
         for node in attributes
@@ -183,13 +191,22 @@ def attributes_set(path: Path) -> set[str]:
     }
 
 
-@pytest.mark.parametrize("module", [module for module in MODULES if module.endswith(".node")])
-def test_a_node_sets_no_attribute_of_rclpys_nodes(module: str) -> None:
-    upstream = {name for base in (Node, LifecycleNodeMixin) for name in attributes_set(Path(getfile(base)))}
+def test_a_node_sets_no_attribute_of_rclpys_nodes() -> None:
+    upstream = {
+        name
+        for base in (Node, LifecycleNodeMixin)
+        for name in attributes_set(ast.parse(Path(getfile(base)).read_text()))
+    }
     assert "_parameters" in upstream
-    assert attributes_set(MODULES[module]) & upstream == set()
+    assert [
+        f"{module} sets {name}"
+        for module, tree in MODULES.items()
+        if module.endswith(".node")
+        for name in attributes_set(tree) & upstream
+    ] == []
 
 
+@pytest.mark.long
 def test_the_console_needs_no_torch_and_the_nodes_no_web_server() -> None:
     web = ("h11", "prometheus_client", "starlette", "uvicorn", "websockets")
     others = ("ros.camera.node", "ros.demo.command", "ros.detector.command")
@@ -220,62 +237,6 @@ def test_importing_the_detector_loads_no_runtime_and_no_torch() -> None:
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     # The interface, which has the error that the detector raises.
     assert run.stdout == "['yolov5_lifecycle.runtimes.runtime'] []\n"
-
-
-def code_lines(source: str) -> int:
-    """How many lines `source` has, declarations left out.
-
-    A declaration gives a name its type or value without computing: an annotated name in the body of a class
-    or a module, as the settings are, with its docstring. Functions, methods, lambdas and comprehensions are
-    code, and so are all lines that are not part of a declaration.
-    """
-    tree = ast.parse(source)
-    bodies = [tree.body, *(node.body for node in tree.body if isinstance(node, ast.ClassDef))]
-    declared = 0
-    for body in bodies:
-        for before, node in zip([None, *body], body, strict=False):
-            if is_declaration(node) or (is_text(node) and before is not None and is_declaration(before)):
-                declared += 1 + (node.end_lineno or node.lineno) - node.lineno
-    return len(source.splitlines()) - declared
-
-
-def is_declaration(node: ast.stmt) -> bool:
-    computing = (ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
-    return isinstance(node, ast.AnnAssign) and not any(isinstance(part, computing) for part in ast.walk(node))
-
-
-def is_text(node: ast.stmt) -> bool:
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-
-
-@every_module
-def test_no_module_has_more_than_300_lines_of_code(module: str) -> None:
-    assert code_lines(MODULES[module].read_text()) <= 300
-
-
-SETTING = (
-    '    size: Annotated[int, Change.LIVE] = Field(\n        3, ge=1, description="Of the box."\n    )\n'
-)
-
-
-@pytest.mark.parametrize(
-    ("source", "expected"),
-    [
-        pytest.param("", 0, id="nothing"),
-        pytest.param("class A:\n" + 200 * SETTING, 1, id="settings"),
-        pytest.param(
-            "class A:\n" + 200 * '    size: int = 3\n    """Of the box."""\n', 1, id="with docstrings"
-        ),
-        pytest.param(200 * "LIMIT: Final = 3\n", 0, id="constants with a type"),
-        pytest.param(200 * "LIMIT = 3\n", 200, id="constants without a type"),
-        pytest.param("def f():\n" + 200 * "    size: int = 3\n", 201, id="in a function"),
-        pytest.param("class A:\n    def f(self):\n" + 200 * "        size: int = 3\n", 202, id="in a method"),
-        pytest.param(200 * "SIZES: Final = [\n    size * 2 for size in range(9)\n]\n", 600, id="computed"),
-        pytest.param(200 * "# a comment\n" + 50 * "\n", 250, id="comments and empty lines"),
-    ],
-)
-def test_declarations_are_no_lines_of_code(source: str, expected: int) -> None:
-    assert code_lines(source) == expected
 
 
 def test_the_ranks_name_each_folder_once() -> None:

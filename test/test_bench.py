@@ -24,6 +24,8 @@ from benchmark.rounds import measure
 from benchmark.task import Task
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
+pytestmark = pytest.mark.long
+
 WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
 IMAGE_HW = (96, 128)
 EAGER = Task("rivals", "eager torch", str(WEIGHTS), IMAGE_HW)
@@ -38,7 +40,6 @@ MEDIANS_MS = {
 }
 
 
-@pytest.mark.long
 def test_contenders_measure_in_turns_beside_every_load(tmp_path: Path) -> None:
     taken_ms, peaks_mb = measure([EAGER, DETECTOR], loads=(0, 1), turns=2, cache=tmp_path)
     assert {key: len(times_ms) for key, times_ms in taken_ms.items()} == {
@@ -49,7 +50,6 @@ def test_contenders_measure_in_turns_beside_every_load(tmp_path: Path) -> None:
     assert min(peaks_mb.values()) > 50
 
 
-@pytest.mark.long
 def test_a_rival_that_does_not_run_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     unknown = dataclasses.replace(EAGER, name="abacus")
     taken_ms, _ = measure([unknown, EAGER], loads=(0,), turns=1, cache=tmp_path)
@@ -57,7 +57,6 @@ def test_a_rival_that_does_not_run_is_left_out(tmp_path: Path, capsys: pytest.Ca
     assert "left out: 'abacus' failed" in capsys.readouterr().err
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("_environment")
 def test_the_node_is_watched_while_a_camera_runs(tmp_path: Path) -> None:
     image = image_file(IMAGE_HW, tmp_path)
@@ -71,7 +70,6 @@ def test_the_node_is_watched_while_a_camera_runs(tmp_path: Path) -> None:
     assert passage.cpu_ms_per_frame > 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", RIVALS)
 def test_a_rival_predicts_what_the_network_does(name: str) -> None:
     if name == "OpenCV DNN" and cv2.__version__ < "5":

@@ -25,13 +25,14 @@ from benchmark.node import image_file
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.ros.messages import image_of_message
 
+pytestmark = pytest.mark.long
+
 WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
 IMAGE_HW = (96, 128)
 CAMERAS = ("left", "right")
 MS = 1_000_000
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("_environment")
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_every_camera_of_a_layout_is_watched(layout: Layout, tmp_path: Path) -> None:
@@ -48,7 +49,6 @@ def test_every_camera_of_a_layout_is_watched(layout: Layout, tmp_path: Path) -> 
     assert 50 < passage.proportional_mb <= passage.resident_mb
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("_environment")
 def test_cameras_that_share_a_node_are_judged(tmp_path: Path) -> None:
     image, names = image_file(IMAGE_HW, tmp_path), CAMERAS

@@ -13,7 +13,7 @@ from support.served_node import ServedNode
 from yolov5_lifecycle.detection.batch_choice import MIN_GAIN_PERCENT
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.ros.detector.camera_status import SLOW_S
-from yolov5_lifecycle.ros.detector.session import ABANDONED, REST_TIMEOUT_S
+from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, abandoned
 from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, MAX_NAME_LENGTH, camera_names_rule
 from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME
@@ -34,7 +34,7 @@ HEIGHT, WIDTH = USUAL_SOURCE_HW
         pytest.param(CAMERAS_PAGE, f"`max_consecutive_failures` ({FAILURES})", id="failures"),
         pytest.param(CAMERAS_PAGE, f"WARN after {SLOW_S:g} s", id="slow"),
         pytest.param(CAMERAS_PAGE, f"after {REST_TIMEOUT_S:g} s its thread is abandoned", id="hung"),
-        pytest.param(REFERENCE, ABANDONED, id="hung-in-log"),
+        pytest.param(REFERENCE, abandoned(REST_TIMEOUT_S), id="hung-in-log"),
         pytest.param(
             REFERENCE, f"{NUMBERS[MAX_ABANDONED_THREADS + 1]} inference threads hang", id="abandoned-threads"
         ),

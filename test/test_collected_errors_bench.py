@@ -22,6 +22,8 @@ from benchmark.collected_errors import (
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.sources.scene import Truth
 
+pytestmark = pytest.mark.long
+
 BOXES = np.array([[0, 0, 10, 10], [20, 20, 40, 40]], np.float32)
 TRUTH = Truth(BOXES, np.array([0, 1], np.int64))
 WEAK = {"blur", "night", "small", "new look"}
@@ -60,7 +62,6 @@ def test_a_drive_shows_every_weakness_and_its_truth_is_in_the_image() -> None:
     assert shows_objects == {True, False}
 
 
-@pytest.mark.long
 def test_a_fifth_of_the_places_are_difficult() -> None:
     kinds = {frame.place: frame.weakness for frame in drive(3)}
     assert len(kinds) == PLACES

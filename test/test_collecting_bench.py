@@ -13,6 +13,8 @@ from benchmark.collecting import NOTHING_KEPT, OFF, ONE_A_SECOND, figures, passa
 from benchmark.node import image_file
 from yolov5_lifecycle.collecting.frame_list import read_frame_list
 
+pytestmark = pytest.mark.long
+
 WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
 
 
@@ -34,7 +36,6 @@ def test_each_round_is_compared_with_the_same_round_without_collecting() -> None
     assert [each.median for each in rows if each.what == "CPU"] == pytest.approx([40, 81, 55])
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("_environment")
 @pytest.mark.parametrize(("way", "kept"), [(OFF, 0), (NOTHING_KEPT, 1), (ONE_A_SECOND, 2)])
 def test_a_detector_collects_as_the_figures_say(way: str, kept: int, tmp_path: Path) -> None:

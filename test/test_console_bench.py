@@ -8,6 +8,8 @@ import pytest
 
 from benchmark.console import Viewing, goals, robot, viewing
 
+pytestmark = pytest.mark.long
+
 
 def seen(age_ms: float, cpu_s: float) -> Viewing:
     return Viewing([age_ms] * 100, [20.0, 30.0], cpu_s, 10.0)
@@ -23,7 +25,6 @@ def test_the_age_is_compared_with_the_latency_and_the_cost_with_that_of_one_view
     assert not cost.is_reached
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("_environment")
 def test_two_viewers_see_images() -> None:
     with robot(15.0) as console:

@@ -14,6 +14,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.colcon_workspace import PACKAGE, REPOSITORY
 
+pytestmark = pytest.mark.long
+
 MANIFEST = ElementTree.parse(REPOSITORY / "package.xml")
 OF_CONDA = {"torch": "pytorch", "opencv-python-headless": "py-opencv"}
 FORMS = sorted(

@@ -25,6 +25,8 @@ from support.pinned_versions import pins
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings
 
+pytestmark = pytest.mark.long
+
 DOCKER = REPOSITORY / "docker"
 ENTRYPOINT = DOCKER / "entrypoint"
 BUILT = f"install/{PACKAGE}/lib/{PACKAGE}/detector"

@@ -71,6 +71,7 @@ def test_the_commands_of_all_remedies_are_on_the_page() -> None:
     ] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", sorted(set(re.findall(r"\*([^*]+)\*", " ".join(PROSE.split())))))
 def test_the_words_of_a_line_on_the_page_are_those_of_the_code(words: str) -> None:
     told = [text for source in SOURCES for text in texts(ast.parse(source.read_text()))]

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from benchmark.families import EAGER, QUICK, families, goal, heading, line
 from benchmark.report import row
+
+pytestmark = pytest.mark.long
 
 
 def test_the_families_that_are_measured_differ_from_each_other() -> None:

@@ -26,6 +26,7 @@ PICTURE = REPOSITORY / "docs" / "images" / "regions.jpg"
 (COMMAND,) = [line for line in typed(PAGE) if line.startswith("detect_bag ")]
 
 
+@pytest.mark.long
 def test_the_picture_is_what_the_command_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for folder in ("docs", "weights"):
         (tmp_path / folder).symlink_to(REPOSITORY / folder)

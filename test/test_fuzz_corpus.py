@@ -20,12 +20,14 @@ def test_every_target_has_a_corpus() -> None:
     assert {file.parent.name for file in FILES} == set(TARGETS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_seed_of_a_target_passes_its_check(name: str) -> None:
     for seed in TARGETS[name].seeds():
         TARGETS[name].check(seed)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", TARGETS)
 @given(data=st.binary(max_size=600))
 @settings(max_examples=50)

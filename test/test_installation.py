@@ -22,6 +22,9 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.colcon_workspace import PACKAGE, REPOSITORY, published_files
 from support.file_server import FileServer, ServedRequest
+from support.started import started
+
+pytestmark = pytest.mark.long
 
 CHECK = runpy.run_path(str(REPOSITORY / "requirements" / "check_machine.py"))
 TORCH = runpy.run_path(str(REPOSITORY / "requirements" / "install_torch.py"))
@@ -334,7 +337,7 @@ def test_an_interrupt_is_no_reason_for_another_build(tmp_path: Path) -> None:
     with FileServer(serve) as server:
         program = [sys.executable, str(REPOSITORY / "requirements" / "install_torch.py"), "", server.address]
         words = ["-c", str(CONSTRAINTS), "--target", str(tmp_path / "installed")]
-        with subprocess.Popen(
+        with started(
             [*program, *words],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

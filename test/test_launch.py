@@ -24,6 +24,8 @@ from vision_msgs.msg import Detection2DArray
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess
 from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
 
+pytestmark = pytest.mark.long
+
 FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
 DETECTOR, DEMO = (REPOSITORY / "launch" / f"{name}.launch.py" for name in ("yolov5", "demo"))
 FROM_ROS = {"launch", "launch_ros"}

@@ -27,10 +27,11 @@ from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.loaded_detector import load_detector
 
+pytestmark = pytest.mark.long
+
 SIZE_HW = (96, 128)
 
 
-@pytest.mark.long
 def test_every_call_is_measured_in_every_turn(tmp_path: Path) -> None:
     path = tmp_path / "segment.safetensors"
     write_safetensors(random_model(1, TINY_SEGMENT), path)

@@ -46,6 +46,7 @@ def test_a_subscriber_as_on_the_page_counts_the_pixels_of_each_object(
     assert capsys.readouterr().out == f"cat  {counts[0]} pixels\ndog  {counts[1]} pixels\n"
 
 
+@pytest.mark.long
 def test_the_example_without_ros_gives_masks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "yolov5n-seg.pt").write_bytes(segmentation_checkpoint())
     cv2.imwrite(str(tmp_path / "image.jpg"), random_frame(75, 100))

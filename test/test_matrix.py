@@ -13,6 +13,8 @@ from support.colcon_workspace import REPOSITORY
 
 from tools.matrix import COMBINATIONS, Combination, find_python, main, run_all
 
+pytestmark = pytest.mark.long
+
 MAKEFILE = REPOSITORY / "Makefile"
 OWN = "{}.{}".format(*sys.version_info)
 

@@ -14,6 +14,8 @@ from support.colcon_workspace import REPOSITORY
 from tools.mutants.folders import PACKAGE, TESTS, files_of_tests
 from tools.mutants.known_survivors import LIST, differences, known_survivors
 
+pytestmark = pytest.mark.long
+
 PATIENCE_S = 60.0
 
 

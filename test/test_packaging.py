@@ -46,10 +46,12 @@ def in_built_workspace(workspace: Path, command: str) -> str:
     return run.stdout
 
 
+@pytest.mark.long
 def test_colcon_builds_this_package_alone(workspace: Path) -> None:
     assert [folder.name for folder in (workspace / "install").iterdir() if folder.is_dir()] == [PACKAGE]
 
 
+@pytest.mark.long
 def test_the_executables_lie_where_ros2_run_looks(prefix: Path) -> None:
     folder = prefix / "lib" / PACKAGE
     assert sorted(file.name for file in folder.iterdir()) == sorted(COMMANDS)

@@ -10,6 +10,8 @@ from benchmark.precisions import INT8, calls, goal
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 
+pytestmark = pytest.mark.long
+
 needs_openvino = pytest.mark.skipif(
     "openvino" not in installed_runtimes(), reason="no openvino: make install"
 )

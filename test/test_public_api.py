@@ -63,12 +63,14 @@ def without_ros(program: str) -> str:
     return run.stdout
 
 
+@pytest.mark.end_to_end
 def test_the_readme_detects_in_an_image_without_ros() -> None:
     (program,) = blocks(README, "python")
     lines = without_ros(program).splitlines()
     assert Counter(line.partition(" ")[0] for line in lines) == SHOWN
 
 
+@pytest.mark.long
 def test_the_page_on_python_detects_what_it_asks_for() -> None:
     program, prepared = blocks(REPOSITORY / "docs" / "python.md", "python")
     lines = without_ros(prepared + program).splitlines()

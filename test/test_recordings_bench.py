@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from benchmark.recordings import ONE, ONE_CORE, SINGLE, TWO, goals, measured_s, record_scene
 from yolov5_lifecycle.offline.recording import open_recording
+
+pytestmark = pytest.mark.long
 
 
 def test_the_recording_has_the_images_that_are_asked_for(tmp_path: Path) -> None:

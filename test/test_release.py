@@ -23,6 +23,8 @@ from tools.release.package_build import archived_files, build_package, content_p
 from tools.release.versions import version_problems
 from yolov5_lifecycle.doctor.system import NEWEST_PYTHON, OLDEST_PYTHON
 
+pytestmark = pytest.mark.long
+
 ADDRESS = "https://git.example.org/somebody/yolov5"
 RELATIVE = re.compile(r"\]\((?!\w+:|#)")
 
@@ -268,7 +270,6 @@ def test_the_source_archive_holds_what_a_clone_holds_and_is_the_same_wherever_it
         assert {(member.mtime, member.uid, member.uname) for member in archive} == {(1700000000, 0, "root")}
 
 
-@pytest.mark.long
 def test_the_wheel_is_the_same_wherever_it_is_built(source: Path, tmp_path: Path) -> None:
     pytest.importorskip("build.__main__", reason="installed by make release-check")
     variables = {"SOURCE_DATE_EPOCH": "1700000000"}

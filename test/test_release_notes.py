@@ -10,6 +10,8 @@ from support.colcon_workspace import REPOSITORY
 
 from tools.release_notes import ReleaseNotesError, notes
 
+pytestmark = pytest.mark.long
+
 TOOL = REPOSITORY / "tools" / "release_notes.py"
 CHANGELOG = """\
 # Changelog

@@ -24,6 +24,8 @@ from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.sources.scene import Truth
 
+pytestmark = pytest.mark.long
+
 SEGMENTING = segmenting(ARCHITECTURE)
 
 
@@ -89,7 +91,6 @@ def test_without_targets_no_mask_is_to_be_learnt() -> None:
     assert loss.item() == 0
 
 
-@pytest.mark.long
 def test_learning_lowers_the_loss_of_masks(model: Model) -> None:
     torch.manual_seed(0)
     network = model.network().eval()

@@ -17,6 +17,8 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.sources.scene import Truth
 
+pytestmark = pytest.mark.long
+
 NO_TARGETS = torch.empty(0, 6)
 
 
@@ -113,7 +115,6 @@ def test_without_targets_only_objectness_is_to_be_learnt() -> None:
     assert detection_loss(logits, NO_TARGETS, ARCHITECTURE).item() == pytest.approx(0, abs=1e-6)
 
 
-@pytest.mark.long
 def test_learning_lowers_the_loss() -> None:
     torch.manual_seed(0)
     network = Network(ARCHITECTURE)

@@ -15,6 +15,8 @@ from support.pages import PAGES
 
 from tools.site_pages import linked, published, site_path, with_links_of_site
 
+pytestmark = pytest.mark.long
+
 
 class _Loader(yaml.SafeLoader):
     """Reads mkdocs.yml without what MkDocs computes: environment variables and Python objects."""
@@ -98,7 +100,6 @@ def test_a_list_begins_where_the_site_recognises_it(path: str) -> None:
     assert late == []
 
 
-@pytest.mark.long
 def test_the_site_is_built_with_the_list_items_of_the_repository(tmp_path: Path) -> None:
     mkdocs = REPOSITORY / "build" / "site-venv" / "bin" / "mkdocs"
     if not mkdocs.is_file():

@@ -70,11 +70,13 @@ def unknown(message: str, written: Sequence[str]) -> list[str]:
     return [part for part in parts if not any(part in text for text in written)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("message", messages_of_the_page())
 def test_a_quoted_message_is_one_of_the_code(message: str, written: list[str]) -> None:
     assert unknown(message, written) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("message", "expected"),
     [

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from support.colcon_workspace import REPOSITORY
+from support.started import started
 
 from yolov5_lifecycle.atomic_file import OutputError, whole_output, write_whole
 from yolov5_lifecycle.unfinished import (
@@ -58,22 +59,21 @@ def abandoned(folder: Path, name: str) -> Path:
 
 
 @contextmanager
-def started(program: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+def holding(program: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     """The program, and what it holds in `folder` until its standard input ends."""
-    owner = subprocess.Popen(
-        [sys.executable, "-c", program, str(folder)],
+    with started(
+        [sys.executable, "-c", program, folder],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
         env=os.environ | {"TMPDIR": str(folder), "PYTHONPATH": str(REPOSITORY)},
-    )
-    with owner:
+    ) as owner:
         assert owner.stdout is not None
         yield owner, Path(owner.stdout.readline().strip())
 
 
 def test_the_folder_of_a_killed_process_is_removed_and_that_of_a_living_one_is_not(folder: Path) -> None:
-    with started(OWNER, folder) as (owner, held):
+    with holding(OWNER, folder) as (owner, held):
         remove_abandoned_folders()
         assert [path.name for path in held.iterdir()] == ["optimized.onnx"]
         owner.send_signal(signal.SIGKILL)
@@ -89,7 +89,7 @@ def test_the_output_of_a_killed_process_is_removed_by_the_next_and_that_of_a_liv
 ) -> None:
     users_own = folder / ".unfinished-novel" / "chapters"
     users_own.mkdir(parents=True)
-    with started(WRITER, folder) as (owner, unfinished):
+    with holding(WRITER, folder) as (owner, unfinished):
         with whole_output(folder / "first") as path:
             path.touch()
         assert (unfinished / "images" / "0.png").exists()

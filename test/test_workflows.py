@@ -17,6 +17,8 @@ import pytest
 from support.colcon_workspace import REPOSITORY, published_files
 from support.workflow_steps import STEPS, WORKFLOWS, Step, at_tag, pages_of, recorded
 
+pytestmark = pytest.mark.long
+
 WRITES = {
     ("docs", "publish"): {"contents"},
     ("image", "push"): {"packages"},

@@ -181,6 +181,7 @@ def test_the_folders_cannot_be_changed_from_outside(
     assert confined_node.get("weights_dirs") == [f"{root}/inside"]
 
 
+@pytest.mark.long
 def test_a_packaged_model_may_be_allowed(
     serve: Callable[..., ServedNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -180,6 +180,7 @@ def test_synchronized_normalisation_that_computes_something_else_is_refused(
         read_checkpoint(saved(stripped(model)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("protocol", [2, 3, 4, 5])
 @pytest.mark.parametrize(
     "make",
@@ -234,6 +235,7 @@ def training_checkpoint(*, ema: Any) -> dict[str, Any]:
     }
 
 
+@pytest.mark.long
 def test_of_a_training_checkpoint_the_averaged_model_is_read() -> None:
     model = read_checkpoint(saved(training_checkpoint(ema=official_model(seed=2, half=False))))
     key = "model.0.conv.weight"

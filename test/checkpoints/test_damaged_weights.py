@@ -45,6 +45,7 @@ def test_a_damaged_checkpoint_is_refused_or_whole(splices: Splices) -> None:
     check_weights(read_checkpoint, spliced(hostile_archives.valid(), splices))
 
 
+@pytest.mark.long
 @_FEW
 @given(st.sampled_from(_PROTOCOLS), _SPLICES)
 def test_a_checkpoint_with_a_damaged_pickle_is_refused_or_whole(protocol: int, splices: Splices) -> None:
@@ -54,6 +55,7 @@ def test_a_checkpoint_with_a_damaged_pickle_is_refused_or_whole(protocol: int, s
     )
 
 
+@pytest.mark.long
 @_FEW
 @given(st.sampled_from(_PROTOCOLS), st.integers(0, 1 << 20), st.integers(0, 255))
 def test_a_checkpoint_with_one_other_byte_in_its_pickle_is_refused_or_whole(
@@ -112,6 +114,7 @@ def replaced(tree: Any, places: list[int], value: Any) -> Any:
     return changed
 
 
+@pytest.mark.long
 @_FEW
 @given(st.sampled_from(["architecture", "class_names"]), st.lists(st.integers(0, 99), max_size=5), JSON)
 def test_a_safetensors_file_that_describes_anything_is_refused_or_whole(
@@ -123,6 +126,7 @@ def test_a_safetensors_file_that_describes_anything_is_refused_or_whole(
     check_weights(read_safetensors, hostile_safetensors.joined(header, tensors))
 
 
+@pytest.mark.long
 @_FEW
 @given(st.lists(st.integers(0, 99), max_size=4), JSON)
 def test_a_safetensors_file_with_any_header_is_refused_or_whole(places: list[int], value: object) -> None:
@@ -138,6 +142,7 @@ def pickled_operations(protocol: int) -> list[bytes]:
     return [pickle[start:end] for start, end in itertools.pairwise([*starts, len(pickle)])]
 
 
+@pytest.mark.long
 @settings(_FEW, max_examples=20)
 @given(
     st.sampled_from(_PROTOCOLS),

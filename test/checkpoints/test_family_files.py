@@ -26,6 +26,7 @@ from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, writ
 from yolov5_lifecycle.models.network import fuse
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EVERY_FAMILY)
 def test_a_file_predicts_what_the_official_network_predicts_fused_or_not_and_converted(
     name: str, tmp_path: Path

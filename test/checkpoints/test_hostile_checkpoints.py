@@ -37,6 +37,7 @@ def test_a_valid_file_is_what_the_others_differ_from() -> None:
     assert read_checkpoint(valid()).class_names == ("cat", "dog", "cow")
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize("case", TOLD)
 def test_the_file_is_refused_in_its_own_words(case: str, answers: dict[str, Answer]) -> None:
     answer = answers[case]
@@ -47,12 +48,14 @@ def test_the_file_is_refused_in_its_own_words(case: str, answers: dict[str, Answ
     assert len(answer.message) < 1000
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize("case", TOLD)
 def test_nothing_in_the_file_is_run(case: str, answers: dict[str, Answer], folder: Path) -> None:
     assert answers[case].events == []
     assert [file.name for file in (folder / "workplace").iterdir()] == [f"{MARKER}.py"]
 
 
+@pytest.mark.long
 def test_the_traces_of_a_gadget_are_seen(folder: Path, answers: dict[str, Answer]) -> None:
     """The guard of the tests above: what a gadget would do is noticed when it is done."""
     assert answers
@@ -93,6 +96,7 @@ except MemoryError:
 """
 
 
+@pytest.mark.long
 def test_only_memory_mapped_after_the_imports_is_limited(tmp_path: Path) -> None:
     """torch for CUDA maps 3.2 GB when it is imported; the limit holds nevertheless."""
     weights, files = tmp_path / "valid.pt", tmp_path / "files"
@@ -110,6 +114,7 @@ def test_only_memory_mapped_after_the_imports_is_limited(tmp_path: Path) -> None
     assert ('"outcome": "accepted"' in answer, told) == (True, "limited"), run.stderr
 
 
+@pytest.mark.end_to_end
 def test_no_file_takes_up_the_memory_or_the_time(answers: dict[str, Answer]) -> None:
     assert answers.keys() == TOLD.keys()
     slowest = max(answers.values(), key=lambda answer: answer.cpu_s)
@@ -118,6 +123,7 @@ def test_no_file_takes_up_the_memory_or_the_time(answers: dict[str, Answer]) -> 
     assert largest.grown_mb < MAX_GROWN_MB, largest
 
 
+@pytest.mark.end_to_end
 def test_most_refusals_differ(answers: dict[str, Answer]) -> None:
     messages = {answer.message.partition(answer.name)[2] for answer in answers.values()}
     assert len(messages) > 0.8 * len(answers)

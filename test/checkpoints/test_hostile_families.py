@@ -135,6 +135,7 @@ def thousands_of_layers(model: Any) -> None:
     vars(layers)["_modules"] = {str(index): nn.Identity() for index in range(12_000)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "change", [pytest.param(deeply_nested, id="deep"), pytest.param(thousands_of_layers, id="many")]
 )

@@ -52,6 +52,7 @@ def shared_activation(model: Any) -> None:
             children(layer)["act"] = activation
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -114,6 +115,7 @@ def test_a_model_that_computes_something_else_is_refused(change: Change, message
     assert message in str(refused.value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "change",
     [

@@ -55,6 +55,7 @@ def assert_same(model: Model, network: Network, *, tolerance: float = 1e-4) -> N
         torch.testing.assert_close(found, expected, rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("architecture", "options"),
     [
@@ -79,6 +80,7 @@ def test_an_export_predicts_what_its_network_predicts(
     assert_same(model, network)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("activation", "opset"),
     [("Hardswish", 12), ("Hardswish", 14), ("LeakyReLU(0.1)", 12), ("ReLU", 12), ("Identity", 12)],
@@ -94,6 +96,7 @@ def test_activations_are_those_of_the_graph(activation: str, opset: int) -> None
     assert_same(model, network)
 
 
+@pytest.mark.long
 def test_an_export_in_half_precision_has_the_rounded_weights() -> None:
     network = random_network(0, SMALL)
     model = read_onnx(exported(network, is_half=True))
@@ -125,6 +128,7 @@ def test_an_export_of_an_official_model_is_that_of_its_pt(
     assert_same(model, expected.network())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("architecture", [SMALL, SEGMENT_N], ids=["own", "official"])
 def test_layers_have_the_multiples_of_an_official_size_or_none(architecture: Architecture) -> None:
     read = read_onnx(valid(architecture)).architecture
@@ -196,6 +200,7 @@ def test_an_export_that_was_rewritten_without_a_change_is_read(change: Callable[
     assert_same(read_onnx(hostile_onnx.changed(change)()), random_network(0, SMALL))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("family", ["ghost", "transformer", "convolutions", "resized"])
 def test_layers_that_are_not_read_are_refused_with_a_remedy(family: str) -> None:
     with pytest.raises(WeightsError, match=r"exports of such a (layer|model) are not read; use the \.pt"):
@@ -276,6 +281,7 @@ def assert_refused_or_read_as_computed(architecture: Architecture, changes: slic
     return accepted
 
 
+@pytest.mark.long
 def test_a_graph_with_another_operation_is_refused_or_read_as_it_computes() -> None:
     assert_refused_or_read_as_computed(SMALL, slice(None, None, 9))
 

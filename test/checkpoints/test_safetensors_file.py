@@ -322,6 +322,7 @@ def test_bytes_after_the_last_tensor_are_refused(written: bytes, surplus: int) -
     assert "damaged, or cut short" in refusal(written + b"\0" * surplus)
 
 
+@pytest.mark.long
 @given(kept=st.floats(0, 1, exclude_max=True))
 def test_a_part_of_a_file_is_refused(written: bytes, kept: float) -> None:
     assert refusal(written[: int(kept * len(written))])

@@ -47,6 +47,7 @@ def assert_same_model(model: Model, architecture: Architecture, network: Network
     torch.testing.assert_close(predictions(model.network()), predictions(network), rtol=0, atol=0)
 
 
+@pytest.mark.long
 @every_small
 @pytest.mark.parametrize("before_v6", [False, True], ids=["v7", "before v6"])
 def test_a_file_of_any_version_is_read(architecture: Architecture, before_v6: bool) -> None:
@@ -83,6 +84,7 @@ def fused(architecture: Architecture, method: str) -> Any:
     return model
 
 
+@pytest.mark.long
 @every_small
 @pytest.mark.parametrize("method", ["forward_fuse", "fuseforward"])
 def test_a_fused_model_is_read_and_converted(architecture: Architecture, method: str, tmp_path: Path) -> None:
@@ -103,6 +105,7 @@ def with_nms(model: Any) -> Any:
     return model
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "checkpoint",
     [

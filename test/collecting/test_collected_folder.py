@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.candidates import CLASS_NAMES, candidate, keep, look_of
+from support.started import started
 
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, CollectingError, Drive, Quota
 from yolov5_lifecycle.collecting.frame_list import FRAMES, read_frame_list
@@ -270,11 +271,12 @@ for seed in range(100_000):
 """
 
 
+@pytest.mark.long
 def test_a_process_that_is_killed_leaves_a_readable_folder(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     for _ in range(8):
         program = WRITER.format(path=sys.path, folder=os.fspath(tmp_path))
-        with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as writer:
+        with started([sys.executable, "-c", program], stdout=subprocess.PIPE) as writer:
             assert writer.stdout is not None
             for _ in range(int(rng.integers(1, 60))):
                 assert writer.stdout.readline()

@@ -21,6 +21,7 @@ def shades(seed: int) -> Shades:
     return np.random.default_rng(seed).integers(-64, 64, SHADES).astype(np.int8)
 
 
+@pytest.mark.long
 def test_the_distance_is_that_of_the_nearest_after_many_were_added_and_removed() -> None:
     kept, present = KeptLooks(), {}
     rng = np.random.default_rng(0)

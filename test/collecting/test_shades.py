@@ -47,6 +47,7 @@ def shifted(pixels: Pixels) -> Pixels:
     return np.asarray(bordered[:-by, :-by], np.uint8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("change", [noisy, compressed, darker, shifted])
 @pytest.mark.parametrize("size_hw", SIZES_HW, ids=str)
 def test_an_image_taken_again_is_the_same(
@@ -55,6 +56,7 @@ def test_an_image_taken_again_is_the_same(
     assert same(shot(size_hw), change(shot(size_hw)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size_hw", SIZES_HW, ids=str)
 def test_an_image_in_which_objects_moved_is_another_even_at_night(size_hw: tuple[int, int]) -> None:
     assert not same(shot(size_hw), shot(size_hw, 30))

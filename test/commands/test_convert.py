@@ -119,6 +119,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFix
     assert line.endswith("`convert --help` explains all arguments.")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["file", "FIFO", "link to a file", "link to /dev/full", "broken link"])
 def test_whatever_is_there_is_kept_unless_forced_and_then_replaced(
     source: Path, tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
@@ -188,6 +189,7 @@ def test_an_unwritable_folder_is_an_error(source: Path, capsys: pytest.CaptureFi
     assert capsys.readouterr().err.startswith("convert: ")
 
 
+@pytest.mark.end_to_end
 def test_the_official_model_is_converted_by_the_command(reference_dir: Path, tmp_path: Path) -> None:
     target = tmp_path / "yolov5n.safetensors"
     command = [

@@ -60,6 +60,7 @@ def before_v6(activation: str) -> Any:
     return official_model(architecture, before_v6=True, kind="models.yolo.Model")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "version"),
     [
@@ -123,6 +124,7 @@ def test_a_model_that_segments_is_told_with_its_masks(
     assert facts["masks"] == "8 prototypes, computed in 8 channels"
 
 
+@pytest.mark.long
 def test_an_export_is_told_with_the_multiples_of_its_size(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -156,6 +158,7 @@ def test_what_can_be_told_of_a_refused_file_is_told(
     assert facts["usable"].startswith("no: the module model.0.act is a 'GELU'")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", [name for name in MODELS if "text" in name or "name" in name])
 def test_no_wrong_file_breaks_the_screen(
     case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -92,6 +92,7 @@ def beginning_elsewhere(body: bytes, start: int) -> Behaviour:
     return lambda request: request.answer(body[start:], status=206, Content_Range=content_range)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("earlier", [100, 10**7], ids=["a part", "more than there is"])
 @pytest.mark.parametrize("server_kind", ["resumes", "sends all", "begins earlier"])
 def test_whatever_the_server_makes_of_a_range_the_file_is_right(
@@ -179,6 +180,7 @@ def enlarged(checkpoint: bytes) -> bytes:
     return file.getvalue()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is limited as Linux does")
 def test_a_download_that_could_not_be_checked_for_lack_of_memory_is_kept_and_used_later(
     folder: Path, checkpoint: bytes

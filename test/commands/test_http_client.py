@@ -39,6 +39,7 @@ def continuing(pause_s: float) -> Behaviour:
     return behave
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pause_s", [0, 0.05], ids=["as fast as it can", "now and then"])
 def test_a_server_that_says_continue_without_end_is_not_listened_to(tmp_path: Path, pause_s: float) -> None:
     with (

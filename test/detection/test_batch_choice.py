@@ -123,6 +123,7 @@ def test_cameras_that_share_no_size_need_no_measurement(cameras: list[tuple[int,
     assert measured.asked == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime_name", EVERY_RUNTIME)
 def test_every_runtime_is_measured(runtime_name: str) -> None:
     runtime = load_detector(random_model(), runtime=runtime_name, image_size=64, cameras=4).runtime

@@ -57,6 +57,7 @@ def everything(detector: Detector, image: ColourImage) -> Detections:
     return detector.detect(image, Selection(confidence_threshold=LOW, max_detections=30_000))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("selection", SELECTIONS)
 def test_each_class_is_found_down_to_its_own_threshold(
     selection: Selection, detector: Detector, everything: Detections, image: ColourImage

@@ -54,6 +54,7 @@ def failing_batch() -> None:
     raise InferenceError("out of memory")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime_name", EVERY_RUNTIME)
 def test_detections_of_a_batch_are_those_of_each_image_alone(runtime_name: str) -> None:
     model = load_weights(REPOSITORY / "weights" / "shapes.safetensors").model

@@ -194,6 +194,7 @@ def test_settings_that_no_model_can_obey_are_refused() -> None:
         load_detector(random_model(), device="cuda:99")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime", EVERY_RUNTIME)
 def test_threads_that_share_a_detector_get_what_one_gets(runtime: str) -> None:
     detector = load_detector(random_model(1), device="cpu", runtime=runtime, image_size=64)

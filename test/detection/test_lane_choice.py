@@ -173,6 +173,7 @@ def test_lanes_that_fail_are_freed() -> None:
     assert [twin.is_closed for twin in runtime.twins] == [True, True]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime", EVERY_RUNTIME)
 def test_every_runtime_is_measured(runtime: str) -> None:
     detector = load_detector(

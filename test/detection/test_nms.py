@@ -294,6 +294,7 @@ def test_only_the_best_candidates_enter_the_suppression() -> None:
     assert len(found(raw[:-1])) == 2
 
 
+@pytest.mark.long
 @settings(deadline=None)
 @given(
     seed=st.integers(0, 100),

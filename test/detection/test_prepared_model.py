@@ -73,6 +73,7 @@ def test_the_cost_is_told(tiny: Settings) -> None:
     assert model.facts["cost"].endswith(" MB at 64x64")
 
 
+@pytest.mark.long
 def test_batches_that_do_not_fit_into_the_memory_are_not_tried(
     tiny: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -86,6 +87,7 @@ def test_batches_that_do_not_fit_into_the_memory_are_not_tried(
     assert prepare_model(batched, [(64, 64)] * 5).facts["batches"].startswith("none: 2 images at once")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime_name", ["auto", *EVERY_RUNTIME])
 def test_a_model_that_would_take_the_memory_is_refused_without_taking_it(
     runtime_name: str, tmp_path: Path

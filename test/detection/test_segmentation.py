@@ -140,6 +140,7 @@ def test_the_warm_up_includes_prototypes() -> None:
     assert prototypes.count == 2
 
 
+@pytest.mark.long
 def test_a_loaded_model_that_segments_has_masks_and_the_detections_without_them_are_the_same() -> None:
     detector = load_detector(random_model(1, TINY_SEGMENT), image_size=96)
     image = ColourImage(np.random.default_rng(2).integers(0, 256, (*SIZE_HW, 3), np.uint8), "bgr")

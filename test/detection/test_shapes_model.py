@@ -36,6 +36,7 @@ def test_the_model_card_describes_this_file(weights_file: WeightsFile) -> None:
     assert weights_file.sha256 in (WEIGHTS / "README.md").read_text()
 
 
+@pytest.mark.long
 def test_unseen_stills_are_detected_with_few_errors(weights_file: WeightsFile) -> None:
     result = evaluate(_detector(weights_file, 320), stills(UNSEEN_SEED, IMAGES, (256, 320)))
     assert len(result.scores) + result.missed > 2 * IMAGES
@@ -44,6 +45,7 @@ def test_unseen_stills_are_detected_with_few_errors(weights_file: WeightsFile) -
     assert result.recall >= 0.95
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("size_hw", "image_size"),
     [

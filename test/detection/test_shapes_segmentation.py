@@ -39,6 +39,7 @@ def test_the_model_card_describes_this_file(weights_file: WeightsFile) -> None:
     assert weights_file.sha256 in (WEIGHTS / "README.md").read_text()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("size_hw", "image_size", "count"),
     [
@@ -55,6 +56,7 @@ def test_masks_in_unseen_stills_cover_their_shapes(
     assert result.mask_ious.mean() >= MIN_IOU
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("size_hw", "image_size"),
     [
@@ -72,6 +74,7 @@ def test_masks_of_moving_shapes_cover_them(
     assert result.mask_ious.mean() >= MIN_IOU
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("image_size", [320, 640])
 def test_the_detections_are_those_of_the_model_that_does_not_segment(
     weights_file: WeightsFile, detecting: Model, image_size: int
@@ -90,6 +93,7 @@ def test_the_detections_are_those_of_the_model_that_does_not_segment(
         np.testing.assert_allclose(segmented.boxes_xyxy, detected.boxes_xyxy, atol=0.01)
 
 
+@pytest.mark.long
 def test_an_empty_image_has_no_labels(weights_file: WeightsFile) -> None:
     detector = load_detector(weights_file.model, device="cpu", image_size=320)
     grey = ColourImage(np.full((480, 640, 3), 114, np.uint8), "rgb")

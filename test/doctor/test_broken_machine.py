@@ -23,6 +23,7 @@ GPU = {"/sys/bus/pci/devices/0000:01:00.0/vendor": "0x10de\n"}
 LIBRARY = "/usr/lib/x86_64-linux-gnu/libcuda.so."
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("files", "subject", "level", "found", "remedy"),
     [
@@ -108,6 +109,7 @@ def test_a_second_numpy_on_the_path_is_found(tmp_path: Path) -> None:
     assert of(rows, "packages").found == "numpy 1.21.0, expected 1.26 or newer"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("program", "found"),
     [
@@ -144,6 +146,7 @@ def test_pips_opencv_in_front_of_apts_is_found(tmp_path: Path) -> None:
     assert "then install opencv-python-headless" in row.remedy
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("files", "level", "found", "remedy"),
     [
@@ -191,6 +194,7 @@ def test_a_damaged_library_of_cuda_is_found(tmp_path: Path) -> None:
     assert "LD_LIBRARY_PATH" in row.remedy
 
 
+@pytest.mark.long
 def test_every_camera_gets_its_line(tmp_path: Path) -> None:
     devices = planted(tmp_path, {"/dev/video1": "no camera", "/dev/video10": "its second device"}) / "dev"
     planted(tmp_path, {"/sys/class/video4linux/video10/index": "1\n"})

@@ -38,6 +38,7 @@ def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixt
     return Examination("planted", "planted_checks", ENDLESS_S, "do this", "camera")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("broken", "found"),
     [

@@ -105,7 +105,7 @@ def test_the_end_of_the_doctor_ends_its_checks(tmp_path: Path) -> None:
         os.close(sending)
 
 
-@pytest.mark.long  # the whole command
+@pytest.mark.end_to_end
 def test_this_machine_passes_and_the_report_is_public() -> None:
     rows = doctor("--time", "600", environment={"USER": "ada-lovelace"})
     subjects = dict.fromkeys(row.subject for row in rows)

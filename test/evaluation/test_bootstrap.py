@@ -84,6 +84,7 @@ def without_detections_from(images: list[EvaluatedImage], first: int) -> list[Ev
     ]
 
 
+@pytest.mark.long
 def test_a_model_that_finds_less_is_worse_and_the_other_better() -> None:
     images = random_images(6, 60, noise=3)
     less = without_detections_from(images, 30)

@@ -25,6 +25,7 @@ from yolov5_lifecycle.evaluation.matching import match
 STRANGE = ("_hidden", "$x^", "猫", "a\nb\x1b[31m", "x" * 300)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("names", "images"),
     [

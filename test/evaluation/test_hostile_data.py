@@ -62,6 +62,7 @@ def test_labels_are_boxes_in_the_image_or_refused(text: str) -> None:
     assert len(refused) < 200
 
 
+@pytest.mark.long
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(content=COCO)
 def test_a_coco_file_has_boxes_of_known_classes_or_is_refused(content: object, tmp_path: Path) -> None:

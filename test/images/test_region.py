@@ -132,6 +132,7 @@ def test_a_polygon_whose_lines_meet_is_refused_and_no_other(listed: list[PointXY
         assert is_simple(listed)
 
 
+@pytest.mark.long
 @given(
     listed=st.lists(st.tuples(st.integers(0, 16), st.integers(0, 16)), min_size=3, max_size=9, unique=True),
     seed=st.integers(0, 1000),

@@ -85,16 +85,19 @@ def check_cost(architecture: Architecture, image_size: int = 320) -> None:
     assert cost.activation_bytes == pytest.approx(allocated_bytes(run), rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", EVERY_SIZE)
 def test_the_cost_of_each_size_is_what_torch_counts_and_allocates(size: str) -> None:
     check_cost(SIZES[size])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EVERY_FAMILY)
 def test_the_cost_of_each_family_is_what_torch_counts_and_allocates(name: str) -> None:
     check_cost(family_architecture(name))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("architecture", EVERY_SMALL.values(), ids=EVERY_SMALL)
 def test_the_arithmetic_of_every_kind_of_layer_is_what_torch_counts(architecture: Architecture) -> None:
     cost = cost_of(architecture, (64, 96))
@@ -150,6 +153,7 @@ def test_the_cost_is_one_line_for_people() -> None:
     assert str(dataclasses.replace(cost, activation_bytes=3_000_000_000)) == "4.5 GFLOPs, 3.0 GB at 640x640"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "architecture",
     [

@@ -88,6 +88,7 @@ JSON_LIKE = st.recursive(
 )
 
 
+@pytest.mark.long
 @given(value=JSON_LIKE)
 def test_anything_is_shown_in_one_short_line(value: object) -> None:
     text = shown(value)

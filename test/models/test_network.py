@@ -57,6 +57,7 @@ def test_names_and_shapes_are_those_of_the_official_checkpoint(size: str) -> Non
     assert (parameters, digest(network)) == OFFICIAL[size]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("size", "height", "width"),
     [("n", 32, 32), ("n", 96, 160), ("n6", 64, 192)],
@@ -92,6 +93,7 @@ def test_decoding_follows_the_formula() -> None:
     assert next(rows, None) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("architecture", [TINY, *EVERY_SMALL.values()], ids=["tiny", *EVERY_SMALL])
 @settings(max_examples=3)
 @given(seed=st.integers(0, 2**32 - 1))

@@ -107,6 +107,7 @@ def a_good_one(folder: Path) -> Path:
     return record(folder / "bag", [raw(0)], storage=MCAP)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "words", "told"),
     [

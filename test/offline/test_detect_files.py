@@ -51,6 +51,7 @@ def test_images_become_lines_and_annotated_images(tmp_path: Path, capsys: pytest
     assert cv2.imread(str(drawn / "0.png")).shape == (*SIZE_HW, 3)
 
 
+@pytest.mark.long
 def test_images_need_no_rosbags(tmp_path: Path) -> None:
     program = (
         "import sys; sys.modules['rosbags'] = None; "
@@ -62,6 +63,7 @@ def test_images_need_no_rosbags(tmp_path: Path) -> None:
     assert len(run.stdout.splitlines()) == COUNT
 
 
+@pytest.mark.long
 def test_the_command_ends_quietly_when_nobody_reads_its_lines(tmp_path: Path) -> None:
     reader, writer = os.pipe()
     os.close(reader)

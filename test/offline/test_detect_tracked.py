@@ -46,6 +46,7 @@ def tracked() -> list[Detections]:
     ]
 
 
+@pytest.mark.long
 @every_spelling
 def test_the_messages_of_a_recording_have_ids(words: list[str], drive: Path, tmp_path: Path) -> None:
     output = tmp_path / "found"

@@ -99,6 +99,7 @@ def test_every_assignment_that_cannot_be_read_is_named_at_once() -> None:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("camera", "seen", "unseen"), [("front", "star", "circle"), ("rear", "circle", "star")]
 )

@@ -34,6 +34,7 @@ def limited(max_bytes: int, *words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("storage", "told"),
     [
@@ -52,6 +53,7 @@ def test_a_recording_that_cannot_be_written_leaves_nothing(
     assert list(tmp_path.iterdir()) == [source]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "suffix",
     [".jpg", *(pytest.param(suffix, marks=pytest.mark.long) for suffix in (".png", ".bmp", ".webp", ".tif"))],
@@ -67,6 +69,7 @@ def test_a_small_annotated_image_that_cannot_be_written_leaves_nothing(suffix: s
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("max_bytes", [6_000, pytest.param(20_000, marks=pytest.mark.long)])
 @pytest.mark.parametrize("suffix", [".avi", ".mp4"])
 def test_an_annotated_video_that_cannot_be_written_leaves_nothing(

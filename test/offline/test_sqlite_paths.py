@@ -48,6 +48,7 @@ def test_a_path_with_two_slashes_in_front_is_no_host() -> None:
     assert f"file:{UriPath('//server/drive')}" == "file:%2F%2Fserver%2Fdrive"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_absolute", [False, True], ids=["relative", "absolute"])
 @pytest.mark.parametrize("output", ODD)
 def test_a_result_is_written_to_any_path(output: str, is_absolute: bool, drive: Path) -> None:
@@ -116,6 +117,7 @@ def test_a_name_that_metadata_cannot_hold_is_refused_at_once(
     assert list(tmp_path.iterdir()) == [source]
 
 
+@pytest.mark.long
 def test_the_results_of_many_recordings_may_be_anywhere(drive: Path) -> None:
     drive.rename("drive#1")
     record(Path("other#1"), [raw(0)], storage=MCAP)

@@ -63,6 +63,7 @@ def run_without(modules: tuple[str, ...], command: str, *words: str) -> subproce
     return subprocess.run(arguments, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ARGUMENTS)
 def test_a_command_shows_its_help_without_the_libraries_that_it_needs(command: str) -> None:
     run = run_without(("cv2", "rosbags", "torch"), command, "--help")
@@ -76,6 +77,7 @@ def test_wrong_arguments_are_told_before_missing_libraries() -> None:
     assert "`detect_bag --help` explains all arguments" in run.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("command", "module", "words"),
     [("detect_bag", "cv2", ["drive"]), ("convert", "torch", ["a.pt", "b.safetensors"])],

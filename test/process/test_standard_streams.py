@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from support.detector_process import NODE, environment
+from support.started import started
 
 from yolov5_lifecycle.ros.demo.child_process import entry_point
 from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
@@ -34,6 +35,7 @@ def test_an_output_that_cannot_be_written_is_said_in_one_line(command: str, is_b
     assert (run.returncode, run.stderr) == (1, reason)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["fetch_weights", "detector"])
 def test_a_closed_pipe_ends_the_command_silently(command: str) -> None:
     reading, writing = os.pipe()
@@ -50,9 +52,10 @@ def test_a_closed_pipe_ends_the_command_silently(command: str) -> None:
     assert (run.returncode, run.stderr) == (141, "")
 
 
+@pytest.mark.long
 def test_a_node_goes_on_when_nobody_reads_its_log(ros_domain: int) -> None:
     """As in `detector 2>&1 | head -1`."""
-    with subprocess.Popen(
+    with started(
         [entry_point("detector")],
         env=environment(ros_domain),
         stdout=subprocess.PIPE,
@@ -68,7 +71,7 @@ def test_a_node_goes_on_when_nobody_reads_its_log(ros_domain: int) -> None:
 @pytest.mark.parametrize("closing_words", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_node_does_its_work_with_closed_streams(ros_domain: int, closing_words: str) -> None:
     command = ["sh", "-c", f'exec "$0" {closing_words}', entry_point("detector")]
-    with subprocess.Popen(
+    with started(
         command, env=environment(ros_domain), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
         still_served_then_ended(process, ros_domain)

@@ -199,6 +199,7 @@ def recall(model: PreparedModel) -> float:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("spoilt", cases(*_SOON))
 def test_auto_uses_fp32_instead_of_an_absurd_calibration_and_says_why(
     spoilt: Callable[[Calibration], Calibration],
@@ -215,6 +216,7 @@ def test_auto_uses_fp32_instead_of_an_absurd_calibration_and_says_why(
     assert recall(model) >= 0.9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("spoilt", cases("ranges of 1e9"))
 def test_int8_with_an_absurd_calibration_is_refused_with_the_command_to_type(
     spoilt: Callable[[Calibration], Calibration], honest: Calibration, weights: Path
@@ -225,12 +227,14 @@ def test_int8_with_an_absurd_calibration_is_refused_with_the_command_to_type(
     assert str(refusal.value).startswith(f"{path_beside(weights)}: ")
 
 
+@pytest.mark.long
 def test_auto_uses_int8_with_an_honest_calibration(honest: Calibration, weights: Path) -> None:
     model = prepared(weights, honest)
     assert model.facts["precision"] == "int8"
     assert recall(model) >= 0.9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("image_size", [64, 320, pytest.param(640, marks=pytest.mark.long)])
 def test_int8_with_an_honest_calibration_is_used_at_every_size(image_size: int) -> None:
     detector = load_model(SHAPES, precision="int8", device="cpu", image_size=image_size)
@@ -253,6 +257,7 @@ FAMILIES: dict[str, Architecture] = {"tiny": TINY, "tiny with masks": TINY_SEGME
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     "architecture",
@@ -310,6 +315,7 @@ def test_the_generated_image_is_always_the_same() -> None:
     assert contrast_card(FRAME_HW).std() > 60
 
 
+@pytest.mark.long
 def test_an_honest_calibration_has_no_deviation(honest: Calibration) -> None:
     model = load_weights(SHAPES).model
     int8 = load_runtime(model, "openvino", device="cpu", precision="int8", quantization=honest.quantization)
@@ -317,6 +323,7 @@ def test_an_honest_calibration_has_no_deviation(honest: Calibration) -> None:
     int8.close()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("int8_ms", "precision"),
     [pytest.param(1.0, "int8", id="faster"), pytest.param(1e5, "fp32", id="slower")],

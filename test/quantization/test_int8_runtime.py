@@ -60,6 +60,7 @@ def test_the_committed_calibration_is_good(calibration: Calibration, weights: We
     assert calibration.detections >= 50
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("image_size", "kind"),
     [
@@ -96,6 +97,7 @@ def of_ranges(high: float) -> Quantization:
     return Quantization(read, frozenset(), 8)
 
 
+@pytest.mark.long
 def test_compiled_models_are_cached_for_their_precision_and_ranges() -> None:
     found = []
     for quantization in (None, of_ranges(2.0), of_ranges(20.0), of_ranges(2.0), None):
@@ -178,6 +180,7 @@ def test_a_calibration_outside_the_allowed_folders_is_refused(copied: Path) -> N
     assert "does not lie in a folder" in model.facts["precision choice"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
@@ -197,6 +200,7 @@ def test_auto_stays_fp32_and_says_why(content: bytes | None, reason: str, copied
     model.close()
 
 
+@pytest.mark.long
 def test_int8_is_among_the_facts(copied: Path) -> None:
     shutil.copy(path_beside(SHAPES), path_beside(copied))
     model = prepare_model(

@@ -147,6 +147,7 @@ LOADER_LEFT = "a model is still being loaded or freed: its thread is abandoned"
 INFERENCE_LEFT = "inference has still not finished: its thread is abandoned"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("script", "come_to", "ending", "models", "left"),
     [
@@ -178,6 +179,7 @@ def test_a_signal_releases_every_model_and_ends_the_process_whatever_hangs(
     assert "Traceback" not in process.output
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "signal_number"),
     [
@@ -213,6 +215,7 @@ detector.main([])
 """
 
 
+@pytest.mark.long
 def test_a_signal_before_the_first_callback_ends_the_process_silently(ros_domain: int) -> None:
     command = [sys.executable, "-c", ENDED_BEFORE_THE_FIRST_TURN]
     with ChildProcess("detector", command, environment(ros_domain)) as process:

@@ -14,6 +14,7 @@ from support.colcon_workspace import REPOSITORY
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
@@ -64,6 +65,7 @@ def test_too_few_threads_are_said_in_one_line(command: str, user: int) -> None:
     assert "threads are needed, 1 can be started: raise the limit of processes (`ulimit -u`" in line
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("command", "package"),
     [

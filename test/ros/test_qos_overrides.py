@@ -53,6 +53,7 @@ def started(*arguments: str) -> Iterator[LifecycleNode]:
     rclpy.shutdown(context=context)
 
 
+@pytest.mark.long
 def test_qos_overrides_of_a_parameter_file_apply_in_every_cycle_of_a_process(
     ros_domain: int, tmp_path: Path
 ) -> None:

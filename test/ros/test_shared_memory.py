@@ -110,6 +110,7 @@ def _mount(size: str, command: list[str]) -> str:
     return f"mount -t tmpfs -o size={size} tmpfs /dev/shm && exec {shlex.join(command)}"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "ready"), [("detector", "next step: "), ("camera", "KiB free")])
 def test_a_process_with_too_little_says_so_and_works(
     small: list[str], ros_domain: int, name: str, ready: str

@@ -52,6 +52,7 @@ def record_name(tmp_path_factory: pytest.TempPathFactory) -> str:
     return record.name
 
 
+@pytest.mark.long
 @needs_choice
 def test_every_installed_runtime_is_measured_and_the_fastest_taken(tmp_path: Path) -> None:
     choice = choose_runtime(
@@ -103,6 +104,7 @@ def test_what_was_measured_is_remembered_for_the_size_of_frame(tmp_path: Path) -
     assert chosen(tmp_path, (96, 64)).reason.endswith("; measured now")
 
 
+@pytest.mark.long
 @needs_choice
 @pytest.mark.parametrize(
     "content",
@@ -128,6 +130,7 @@ def test_a_damaged_record_is_measured_again_and_replaced(
     assert chosen(tmp_path).reason.endswith(f"; cached in {record}")
 
 
+@pytest.mark.long
 @needs_choice
 @pytest.mark.parametrize("make", SPECIAL_CACHE_FILES.values(), ids=SPECIAL_CACHE_FILES)
 def test_what_is_no_record_is_replaced(
@@ -264,6 +267,7 @@ MERE_FOLDER = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("runtime", "preparation"),
     [
@@ -288,6 +292,7 @@ def test_a_runtime_that_is_not_installed_says_how_to_install_it(runtime: str, pr
     assert f"{sys.executable} -m pip install {' '.join(REQUIREMENTS[runtime])}, or use 'auto'" in run.stderr
 
 
+@pytest.mark.long
 def test_a_runtime_that_fails_when_imported_is_not_chosen_and_says_why(tmp_path: Path) -> None:
     """As ONNX Runtime compiled for another numpy; in a process of its own, where that module comes first."""
     broken = tmp_path / "onnxruntime" / "__init__.py"

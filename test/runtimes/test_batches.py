@@ -36,6 +36,7 @@ def rows_of(
     return [predictions.rows for predictions in runtime.run_batch(frames, orders, least)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_every_frame_has_the_predictions_of_a_run_with_it_alone(count: int, runtime: Runtime) -> None:
     frames = different_frames(count)
@@ -92,6 +93,7 @@ def test_frames_of_another_shape_than_the_stride_allows_are_an_inference_error(r
         loaded(runtime_name).run_batch([random_frame(72, 96)] * 2, ["rgb"] * 2, [0.0] * 2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime_name", COMPILED_RUNTIMES)
 def test_a_batch_is_compiled_once_and_kept_on_disk_by_itself(
     runtime_name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -57,6 +57,7 @@ def assert_same_predictions(raw: NDArray[np.float32], expected: NDArray[np.float
     np.testing.assert_allclose(raw[:, 4:], expected[:, 4:], rtol=0, atol=SCORES)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size_hw", [(64, 128), (64, 64), (192, 64)], ids=str)
 @pytest.mark.parametrize(
     "architecture",
@@ -94,6 +95,7 @@ def test_a_trained_model_finds_in_a_scene_what_it_finds_in_torch(
     assert len(found) >= len(truth.class_ids) - 1 > 0
 
 
+@pytest.mark.long
 def test_sizes_may_alternate_without_end(runtime_name: str) -> None:
     model = random_model(2)
     runtime, torch_runtime = loaded(model, runtime_name), loaded(model, "torch")

@@ -176,6 +176,7 @@ def predictions(model: Model, runtime_name: str, frame: NDArray[np.uint8] = FRAM
     return rows
 
 
+@pytest.mark.long
 def test_other_weights_sizes_and_architectures_are_compiled_by_themselves(
     runtime_name: str, cache: Path
 ) -> None:
@@ -192,6 +193,7 @@ def test_other_weights_sizes_and_architectures_are_compiled_by_themselves(
     assert len(list(cache.iterdir())) == 4
 
 
+@pytest.mark.long
 def test_a_second_load_runs_what_the_first_has_compiled(runtime_name: str, cache: Path) -> None:
     one, other = random_model(1), random_model(2)
     expected = predictions(one, runtime_name)
@@ -205,6 +207,7 @@ def test_a_second_load_runs_what_the_first_has_compiled(runtime_name: str, cache
     assert not np.allclose(predictions(other, runtime_name), predictions(other, "torch"), atol=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("part", ["processor", "installed_build"])
 def test_another_processor_or_build_is_compiled_for_by_itself(
     part: str, runtime_name: str, cache: Path, monkeypatch: pytest.MonkeyPatch
@@ -215,6 +218,7 @@ def test_another_processor_or_build_is_compiled_for_by_itself(
     assert len(list(cache.iterdir())) == 2
 
 
+@pytest.mark.long
 def test_a_compiled_model_that_cannot_be_run_is_recompiled(
     runtime_name: str, cache: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -227,6 +231,7 @@ def test_a_compiled_model_that_cannot_be_run_is_recompiled(
     assert caplog.text.count("because the cached one cannot be loaded: ") == 1
 
 
+@pytest.mark.long
 def test_a_machine_without_a_place_for_files_compiles_every_time(
     runtime_name: str, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,6 +28,7 @@ def expected(frame: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(coarsest[0].numpy().mean(axis=(1, 2)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime_name", EVERY_RUNTIME)
 def test_an_embedding_is_the_mean_of_the_coarsest_features_of_its_frame(runtime_name: str) -> None:
     runtime = load_runtime(random_model(1), runtime_name, device="cpu", precision="fp32")

@@ -64,6 +64,7 @@ def test_a_closed_runtime_says_so_and_may_be_closed_again(runtime: Runtime) -> N
         runtime.run_batch([random_frame()] * 2, ["rgb"] * 2, [0.0] * 2)
 
 
+@pytest.mark.long
 def test_a_twin_gives_the_same_predictions_at_the_same_time(runtime: Runtime) -> None:
     """With one network for both threads, OpenVINO raises and ONNX Runtime gives wrong numbers."""
     frames = [np.roll(random_frame(), shift, axis=0) for shift in range(4)]
@@ -80,6 +81,7 @@ def test_a_twin_gives_the_same_predictions_at_the_same_time(runtime: Runtime) ->
         assert list(threads.map(run, (runtime, runtime.twin()))) == [True, True]
 
 
+@pytest.mark.long
 def test_a_twin_outlives_the_runtime_that_it_comes_from(runtime: Runtime) -> None:
     expected, twin = runtime(random_frame(), "rgb").rows, runtime.twin()
     runtime.close()
@@ -88,6 +90,7 @@ def test_a_twin_outlives_the_runtime_that_it_comes_from(runtime: Runtime) -> Non
         runtime.twin()
 
 
+@pytest.mark.long
 def test_lanes_give_the_same_predictions_at_the_same_time(runtime: Runtime) -> None:
     frames = [np.roll(random_frame(), shift, axis=0) for shift in range(4)]
     first, *others = runtime.lanes(3, threads=1)
@@ -105,6 +108,7 @@ def test_lanes_give_the_same_predictions_at_the_same_time(runtime: Runtime) -> N
         assert list(threads.map(run, (first, *others))) == [True, True, True]
 
 
+@pytest.mark.long
 def test_lanes_are_closed_one_by_one_and_outlive_the_runtime_that_they_come_from(runtime: Runtime) -> None:
     left, right = runtime.lanes(2, threads=1)
     expected = left(random_frame(), "rgb").rows
@@ -175,6 +179,7 @@ def test_a_thread_that_begins_while_a_lane_runs_has_all_threads_for_the_whole_ne
         assert later.submit(torch.get_num_threads).result() == before
 
 
+@pytest.mark.long
 def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(
     runtime_name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,6 +14,7 @@ RUNTIMES = [_FIRST, *(pytest.param(*each.values, marks=[*each.marks, pytest.mark
 """The ten official networks are compared in every runtime soon, see test_formula_predictions.py."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EVERY_FAMILY)
 @pytest.mark.parametrize("runtime_name", RUNTIMES)
 def test_a_compiled_network_predicts_what_the_official_one_predicts(runtime_name: str, name: str) -> None:

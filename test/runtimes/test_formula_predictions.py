@@ -23,6 +23,7 @@ def test_torch_predicts_what_the_official_network_predicts(size: str) -> None:
     expected.check(runtime(cast("NDArray[np.uint8]", frame), "rgb").rows)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", EVERY_SIZE)
 @pytest.mark.parametrize("runtime_name", COMPILED_RUNTIMES)
 def test_a_compiled_network_predicts_what_the_official_one_predicts(runtime_name: str, size: str) -> None:

@@ -49,6 +49,7 @@ def test_a_colour_frame_is_turned_grey_for_a_grey_network(grey_runtime: Runtime)
     np.testing.assert_array_equal(grey_runtime(frame[..., ::-1].copy(), "bgr").rows, expected)
 
 
+@pytest.mark.long
 def test_frames_of_both_kinds_may_be_in_one_batch(grey_runtime: Runtime) -> None:
     orders: list[Order] = ["grey", "rgb"]
     batch = grey_runtime.run_batch([GREY, random_frame()], orders, [0.0, 0.0])
@@ -56,6 +57,7 @@ def test_frames_of_both_kinds_may_be_in_one_batch(grey_runtime: Runtime) -> None
         np.testing.assert_allclose(predictions.rows, grey_runtime(GREY, "grey").rows, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.long
 def test_a_detector_sees_the_same_in_an_image_however_it_is_encoded(grey_runtime: Runtime) -> None:
     detector = Detector(grey_runtime, class_names=("cat", "dog", "cow"), image_size=96, stride=32)
     height, width = GREY.shape

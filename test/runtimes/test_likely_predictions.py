@@ -55,6 +55,7 @@ def places(rows: NDArray[np.float32], every_row: NDArray[np.float32]) -> list[in
     return [int(place) for place in distances.argmin(axis=1)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rank", [0, 5, 100, -1], ids=lambda rank: f"rank {rank}")
 def test_all_that_are_likely_enough_are_given_in_their_order_and_few_others(
     rank: int, runtime: Runtime, every_row: NDArray[np.float32]
@@ -83,6 +84,7 @@ def test_all_are_given_to_who_asks_for_no_objectness(
     np.testing.assert_allclose(runtime(FRAME, "rgb").rows, every_row, rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.long
 @settings(max_examples=30, deadline=None)
 @given(
     threshold=st.floats(0, 1),
@@ -102,6 +104,7 @@ def test_detections_and_the_best_that_was_missed_are_those_of_all_predictions(
     assert found.best_missed == pytest.approx(expected.best_missed, abs=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("key", "place", "value"),
     [

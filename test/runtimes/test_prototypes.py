@@ -43,6 +43,7 @@ def expected(frame: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.
         return network.predictions(features)[0].numpy(), network.head.proto(features[0])[0].numpy()
 
 
+@pytest.mark.long
 def test_prototypes_and_coefficients_are_those_of_the_network(runtime: Runtime) -> None:
     for frame in FRAMES:
         rows, wanted = expected(frame)
@@ -56,6 +57,7 @@ def test_prototypes_and_coefficients_are_those_of_the_network(runtime: Runtime) 
         assert wanted.std() > 0.1
 
 
+@pytest.mark.long
 def test_each_frame_of_a_batch_has_its_own(runtime: Runtime) -> None:
     batch = runtime.run_batch(FRAMES, ["rgb"] * 3, [0.0] * 3)
     found = [prototypes(predictions) for predictions in batch]  # those of one outlive those of the next
@@ -85,6 +87,7 @@ def test_a_network_that_detects_has_none(runtime_name: str) -> None:
     assert runtime(FRAMES[0], "rgb").compute_prototypes is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime_name", COMPILED_RUNTIMES)
 def test_their_part_of_the_network_is_compiled_when_it_is_used_first_and_kept(
     runtime_name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -21,6 +21,7 @@ ONNX Runtime for Python 3.10 (1.23) takes 1.8, later ones 1.45.
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime", EVERY_RUNTIME)
 def test_a_runtime_needs_the_memory_that_was_computed_before(runtime: str, tmp_path: Path) -> None:
     measured = subprocess.run(

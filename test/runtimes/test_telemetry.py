@@ -25,6 +25,7 @@ sys.exit(repr(seen) if seen else 0)
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
 def test_a_runtime_is_imported_without_telemetry(runtime: str, tmp_path: Path) -> None:
     if runtime not in installed_runtimes():

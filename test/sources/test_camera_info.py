@@ -38,6 +38,7 @@ def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.
     assert read_camera_info("package://my_robot/lens.yaml").size_hw == (480, 640)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [

@@ -38,6 +38,7 @@ def _slowly(shapes: list[Shape], size_hw: tuple[int, int]) -> NDArray[np.uint16]
     return labels
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "centre_xy",
     [
@@ -57,6 +58,7 @@ def test_the_pixels_of_a_shape_are_those_whose_centres_its_outline_encloses(
     np.testing.assert_array_equal(labels, _slowly([shape], SIZE_HW))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_scenes_are_labelled_like_pixel_by_pixel(seed: int) -> None:
     size_hw = (64, 80)

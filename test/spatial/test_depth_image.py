@@ -46,6 +46,7 @@ def all_metres(depth: DepthImage) -> NDArray[np.float32]:
     return depth.metres_at(np.arange(height)[:, None], np.arange(width)[None, :])
 
 
+@pytest.mark.long
 @both_encodings
 @both_orders
 @given(

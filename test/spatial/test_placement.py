@@ -67,6 +67,7 @@ def centre_errors(difficulty: str, shapes: tuple[Shape, ...]) -> NDArray[np.floa
     return np.array([error_of(scene) for scene in scenes])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shapes", [SOLID, THIN], ids=["solid", "thin"])
 @pytest.mark.parametrize("difficulty", DIFFICULTIES)
 def test_the_median_error_of_the_centre_is_at_most_2_percent_of_the_range(
@@ -75,6 +76,7 @@ def test_the_median_error_of_the_centre_is_at_most_2_percent_of_the_range(
     assert np.median(centre_errors(difficulty, shapes)) <= 0.02
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("difficulty", "shapes"),
     [
@@ -92,6 +94,7 @@ def test_95_of_100_centres_are_at_most_5_percent_of_the_range_away(
     assert np.quantile(centre_errors(difficulty, shapes), 0.95) <= 0.05
 
 
+@pytest.mark.long
 def test_95_of_100_centres_of_all_scenes_together_are_at_most_5_percent_of_the_range_away() -> None:
     errors = [centre_errors(name, shapes) for name in list(DIFFICULTIES)[:3] for shapes in (SOLID, THIN)]
     assert np.quantile(np.concatenate(errors), 0.95) <= 0.05
@@ -110,10 +113,12 @@ def test_on_a_floor_the_median_error_of_the_centre_is_at_most_2_percent_of_the_r
     assert np.median(floor_errors(kind, is_ideal=True)) <= 0.02
 
 
+@pytest.mark.long
 def test_as_measured_the_median_error_on_a_floor_is_at_most_2_percent_of_the_range() -> None:
     assert np.median([floor_errors(kind, is_ideal=False) for kind in KINDS]) <= 0.02
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_ideal", [True, False], ids=["ideal depth", "as measured"])
 def test_95_of_100_centres_of_solids_on_a_floor_are_at_most_5_percent_of_the_range_away(
     is_ideal: bool,
@@ -262,6 +267,7 @@ def near(found: tuple[Placement, ...], other: tuple[Placement, ...], *, scale: f
     )
 
 
+@pytest.mark.long
 @given(seed=st.integers(0, 5), boxes_xyxy=several_boxes)
 @settings(max_examples=25)
 def test_encoding_and_byte_order_change_nothing(seed: int, boxes_xyxy: Boxes) -> None:

@@ -33,6 +33,7 @@ from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.ros.detector.node import DetectorNode
+from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 from yolov5_lifecycle.ros.parameters.settings_parameters import Validate
 from yolov5_lifecycle.settings.settings import validated
 
@@ -63,6 +64,7 @@ class ServedNode:
         parameters: Sequence[str] = (),
         arguments: Sequence[str] = (),
         validate: Validate = validated,
+        rest_timeout_s: float = REST_TIMEOUT_S,
     ) -> None:
         """`parameters` are `name:=value`; `arguments` are further words of the command line."""
         # A node of an earlier test, still in a reference cycle, would keep the publisher of /rosout, which
@@ -73,7 +75,13 @@ class ServedNode:
         assignments = [word for parameter in parameters for word in ("-p", parameter)]
         words = [*arguments, *(["--ros-args", *assignments] if assignments else [])]
         self.node = DetectorNode(
-            prepare=prepare, validate=validate, context=self._context, cli_args=words, arguments=words
+            prepare=prepare,
+            validate=validate,
+            rest_timeout_s=rest_timeout_s,
+            diagnostics_period_s=0.1,
+            context=self._context,
+            cli_args=words,
+            arguments=words,
         )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -111,6 +119,7 @@ class ServedNode:
     def __exit__(self, *_: object) -> None:
         self._stopping = True
         self._thread.join(PATIENCE_S)
+        assert not self._thread.is_alive(), "a callback of the node hangs: destroying the node would crash"
         self.node.close()
         self.client.destroy_node()
         for executor in (self._executor, self._client_executor):

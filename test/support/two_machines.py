@@ -15,6 +15,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from support.detector_process import NODE, PARAMETERS, SEED, DetectorProcess, as_arguments, is_balanced
+from support.started import started
 from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.observer import Observer
 
@@ -46,7 +47,7 @@ def run(machine: Machine, command: str) -> str:
 def machine_beyond_a_cable() -> Iterator[Machine]:
     """Namespaces beside those of this process, as long as the block."""
     command = ["unshare", "--net", "--mount", "sh", "-c", "echo there && exec cat"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+    with started(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "there\n"
         there = ["nsenter", f"--target={holder.pid}", "--net", "--mount"]

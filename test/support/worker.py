@@ -22,8 +22,8 @@ _WORKER_BYTES = 2 << 30
 
 
 def suitable_count() -> int:
-    """How many workers this machine has room for: two for each core, as tests of nodes mostly wait."""
-    return max(1, min(2 * _cores(), _available_bytes() // _WORKER_BYTES, _MAX_COUNT))
+    """How many workers this machine has room for: one more than cores, as tests of nodes also wait."""
+    return max(1, min(_cores() + 1, _available_bytes() // _WORKER_BYTES, _MAX_COUNT))
 
 
 def _available_bytes() -> int:
@@ -50,6 +50,7 @@ def worker_domain() -> Iterator[int]:
     next test has another domain. The last domains come first, as `demo` takes the first free one.
     """
     gc.collect()
+    gc.freeze()  # what is left lives long: later collections need not look at it
     domains = DOMAINS[-1 - _NUMBER :: -_COUNT]
     turn = next(_TURNS) % len(domains)
     with own_domain([*domains[turn:], *domains[:turn]]) as domain:

@@ -20,6 +20,8 @@ from benchmark.tracking.rendering import rendered, shapes_detector
 from benchmark.tracking.scenes import MIN_VISIBLE, SCENES, STILL_SCENES, crossings, occlusions, returns
 from benchmark.tracking.times import camera_times_ms, update_times_ms
 
+pytestmark = pytest.mark.long
+
 CROWDED = ["crossings", "occlusions", "returns", "crowd"]
 
 

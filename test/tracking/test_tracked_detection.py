@@ -70,6 +70,7 @@ def found_in(
     return [tracking.detect(detector, IMAGE, selection, number / 10) for number in range(len(images))]
 
 
+@pytest.mark.long
 @given(
     listed=st.lists(st.lists(rows, max_size=8), min_size=1, max_size=4),
     selection=st.builds(

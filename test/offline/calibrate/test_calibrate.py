@@ -127,6 +127,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.end_to_end
 @needs_openvino
 def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
     folder: Path, capsys: pytest.CaptureFixture[str]
@@ -146,6 +147,7 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
     detector.close()
 
 
+@pytest.mark.long
 @needs_openvino
 @pytest.mark.parametrize(
     ("arguments", "problem"),

@@ -197,6 +197,7 @@ def _crowds(data: Path) -> Path:
     return path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -217,6 +218,7 @@ def calibrate(data: Path, output: Path, *words: str) -> int:
     return main([WEIGHTS, str(data), "--image-size", "320", "-o", str(output), *words])
 
 
+@pytest.mark.long
 @needs_openvino
 def test_the_loss_is_written_and_reported(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -55,6 +55,7 @@ def evaluated(data: Path) -> Path:
     return folder
 
 
+@pytest.mark.end_to_end
 def test_the_embedded_model_finds_the_shapes(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert evaluate(data) == 0
     output, error = capsys.readouterr()
@@ -81,6 +82,7 @@ def test_the_embedded_model_finds_the_shapes(data: Path, capsys: pytest.CaptureF
     assert 0.7 < ap50_95 < ap50
 
 
+@pytest.mark.long
 def test_the_report_has_all_figures(evaluated: Path, data: Path) -> None:
     assert sorted(file.name for file in evaluated.iterdir()) == FILES
     report = report_of(evaluated)
@@ -103,6 +105,7 @@ def test_the_report_has_all_figures(evaluated: Path, data: Path) -> None:
     assert report["confusion_matrix"]["objects"] == [*CLASS_NAMES, "no object"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in FILES if name.endswith(".png")])
 def test_a_curve_is_a_picture_with_something_on_it(name: str, evaluated: Path) -> None:
     picture = cv2.imread(str(evaluated / name))
@@ -110,6 +113,7 @@ def test_a_curve_is_a_picture_with_something_on_it(name: str, evaluated: Path) -
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
 
 
+@pytest.mark.long
 def test_the_written_detections_have_the_reported_precision(evaluated: Path) -> None:
     truth = COCO(str(evaluated / "ground_truth.json"))
     evaluation = COCOeval(truth, truth.loadRes(str(evaluated / "detections.json")), "bbox")
@@ -136,6 +140,7 @@ def test_detections_above_the_threshold_are_those_of_the_node(evaluated: Path, d
         assert sorted(scores) == pytest.approx(sorted(found.scores.tolist()), rel=1e-5)
 
 
+@pytest.mark.long
 def test_coco_and_yolo_give_the_same_figures(evaluated: Path, data: Path, tmp_path: Path) -> None:
     assert evaluate(as_coco(data), "--output", str(tmp_path / "coco")) == 0
     of_yolo, of_coco = report_of(evaluated), report_of(tmp_path / "coco")
@@ -155,6 +160,7 @@ def test_a_recording_is_evaluated_without_ros(tmp_path: Path, capsys: pytest.Cap
     assert report["all"]["recall"] > 0.8
 
 
+@pytest.mark.long
 def test_another_image_size_is_compared_class_by_class(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -173,6 +179,7 @@ def test_another_image_size_is_compared_class_by_class(
     assert written
 
 
+@pytest.mark.long
 def test_the_same_model_is_no_better_than_itself(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert evaluate(data, "--compare", WEIGHTS) == 0
     rows = [line for line in capsys.readouterr().out.splitlines() if " mAP@50 " in line and "to" in line]
@@ -180,6 +187,7 @@ def test_the_same_model_is_no_better_than_itself(data: Path, capsys: pytest.Capt
     assert all(line.endswith("no difference shown") for line in rows)
 
 
+@pytest.mark.long
 def test_printed_thresholds_are_parameters_that_do_what_they_say(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -200,6 +208,7 @@ def test_printed_thresholds_are_parameters_that_do_what_they_say(
     assert reached["precision"] == pytest.approx(chosen["all"]["precision"])
 
 
+@pytest.mark.long
 def test_only_the_classes_that_are_set_are_evaluated(data: Path, tmp_path: Path) -> None:
     assert evaluate(data, "--set", "classes=[star, circle]", "--output", str(tmp_path / "out")) == 0
     report = report_of(tmp_path / "out")
@@ -208,6 +217,7 @@ def test_only_the_classes_that_are_set_are_evaluated(data: Path, tmp_path: Path)
     assert report["all"]["objects"] == sum(row["objects"] for row in report["classes"])
 
 
+@pytest.mark.long
 def test_classes_are_compared_by_name(data: Path, tmp_path: Path) -> None:
     """The data set has other ids than the model, and one more class."""
     changed = tmp_path / "changed"
@@ -250,6 +260,7 @@ def test_folders_need_no_rosbags_and_the_folders_of_matplotlib_are_left_alone(
     assert report_of(tmp_path / "out")["data"]["images"] == 24
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("module", "words"), [("pycocotools", []), ("matplotlib", ["--output", "out"])])
 def test_a_missing_package_is_named_with_the_remedy(
     module: str, words: list[str], data: Path, tmp_path: Path

@@ -50,6 +50,7 @@ def spoil(data: Path) -> None:
     (images / "list.txt").write_text("no image either")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["YOLO", "COCO"])
 def test_broken_images_and_labels_are_listed_counted_and_left_out(
     kind: str, data: Path, capsys: pytest.CaptureFixture[str]
@@ -159,6 +160,7 @@ def damaged(folder: Path) -> Path:
     return folder / "drive.mcap"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "words", "reason"),
     [
@@ -199,6 +201,7 @@ def test_data_of_which_nothing_can_be_used_ends_it_with_a_reason(
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
@@ -231,6 +234,7 @@ def test_a_wrong_argument_ends_it_with_a_reason(
     assert list(data.parent.iterdir()) == [data]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
@@ -278,6 +282,7 @@ def test_an_interrupt_leaves_nothing_half_written(data: Path, capsys: pytest.Cap
     assert list(data.parent.iterdir()) == [data]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["best #2.safetensors", "best: 2.safetensors", "[1].safetensors"])
 def test_the_name_of_a_weights_file_is_not_interpreted(
     name: str, data: Path, monkeypatch: pytest.MonkeyPatch

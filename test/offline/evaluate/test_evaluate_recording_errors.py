@@ -64,6 +64,7 @@ def test_broken_detections_of_a_recording_are_refused(
     assert "none of 3 messages on /yolov5/detections can be used. 3 broken labels\n" in error
 
 
+@pytest.mark.long
 def test_without_label_info_the_classes_are_those_that_occur(tmp_path: Path) -> None:
     drive = labelled_drive(tmp_path / "drive", class_names=None, change=without_stars)
     assert evaluate(drive, "--topic", TOPIC, "--output", str(tmp_path / "out")) == 0
@@ -127,6 +128,7 @@ def test_detections_with_the_same_stamp_label_no_image(
     assert "none of 3 messages on /yolov5/detections can be used. 2 broken labels\n" in error
 
 
+@pytest.mark.long
 def test_an_image_that_repeats_a_stamp_is_counted_and_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -144,6 +146,7 @@ def test_the_classes_are_those_of_the_node_that_published_the_detections(tmp_pat
     assert report_of(tmp_path / "out")["data"]["problems"]["counts"] == {}
 
 
+@pytest.mark.long
 def test_the_classes_of_other_nodes_are_not_used(tmp_path: Path) -> None:
     drive = labelled_drive(
         tmp_path / "drive", class_names=["unicorn"], other_names=["face"], topics=("/corrected",)

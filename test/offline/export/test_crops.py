@@ -126,6 +126,7 @@ def test_a_disk_that_is_nearly_full_is_left_alone(tmp_path: Path) -> None:
     assert names(tmp_path) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("output", "folder"),
     [("found.jsonl", "found_crops"), ("found", "found_crops"), ("found.yolo", "found_crops")],

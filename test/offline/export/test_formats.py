@@ -107,6 +107,7 @@ def test_every_format_is_read_here() -> None:
     assert READ.keys() == FORMATS.keys()
 
 
+@pytest.mark.long
 @each_source
 @pytest.mark.parametrize("suffix", READ)
 def test_a_format_has_the_detections_of_the_lines(
@@ -126,6 +127,7 @@ def test_a_format_has_the_detections_of_the_lines(
     assert sorted(one.name for one in tmp_path.iterdir()) == sorted([path.name, lines.name, output.name])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("source", "identity", "values"),
     [
@@ -266,6 +268,7 @@ def interrupted() -> Prepare:
     return prepare
 
 
+@pytest.mark.long
 @each_source
 @pytest.mark.parametrize("suffix", ["", *READ])
 def test_an_interrupted_export_leaves_nothing(

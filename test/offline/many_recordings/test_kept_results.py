@@ -91,6 +91,7 @@ def test_an_empty_folder_of_the_user_stays(drives: Path, tmp_path: Path) -> None
     assert tmp_path.is_dir()
 
 
+@pytest.mark.long
 def test_another_calibration_makes_other_results(drives: Path, tmp_path: Path) -> None:
     embedded = Path(plan_for(tmp_path).weights)
     weights = Path(shutil.copy(embedded, tmp_path))

@@ -98,6 +98,7 @@ def run(folder: Path, notes: Notes) -> Tally:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "lie",
     [

@@ -26,6 +26,7 @@ from support.many_recordings import (
     record_drives,
 )
 from support.recorded_scene import COUNT, raw, record
+from support.started import started
 
 from yolov5_lifecycle.atomic_file import has_unfinished_outputs
 from yolov5_lifecycle.offline.detect_bag import EXIT_SET_ASIDE, main
@@ -76,6 +77,7 @@ def identities(folder: Path) -> dict[str, int]:
     return {path.name: path.stat().st_ino for path in folder.iterdir() if path.is_dir()}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", LENGTHS)
 def test_each_result_is_that_of_a_single_run(name: str, drives: Path, found: Path, tmp_path: Path) -> None:
     assert run([str(drives / name), "--output", str(tmp_path / name), *SET_MODEL]) == 0
@@ -84,6 +86,7 @@ def test_each_result_is_that_of_a_single_run(name: str, drives: Path, found: Pat
     assert {path.name for path in (found / name).iterdir()} == files | {RECORD_NAME}
 
 
+@pytest.mark.long
 def test_the_folder_of_results_has_nothing_else(found: Path) -> None:
     assert {path.name for path in found.iterdir()} == {*LENGTHS, "summary.json", "summary.parquet"}
 
@@ -128,6 +131,7 @@ def test_a_second_run_does_only_what_is_missing(
     assert states(again) == dict.fromkeys(LENGTHS, "skipped")
 
 
+@pytest.mark.long
 def test_what_was_changed_is_done_again_and_what_was_only_touched_is_not(
     drives: Path, again: Path, tmp_path: Path
 ) -> None:
@@ -150,6 +154,7 @@ def task(output: Path, **settings: object) -> RecordingTask:
     return RecordingTask(plan_for(output, **settings), lambda _: None, prepare=prepare_once)
 
 
+@pytest.mark.long
 def test_other_settings_make_other_results(drives: Path, again: Path) -> None:
     source = SourceRecording("east", drives / "east")
     assert task(again).run(source).state == "skipped"
@@ -254,6 +259,7 @@ def test_an_interrupt_leaves_nothing_unfinished_and_keeps_what_is_whole(tmp_path
     assert states(output) == {"a": "skipped", "b": "done"}
 
 
+@pytest.mark.long
 def test_a_model_that_cannot_be_loaded_ends_the_command_and_leaves_nothing(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -273,7 +279,7 @@ def test_a_signal_ends_all_workers_and_removes_what_is_unfinished(
     drives = record_drives(tmp_path / "drives", {"a": 10 * LONG, "b": 10 * LONG})
     output = tmp_path / "found"
     words = [entry_point("detect_bag"), str(drives), "--output", str(output), "--jobs", "2", *SET_MODEL]
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
+    with started(words, stderr=subprocess.PIPE, text=True) as process:
         while not (output.exists() and has_unfinished_outputs(output)):
             assert process.poll() is None
             time.sleep(0.01)
@@ -288,7 +294,7 @@ def test_workers_end_with_the_process_that_started_them_even_if_that_is_killed(t
     drives = record_drives(tmp_path / "drives", {"a": 10 * LONG})
     output = tmp_path / "found"
     words = [entry_point("detect_bag"), str(drives), "--output", str(output), *SET_MODEL]
-    with subprocess.Popen(words) as process:
+    with started(words) as process:
         while not (output.exists() and has_unfinished_outputs(output)):
             assert process.poll() is None
             time.sleep(0.01)

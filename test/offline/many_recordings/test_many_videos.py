@@ -63,6 +63,7 @@ def processed(source: Path, plan: Plan) -> RecordingResult:
     return task.run(SourceRecording(source.stem, source))
 
 
+@pytest.mark.long
 def test_videos_and_recordings_of_a_folder_get_what_single_runs_write(
     words: list[str], mixed: Path, tmp_path: Path
 ) -> None:
@@ -75,6 +76,7 @@ def test_videos_and_recordings_of_a_folder_get_what_single_runs_write(
     assert messages(output / "drive") == messages(tmp_path / "drive")
 
 
+@pytest.mark.long
 def test_a_second_run_skips_videos_and_recordings(words: list[str], mixed: Path) -> None:
     before = {path.name: path.stat().st_ino for path in (mixed.parent / "found").iterdir() if path.is_dir()}
     assert main(words) == 0
@@ -83,6 +85,7 @@ def test_a_second_run_skips_videos_and_recordings(words: list[str], mixed: Path)
     assert after == before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["monday.avi", "drive"])
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_result_has_the_format_of_the_folder_and_is_not_made_again(
@@ -170,6 +173,7 @@ def test_a_broken_video_is_set_aside_with_the_reason(tmp_path: Path) -> None:
     assert list((tmp_path / "found").iterdir()) == []
 
 
+@pytest.mark.long
 def test_a_worker_for_videos_imports_no_rosbags() -> None:
     program = f"{WITHOUT_ROSBAGS} import yolov5_lifecycle.offline.many_recordings.recording_task"
     subprocess.run([sys.executable, "-c", program], check=True)

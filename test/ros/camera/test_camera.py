@@ -102,6 +102,7 @@ def collected(
     return messages
 
 
+@pytest.mark.end_to_end
 def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer, ros_domain: int) -> None:
     images = collected(observer, Image, "/image_raw")
     unreliable = collected(observer, Image, "/image_raw", BEST_EFFORT)
@@ -138,6 +139,7 @@ def test_a_video_played_once_reaches_a_subscriber_completely(
     assert "publishing 32 x 24 (rgb8) at 1000 images per second on /image_raw\n" in camera.output
 
 
+@pytest.mark.long
 def test_every_transport_sends_the_same_images_on_the_remapped_topics(
     observer: Observer, ros_domain: int
 ) -> None:
@@ -155,6 +157,7 @@ def test_every_transport_sends_the_same_images_on_the_remapped_topics(
     assert jpeg == jpeg_message(image_of_message(raw), "rgb8", raw.header)
 
 
+@pytest.mark.long
 def test_compressed_images_come_alone_and_with_the_quality_of_service_that_was_asked_for(
     observer: Observer, ros_domain: int
 ) -> None:
@@ -209,6 +212,7 @@ def first_info(observer: Observer) -> CameraInfo:
     return infos[0]
 
 
+@pytest.mark.long
 def test_camera_info_is_kept_for_late_subscribers(observer: Observer, ros_domain: int, folder: Path) -> None:
     once_in_a_thousand_seconds = {"source": str(folder / "8.png"), "rate": 0.001}
     calibrated = {"camera_info_url": camera_info_url(folder, 32, 24), "frame_id": "lens"}

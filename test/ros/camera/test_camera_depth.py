@@ -65,6 +65,7 @@ def ids_of(message: Detection2DArray | Detection3DArray) -> list[str]:
     return [detection.id for detection in message.detections]
 
 
+@pytest.mark.long
 def test_depth_has_stamp_size_and_frame_of_the_image_and_its_truth_the_same_ids(
     observer: Observer, ros_domain: int
 ) -> None:
@@ -91,6 +92,7 @@ def test_depth_has_stamp_size_and_frame_of_the_image_and_its_truth_the_same_ids(
         np.testing.assert_allclose([(b.size.x, b.size.y, b.size.z) for b in boxes], expected.sizes_xyz_m)
 
 
+@pytest.mark.long
 def test_without_depth_there_are_no_topics_of_it_and_no_calibration(
     observer: Observer, ros_domain: int
 ) -> None:
@@ -106,6 +108,7 @@ def test_without_depth_there_are_no_topics_of_it_and_no_calibration(
     assert list(infos[0].k) == [0.0] * 9
 
 
+@pytest.mark.long
 def test_the_depth_topics_have_qos_overrides(observer: Observer, ros_domain: int) -> None:
     override = {"qos_overrides./depth/image_raw.publisher.depth": 3}
     depths: list[Image] = []

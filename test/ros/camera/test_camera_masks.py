@@ -47,6 +47,7 @@ def _labels(message: Image) -> NDArray[np.uint16]:
     return np.frombuffer(bytes(message.data), "<u2").reshape(message.height, message.width)
 
 
+@pytest.mark.long
 def test_every_pixel_says_which_shape_of_the_truth_it_belongs_to(observer: Observer, ros_domain: int) -> None:
     received = [_collected(observer, message_type, topic) for topic, message_type in TOPICS.items()]
 
@@ -71,6 +72,7 @@ def test_every_pixel_says_which_shape_of_the_truth_it_belongs_to(observer: Obser
             np.testing.assert_allclose(filled, box, atol=2.5)
 
 
+@pytest.mark.long
 def test_of_a_folder_no_masks_are_known(
     observer: Observer, ros_domain: int, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -48,6 +48,7 @@ def test_a_hanging_source_does_not_delay_the_end(ros_domain: int, tmp_path: Path
         assert camera.stop(signal.SIGINT) == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("parameters", "told"),
     [
@@ -72,6 +73,7 @@ def test_images_of_another_size_than_the_calibration_end_the_process_with_the_re
     assert "The images are 32 x 24, but camera_info_url has the calibration for 64 x 48" in camera.output
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("parameters", "told"),
     [
@@ -119,6 +121,7 @@ def test_a_wrong_parameter_is_explained(
     assert "Traceback" not in camera.output
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [

@@ -95,6 +95,7 @@ def test_a_value_that_changes_while_parameters_are_queried_is_shown(served: Serv
     play(served, act)
 
 
+@pytest.mark.long
 def test_a_change_whose_event_was_lost_is_shown_after_a_while(served: ServedNode) -> None:
     async def act(known: KnownDetector) -> None:
         await known.wait_for(lambda: known.value("max_rate") == 0.0)

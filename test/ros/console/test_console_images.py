@@ -36,6 +36,7 @@ def wait_for_subscribers(console: ConsoleBesideNode, images: JpegPublisher, coun
     console.served.wait_for(lambda: images.subscribers == count, f"{count} subscribers")
 
 
+@pytest.mark.long
 def test_the_images_are_subscribed_to_while_there_is_a_viewer(
     console: ConsoleBesideNode, images: JpegPublisher
 ) -> None:
@@ -146,6 +147,7 @@ def test_another_word_than_taken_closes_the_connection(console: ConsoleBesideNod
     assert closed.value.rcvd.code == 1008
 
 
+@pytest.mark.long
 def test_the_detector_stays_lazy_until_somebody_looks(console: ConsoleBesideNode) -> None:
     name, topic = "/lazy", "/lazy/image_raw"
     words = ["--ros-args", "-r", "__node:=lazy"]

@@ -192,6 +192,7 @@ def test_the_balance_grows_while_images_come(console: ConsoleBesideNode, page: P
     assert page.set(lazy=True) == ""
 
 
+@pytest.mark.long
 def test_a_page_asks_for_an_image_and_is_told_the_answer_of_the_node(tmp_path: Path) -> None:
     with (
         console_beside_node(parameters=(f"collect_dir:={tmp_path}",)) as beside,

@@ -31,6 +31,7 @@ def run(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
         )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -129,7 +130,7 @@ def test_a_missing_package_is_named_with_its_remedy(module: str) -> None:
     assert f"pip install {module.replace('_', '-')}" in ended.stderr
 
 
-@pytest.mark.long
+@pytest.mark.end_to_end
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda one: one.name)
 def test_a_signal_ends_it_with_code_0_while_pages_are_open(number: signal.Signals, ros_domain: int) -> None:
     with console_process(ros_domain) as process:

@@ -182,6 +182,7 @@ def test_a_length_that_is_told_twice_is_refused(console: ConsoleBesideNode) -> N
     assert (reply.status, reply.headers.get("connection")) == (400, "close")
 
 
+@pytest.mark.long
 def test_connections_that_never_read_are_closed(console: ConsoleBesideNode) -> None:
     target = (urlsplit(console.client.url).hostname, urlsplit(console.client.url).port)
     request = f"GET /page/main.js HTTP/1.1\r\nHost: {target[0]}:{target[1]}\r\n\r\n".encode()
@@ -198,6 +199,7 @@ def send_forever(connection: socket.socket, request: bytes) -> None:
         connection.sendall(request * 100)
 
 
+@pytest.mark.long
 def test_a_session_of_another_console_on_this_host_ends_none(
     console: ConsoleBesideNode, guarded: ConsoleClient, token: str, token_file: Path
 ) -> None:
@@ -222,6 +224,7 @@ def test_a_wrong_token_begins_none_and_is_throttled(console: ConsoleBesideNode, 
         assert client.logged_in((tmp_path / "token").read_text().strip()).request("GET", "/").status == 200
 
 
+@pytest.mark.long
 def test_behind_a_proxy_with_tls_the_cookie_is_for_tls_alone(
     console: ConsoleBesideNode, tmp_path: Path
 ) -> None:
@@ -280,6 +283,7 @@ def test_metrics_have_the_figures_of_the_diagnostics(console: ConsoleBesideNode)
     assert "yolov5_resident_memory_megabytes{" in text
 
 
+@pytest.mark.long
 def test_view_only_shows_all_and_changes_nothing(console: ConsoleBesideNode) -> None:
     with (
         console_process(console.domain, "--view-only") as process,

@@ -100,6 +100,7 @@ LARGE_MESSAGES = {
 SLOW = ("many values", "many parameters", "long class", "many classes")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "kind",
     [pytest.param(kind, marks=pytest.mark.long if kind in SLOW else ()) for kind in LARGE_MESSAGES],
@@ -113,6 +114,7 @@ def test_a_message_of_any_size_is_read_within_bounds(
     assert len(json.dumps(page.nodes[NODE])) < MAX_SHOWN
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "value"),
     [

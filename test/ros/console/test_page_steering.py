@@ -34,6 +34,7 @@ def wait_for_detections(robot: ConsoleRobot, of: set[str]) -> None:
     robot.detector.observer.wait_for(is_so, f"detections of {of}")
 
 
+@pytest.mark.end_to_end
 def test_a_slider_changes_the_next_detections(robot: ConsoleRobot, page: ConsolePage) -> None:
     page.wait_for_image()
     page.widget("confidence_threshold", SLIDER).send_keys(Keys.END)

@@ -53,7 +53,7 @@ def frame(
     )
 
 
-@pytest.mark.long
+@pytest.mark.end_to_end
 def test_the_demo_of_two_cameras_passes_and_leaves_image_and_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

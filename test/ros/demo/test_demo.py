@@ -26,7 +26,7 @@ def sighting(*objects: tuple[str, tuple[float, ...]], stamp_ns: int = 0, latency
     return Sighting(stamp_ns, latency_ms, names, (0.9,) * len(names), boxes)
 
 
-@pytest.mark.long
+@pytest.mark.end_to_end
 def test_the_demo_passes_and_leaves_its_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with ChildProcess("demo", [entry_point("demo")], os.environ) as demo:
@@ -64,6 +64,7 @@ def test_a_word_that_the_demo_does_not_know_is_refused(capsys: pytest.CaptureFix
     assert "unrecognized arguments: fast" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_end_of_the_demo_ends_what_it_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with ChildProcess("demo", [entry_point("demo")], os.environ) as demo:

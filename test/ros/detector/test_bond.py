@@ -36,6 +36,7 @@ def managed(**parameters: object) -> Iterator[tuple[DetectorProcess, Observer]]:
         yield detector, observer
 
 
+@pytest.mark.end_to_end
 def test_a_manager_drives_the_process_through_every_transition() -> None:
     with managed(bond_timeout=4.0) as (detector, observer):
         manager = LifecycleManager(observer)

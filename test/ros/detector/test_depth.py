@@ -33,6 +33,7 @@ def client(prepare: Preparations) -> Iterator[DepthClient]:
     assert served.escaped == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
 def test_detections_are_placed_where_the_objects_are(client: DepthClient, encoding: str) -> None:
     client.begin()

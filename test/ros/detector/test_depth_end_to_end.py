@@ -108,6 +108,7 @@ def tracking() -> Iterator[DetectorProcess]:
         yield detector
 
 
+@pytest.mark.end_to_end
 def test_detections_are_published_in_space_as_they_are_in_the_image(tracking: DetectorProcess) -> None:
     viewer = DepthViewer(tracking)
     viewer.send_until_all_have_ids()

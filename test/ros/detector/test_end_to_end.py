@@ -29,6 +29,7 @@ from yolov5_lifecycle.ros.messages import image_message, image_of_message
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 
+@pytest.mark.end_to_end
 def test_a_camera_and_the_detector_find_the_shapes_where_they_are(detector: DetectorProcess) -> None:
     truths: dict[int, Sighting] = {}
 
@@ -54,6 +55,7 @@ def test_a_camera_and_the_detector_find_the_shapes_where_they_are(detector: Dete
     observer.destroy_subscription(subscription)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("padding", [0, 13])
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "mono8", "rgba8", "bgra8"])
 def test_every_encoding_is_understood(active: DetectorProcess, encoding: str, padding: int) -> None:
@@ -85,6 +87,7 @@ GREY_ROWS: dict[str, Callable[[NDArray[np.uint8], NDArray[np.uint8]], NDArray[np
 """The rows of a grey image in the encodings that only cameras send, its chroma neutral."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("encoding", GREY_ROWS)
 def test_every_encoding_of_cameras_is_understood(active: DetectorProcess, encoding: str) -> None:
     image = scene_image(7, encoding="mono8")

@@ -237,13 +237,22 @@ def test_images_that_replace_each_other_while_the_node_is_busy_are_overtaken_not
 
 
 def test_images_that_the_middleware_loses_are_counted_as_lost(
-    receiver: Receiver, ros_domain: int, monkeypatch: pytest.MonkeyPatch
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Best effort, and larger than the shared memory that Fast DDS reserves by default."""
+    """Best effort, and larger than what the network keeps for a receiver.
+
+    Without shared memory, because Fast DDS 2.14 crashes now and then when it removes a participant whose port
+    such a camera has flooded, as it locks a mutex in memory that is not mapped any more; compare
+    eProsima/Fast-DDS#4737.
+    """
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     size = {"reliability": "best_effort", "width": 1280, "height": 960}
     words = [entry_point("camera"), "--ros-args", "-r", f"image_raw:={TOPIC}", *as_arguments(size)]
-    with ChildProcess("camera", words, environment(ros_domain)):
+    with (
+        closing(Receiver(ros_domain)) as receiver,
+        ChildProcess("camera", words, environment(ros_domain)),
+    ):
         receiver.node.wait_for(lambda: receiver.losses.lost >= 5, "losses")
 
 

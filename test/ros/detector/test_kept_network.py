@@ -77,6 +77,7 @@ def boxes_of(message: Detection2DArray) -> list[tuple[float, ...]]:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runtime", EVERY_RUNTIME)
 def test_detections_are_right_while_an_abandoned_thread_uses_its_network(
     runtime: str, hang: BusyHang, ros_domain: int
@@ -146,8 +147,7 @@ def test_services_answer_while_a_removed_camera_hangs(
     served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to hang")
     prepare.running.run = lambda: prediction("dog", 0.9)
     removed = served.begin_set(cameras=["rear"])
-    for _ in range(10):
-        assert served.state() == "active"
+    assert served.state() == "active"
     assert not removed.done(), "the node answered only after it waited for the frame"
     served.wait_for(removed.done, "the answer")
     assert class_ids_of(rear.detect()) == ["dog"]

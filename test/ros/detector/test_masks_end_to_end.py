@@ -22,6 +22,7 @@ SIZE_HW = (75, 100)
 SETTINGS = {"device": "cpu", "image_size": 96, "confidence_threshold": 0.3, "max_detections": 12}
 
 
+@pytest.mark.end_to_end
 @pytest.mark.usefixtures("ros_domain")
 @pytest.mark.parametrize("runtime", EVERY_RUNTIME)
 def test_the_masks_of_a_checkpoint_are_published(runtime: str, tmp_path: Path) -> None:

@@ -45,6 +45,7 @@ def test_a_parameter_file_is_taken_as_it_is_meant(
         assert set(detector.look().class_names) == set(found)
 
 
+@pytest.mark.end_to_end
 def test_every_mistake_in_a_parameter_file_is_named_and_can_be_corrected(tmp_path: Path) -> None:
     lines = ["confidance_threshold: 0.5", "iou_threshold: 1.5", "max_detections: many", "precision: half"]
     text = "\n".join([*lines, "image_size: 321"])
@@ -67,6 +68,7 @@ def test_every_mistake_in_a_parameter_file_is_named_and_can_be_corrected(tmp_pat
         assert len(detector.look().scores) > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "order",
     [
@@ -89,6 +91,7 @@ def test_wrong_cameras_and_their_wrong_overrides_are_corrected_one_by_one(
         assert detector.transition("configure")
 
 
+@pytest.mark.long
 def test_parameter_files_that_cannot_be_read_are_reported_at_the_start(tmp_path: Path) -> None:
     absent = str(tmp_path / "absent.yaml")
     aliases = tmp_path / "aliases.yaml"

@@ -14,6 +14,7 @@ from support.detector_process import (
 from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize(
     ("state", "signal_number"),
     [

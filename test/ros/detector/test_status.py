@@ -206,7 +206,7 @@ def test_a_reason_is_logged_once_a_minute_whatever_its_numbers(ros_domain: int) 
         observer.create_subscription(Log, "/rosout", lambda log: logged.append(log.msg), 100)
         observer.wait_for(lambda: observer.count_subscribers("/rosout") == 1, "the subscription to the log")
         seen = last
-        diagnostics = Diagnostics(observer, lambda: seen, clock=lambda: now_s)
+        diagnostics = Diagnostics(observer, lambda: seen, period_s=1.0, clock=lambda: now_s)
         for now_s, seen in [*looks, (70.0, last)]:  # noqa: B007 - the diagnostics look at both
             diagnostics.publish()
         observer.wait_for(lambda: any("no publisher of images" in text for text in logged), "the last reason")

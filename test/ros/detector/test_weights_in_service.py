@@ -81,6 +81,7 @@ def test_a_bad_file_is_refused_by_activate_and_by_a_swap(
     assert served.detect().header.stamp.sec > 0
 
 
+@pytest.mark.long
 def test_a_wrong_digest_is_refused_with_both_digests(served: ServedNode) -> None:
     served.bring_to("active")
     digest = served.values()["sha256"]
@@ -91,6 +92,7 @@ def test_a_wrong_digest_is_refused_with_both_digests(served: ServedNode) -> None
     assert served.set(weights_sha256=digest) == (True, "")
 
 
+@pytest.mark.long
 def test_a_swap_to_a_model_without_a_filtered_class_is_explained(served: ServedNode, good: Path) -> None:
     other = good.with_name("other.safetensors")
     fruit = dataclasses.replace(TINY, classes=2)

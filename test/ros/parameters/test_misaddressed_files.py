@@ -83,6 +83,7 @@ def test_the_warning_has_the_names_in_the_file_and_nothing_else(tmp_path: Path, 
     assert "hidden" not in found
 
 
+@pytest.mark.long
 def test_the_detector_warns_at_its_start(tmp_path: Path) -> None:
     path = file_for(tmp_path, "my_yolo")
     command = [entry_point("detector"), "--ros-args", "-r", "__ns:=/robot", "--params-file", str(path)]

@@ -160,6 +160,7 @@ def wrong_files(draw: st.DrawFn) -> tuple[Values, Values, Values, set[str]]:
     return given | dict.fromkeys(stray, 1.0), wanted, corrections, wrong | set(stray)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("examples", [40, pytest.param(400, marks=pytest.mark.long)], ids=["some", "many"])
 def test_a_wrong_file_is_corrected_by_single_sets_in_any_order(
     ros_domain: int, tmp_path: Path, examples: int

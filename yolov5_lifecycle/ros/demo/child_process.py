@@ -1,7 +1,8 @@
-"""Child process, killed at the end of its context manager."""
+"""Child process that ends with its context manager, and with the process that started it."""
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +12,8 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+_DYING_WITH_ITS_PARENT = ("setpriv", "--pdeathsig", "TERM") if shutil.which("setpriv") else ()
+"""Of util-linux, which Debian and Ubuntu always have."""
 _KEPT_LINES = 5000
 _KILL_S = 5.0
 _END_S = 60.0
@@ -22,7 +25,11 @@ class ProcessError(RuntimeError):
 
 
 class ChildProcess:
-    """Runs `command` and records its output; as a context manager, kills the process on exit."""
+    """Runs `command` and records its output; as a context manager, ends the process on exit.
+
+    Start it in a thread that lives as long as the process should: when the thread ends, be it because its
+    process is killed, the command gets SIGTERM.
+    """
 
     def __init__(self, name: str, command: Sequence[str], environment: Mapping[str, str]) -> None:
         self.name = name
@@ -30,7 +37,7 @@ class ChildProcess:
         self._lines: deque[str] = deque(maxlen=_KEPT_LINES)
         self._is_silent = False
         self._process = subprocess.Popen(
-            list(command),
+            [*_DYING_WITH_ITS_PARENT, *command],
             env=dict(environment),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -45,9 +52,12 @@ class ChildProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._process.poll() is None:
+        self._process.terminate()  # a killed one would leave its shared memory
+        try:
+            self._process.wait(_KILL_S)
+        except subprocess.TimeoutExpired:
             self._process.kill()
-        self._process.wait()
+            self._process.wait()
         self._reader.join(_KILL_S)
 
     @property

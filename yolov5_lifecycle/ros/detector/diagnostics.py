@@ -1,4 +1,4 @@
-"""The node's status on /diagnostics, at 1 Hz in every lifecycle state."""
+"""The node's status on /diagnostics, in every lifecycle state."""
 
 from __future__ import annotations
 
@@ -21,13 +21,18 @@ _REPEAT_S = 60.0
 
 
 class Diagnostics:
-    """Publishes `status()` and logs why an active node has no output.
+    """Publishes `status()` every `period_s` and logs why an active node has no output.
 
     `clock` returns monotonic seconds.
     """
 
     def __init__(
-        self, node: Node, status: Callable[[], Status], *, clock: Callable[[], float] = time.monotonic
+        self,
+        node: Node,
+        status: Callable[[], Status],
+        *,
+        period_s: float,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._node = node
         self._status = status
@@ -35,7 +40,7 @@ class Diagnostics:
         self._reasons: dict[str, ReasonLog] = {}
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: simulated time may be paused (use_sim_time without /clock).
-        self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = node.create_timer(period_s, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:
         """Publish the current status now and log its reasons if they are new."""

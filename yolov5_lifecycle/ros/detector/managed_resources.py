@@ -19,7 +19,7 @@ from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.outputs import label_info_publisher
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
-from yolov5_lifecycle.ros.detector.session import ABANDONED, REST_TIMEOUT_S, Session
+from yolov5_lifecycle.ros.detector.session import Session, abandoned
 from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.topics import impossible_names
@@ -33,7 +33,8 @@ class ManagedResources:
 
     The inference thread and the model loader exist from construction to `close`. `on_too_many(reason)`, whose
     result is awaited, and `on_device_lost(reason)` are called in the executor; see `FrameFailures`.
-    `on_abandoned()` is called when the thread of a removed camera hangs.
+    `on_abandoned()` is called when the thread of a removed camera hangs: if a frame in progress has not ended
+    after `rest_timeout_s`.
     """
 
     def __init__(
@@ -45,8 +46,10 @@ class ManagedResources:
         on_too_many: Callable[[str], Awaitable[None]],
         on_abandoned: Callable[[], None],
         on_device_lost: Callable[[str], None],
+        rest_timeout_s: float,
     ) -> None:
         self._node = node
+        self._rest_timeout_s = rest_timeout_s
         self._parameters = parameters
         self._on_too_many = on_too_many
         self._on_abandoned = on_abandoned
@@ -141,8 +144,8 @@ class ManagedResources:
 
     def _close(self, camera: DetectorCamera) -> None:
         log = self._node.get_logger()
-        if not camera.close(REST_TIMEOUT_S):
-            log.error(ABANDONED)
+        if not camera.close(self._rest_timeout_s):
+            log.error(abandoned(self._rest_timeout_s))
             self._on_abandoned()
         log.info(f"camera {camera.name or '(without a name)'} removed: {camera.balance()}")
 
@@ -199,8 +202,8 @@ class ManagedResources:
             await self._waited(self._worker.rest)
 
     async def _waited(self, rest: Callable[[float], bool]) -> None:
-        """Call `rest(REST_TIMEOUT_S)` in a thread: the executor itself never waits for a frame."""
-        await self._waits.finish(self._waits.submit(lambda: rest(REST_TIMEOUT_S)))
+        """Call `rest(timeout_s)` in a thread: the executor itself never waits for a frame."""
+        await self._waits.finish(self._waits.submit(lambda: rest(self._rest_timeout_s)))
 
     def deactivate(self) -> bool:
         """Release the detection; False if its frame hangs and the thread was abandoned.
@@ -224,7 +227,7 @@ class ManagedResources:
         log = self._node.get_logger()
         if not self.loader.close():
             log.warning("a model is still being loaded or freed: its thread is abandoned")
-        if not self._worker.close(REST_TIMEOUT_S):
+        if not self._worker.close(self._rest_timeout_s):
             log.warning("inference has still not finished: its thread is abandoned")
         self._collecting.close()
         self._waits.close()
@@ -291,6 +294,7 @@ class ManagedResources:
             self._node,
             preparation=preparation,
             cameras=self._cameras,
+            rest_timeout_s=self._rest_timeout_s,
             label_info=label_info,
             worker=self._worker,
         )

@@ -16,7 +16,7 @@ from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXI
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
-from yolov5_lifecycle.ros.detector.session import ABANDONED
+from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, abandoned
 from yolov5_lifecycle.ros.detector.transitions import (
     FAILURE,
     SUCCESS,
@@ -48,6 +48,8 @@ class DetectorNode(PrintableNode, LifecycleNode):
     `arguments` are the command-line arguments. `start_problems` are parameter files that could not be read
     and values that contradict each other: reported at once; configure fails until the process is restarted.
 
+    A frame in progress is waited for `rest_timeout_s`; diagnostics come every `diagnostics_period_s`.
+
     `device_lost` is set when only a new process can detect again, `too_many_abandoned` when more than
     `max_abandoned_threads` inference threads hang.
     """
@@ -60,6 +62,8 @@ class DetectorNode(PrintableNode, LifecycleNode):
         arguments: Sequence[str] = (),
         start_problems: Sequence[str] = (),
         max_abandoned_threads: int = MAX_ABANDONED_THREADS,
+        rest_timeout_s: float = REST_TIMEOUT_S,
+        diagnostics_period_s: float = 1.0,
         **node_options: Any,
     ) -> None:
         # Callbacks that await (activate, a reload) must not block the others. The executor has one thread, so
@@ -68,6 +72,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
         super().__init__("yolov5", **node_options)
         self._start_problems = list(start_problems)
         self._max_abandoned_threads = max_abandoned_threads
+        self._rest_timeout_s = rest_timeout_s
         self._problem = ""
         self._is_qos_checked = False
         self.device_lost = False
@@ -80,11 +85,16 @@ class DetectorNode(PrintableNode, LifecycleNode):
             on_too_many=self._give_up,
             on_abandoned=self._bound_abandoned_threads,
             on_device_lost=self._lose_device,
+            rest_timeout_s=rest_timeout_s,
         )
         self._reconfiguration = Reconfiguration(
             self, parameters=self._settings, loader=self._resources.loader, resources=self._resources
         )
-        self._diagnostics = Diagnostics(self, lambda: self._resources.status(self.state_label, self._problem))
+        self._diagnostics = Diagnostics(
+            self,
+            lambda: self._resources.status(self.state_label, self._problem),
+            period_s=diagnostics_period_s,
+        )
         self._bond = Bond(self)
         harden(self, {"change_state": self._change_state} | self._reconfiguration.handlers())
         self._greet()
@@ -218,7 +228,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
     def _stop_detecting(self) -> None:
         self._bond.stop()
         if not self._resources.deactivate():
-            self.report(ABANDONED)
+            self.report(abandoned(self._rest_timeout_s))
             self._bound_abandoned_threads()
 
     def _bound_abandoned_threads(self) -> None:

@@ -23,18 +23,22 @@ from yolov5_lifecycle.streaming.worker import Worker
 
 REST_TIMEOUT_S = 3.0
 """Max wait for the frame in progress; launch escalates its stop signal after 5 s."""
-ABANDONED = (
-    f"inference did not end within {REST_TIMEOUT_S:g} s, so the node abandons the thread; the thread's "
-    "memory stays in use"
-)
-"""What is reported when a frame hangs for longer than that."""
+
+
+def abandoned(rest_timeout_s: float) -> str:
+    """What is reported when a frame hangs for longer than that."""
+    return (
+        f"inference did not end within {rest_timeout_s:g} s, so the node abandons the thread; the thread's "
+        "memory stays in use"
+    )
 
 
 class Session:
     """Owns the model with which all `cameras` detect from `start` to `close`.
 
     `preparation` is the model, once loaded; `networks` are those of the model, from `start` on. `label_info`
-    publishes the class names. `worker` runs the inference of all cameras.
+    publishes the class names. `worker` runs the inference of all cameras; a frame in progress is waited for
+    `rest_timeout_s`.
     """
 
     def __init__(
@@ -45,11 +49,13 @@ class Session:
         cameras: Mapping[str, DetectorCamera],
         label_info: LifecyclePublisher,
         worker: Worker[ReceivedFrame, DetectedFrame],
+        rest_timeout_s: float,
     ) -> None:
         self._node = node
         self._cameras = cameras
         self._label_info = label_info
         self._worker = worker
+        self._rest_timeout_s = rest_timeout_s
         self.preparation = preparation
         self.networks: Networks | None = None
 
@@ -89,7 +95,7 @@ class Session:
 
     def rest(self) -> bool:
         """Wait for the frame in progress; return False if a thread hangs, which may still use the model."""
-        return self._worker.rest(REST_TIMEOUT_S) and self._worker.abandoned_threads() == 0
+        return self._worker.rest(self._rest_timeout_s) and self._worker.abandoned_threads() == 0
 
     def publish_label_info(self, settings: Settings) -> None:
         stamp = self._node.get_clock().now().to_msg()
@@ -104,7 +110,7 @@ class Session:
         """
         for camera in self._cameras.values():
             camera.unsubscribe()
-        rested = self._worker.stop(REST_TIMEOUT_S)
+        rested = self._worker.stop(self._rest_timeout_s)
         if self.preparation.exception() is None:
             # The thread of a removed camera may also hang in the model.
             self.model.close(is_at_rest=rested and self._worker.abandoned_threads() == 0)
