@@ -38,8 +38,8 @@ def managed(**parameters: object) -> Iterator[tuple[DetectorProcess, Observer]]:
 
 @pytest.mark.end_to_end
 def test_a_manager_drives_the_process_through_every_transition() -> None:
-    with managed(bond_timeout=4.0) as (detector, observer):
-        manager = LifecycleManager(observer)
+    with managed(bond_timeout=PATIENCE_S) as (detector, observer):
+        manager = LifecycleManager(observer, bond_timeout_s=PATIENCE_S)
         manager.startup()
         first = manager.bonds["yolov5"]
         manager.pause()

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
+import rclpy
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.publisher import Publisher
@@ -170,7 +171,8 @@ class Receiver:
 
     def __init__(self, domain: int) -> None:
         self.node = Observer("receiver", domain=domain)
-        self.sender = Observer("sender", domain=domain)
+        # In the same participant: Fast DDS may hang when several of one process end (eProsima/Fast-DDS#6193).
+        self.sender = rclpy.create_node("sender", context=self.node.context)
         self.losses = ImageLosses()
         self.received: list[ReceivedFrame] = []
         self.topic = ImageTopic(self.node, "raw")
@@ -178,7 +180,7 @@ class Receiver:
 
     def close(self) -> None:
         self.input.close()
-        self.sender.close()
+        self.sender.destroy_node()
         self.node.close()
 
     def publisher(self, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> Publisher:
