@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shutil
 import signal
+import tempfile
 import time
-import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
@@ -15,7 +16,7 @@ from types import FrameType
 import pytest
 
 _RUN = "YOLOV5_TEST_RUN"
-"""Environment variable that all processes of a run inherit."""
+"""Environment variable of all processes of a run: its folder."""
 _END_S = 10.0
 _SHARED_MEMORY = Path("/dev/shm")
 _OF_FAST_DDS = ("fastrtps_*", "sem.fastrtps_*", "fast_datasharing_*")
@@ -24,8 +25,10 @@ _OF_FAST_DDS = ("fastrtps_*", "sem.fastrtps_*", "fast_datasharing_*")
 class WholeRun:
     """Plugin for the process that distributes the tests to workers, or runs them all itself."""
 
-    def __init__(self) -> None:
-        self._run = os.environ[_RUN] = uuid.uuid4().hex
+    def __init__(self, max_failures: int) -> None:
+        """`max_failures` end the run, none if 0."""
+        self._max_failures = max_failures
+        self._folder = os.environ[_RUN] = tempfile.mkdtemp(prefix="test-run-")
         self._began_s = time.time()
         self._running: dict[str, float] = {}
 
@@ -35,6 +38,11 @@ class WholeRun:
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         self._running[nodeid] = time.monotonic()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self._max_failures -= report.failed
+        if report.failed and self._max_failures == 0:
+            _stop_file().touch()
 
     def pytest_runtest_logfinish(self, nodeid: str) -> None:
         self._running.pop(nodeid, None)
@@ -46,32 +54,51 @@ class WholeRun:
     @pytest.hookimpl(trylast=True)
     def pytest_unconfigure(self) -> None:
         """End what tests and crashed workers have started, and free the memory that it shared."""
-        end_processes(self._run)
+        end_processes(self._folder)
         remove_unused_memory(self._began_s)
+        shutil.rmtree(self._folder)
+
+
+class Worker:
+    """Plugin for a worker: after the last failure that a run may have, it ends with the test in progress.
+
+    xdist itself goes on with the files that a worker has already, whose tests may all wait for the same.
+    """
+
+    def pytest_sessionstart(self, session: pytest.Session) -> None:
+        self._session = session
+
+    def pytest_runtest_logfinish(self) -> None:
+        if _stop_file().exists():
+            self._session.shouldfail = "too many failures in this run"
+
+
+def _stop_file() -> Path:
+    return Path(os.environ[_RUN]) / "stop"
 
 
 def _interrupt(number: int, _: FrameType | None) -> None:
     raise KeyboardInterrupt(signal.Signals(number).name)
 
 
-def end_processes(run: str) -> None:
-    """Send SIGTERM to every process of `run`, and SIGKILL to those that have not ended after a while."""
+def end_processes(folder: str) -> None:
+    """Send SIGTERM to every process of a run, and SIGKILL to those that have not ended after a while."""
     for number in (signal.SIGTERM, signal.SIGKILL):
-        for process_id in processes_of(run):
+        for process_id in processes_of(folder):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process_id, number)
         deadline_s = time.monotonic() + _END_S
-        while list(processes_of(run)) and time.monotonic() < deadline_s:
+        while list(processes_of(folder)) and time.monotonic() < deadline_s:
             time.sleep(0.05)
 
 
-def processes_of(run: str) -> Iterator[int]:
-    """Identifiers of the living processes that began with the environment of `run`."""
-    mark = f"{_RUN}={run}".encode()
-    for folder in Path("/proc").glob("[0-9]*"):
+def processes_of(folder: str) -> Iterator[int]:
+    """Identifiers of the living processes that began with the environment of a run."""
+    mark = f"{_RUN}={folder}".encode()
+    for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            if mark in (folder / "environ").read_bytes().split(b"\0"):
-                yield int(folder.name)
+            if mark in (process / "environ").read_bytes().split(b"\0"):
+                yield int(process.name)
 
 
 def remove_unused_memory(began_s: float) -> None:
