@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -185,13 +186,18 @@ def test_folders_of_several_robots_become_one_with_classes_by_name(tmp_path: Pat
         assert merged.frames == 3
 
 
-def test_the_same_image_twice_is_refused_and_nothing_is_left(
+def test_an_image_of_several_folders_is_merged_once_with_the_labels_of_the_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    one = collected(tmp_path / "one", 1)
-    assert run("merge", one, one, "--output", tmp_path / "all") == 1
-    assert "leave one out" in capsys.readouterr().err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["one"]
+    robot = collected(tmp_path / "robot", 2)
+    corrected = tmp_path / "corrected"
+    shutil.copytree(robot, corrected)
+    labels = next((corrected / "labels").rglob("000001*.txt"))
+    labels.write_text("1 0.5 0.5 0.5 0.5\n")
+    assert run("merge", corrected, robot, "--output", tmp_path / "all") == 0
+    assert "2 images; 2 that a folder before had" in capsys.readouterr().out
+    assert len(read_frame_list(tmp_path / "all").frames) == 2
+    assert (tmp_path / "all" / labels.relative_to(corrected)).read_text() == labels.read_text()
 
 
 def test_labels_that_cannot_be_read_are_not_merged(

@@ -14,27 +14,28 @@ from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, LabelError
 from yolov5_lifecycle.evaluation.yolo_labels import label_text, parsed_labels
 
 
-def merge(folders: Sequence[Path], output: Path) -> int:
+def merge(folders: Sequence[Path], output: Path) -> tuple[int, int]:
     """Copy the images of `folders` and their labels, as they are now, to the new folder `output`.
 
-    Returns the number of images. Classes are matched by name. Raises CollectingError if two folders have the
-    same image, or labels cannot be read, DataError and OSError.
+    Of an image that several folders have, the first folder's counts. Returns the number of images, and how
+    many were left out for that. Classes are matched by name. Raises CollectingError if labels cannot be read,
+    DataError and OSError.
     """
     frames: dict[str, CollectedFrame] = {}
     names: tuple[str, ...] = ()
+    listed = 0
     output.mkdir()
     for folder in folders:
         own_names = read_class_names(folder)
         names = with_names(names, own_names)
         class_ids = [names.index(name) for name in own_names]
         for frame in read_frame_list(folder).frames:
-            if frame.image in frames:
-                raise CollectingError(f"{folder}: {frame.image} is in another folder, too; leave one out")
-            frames[frame.image] = frame
-            _copy(folder, output, frame, class_ids)
+            listed += 1
+            if frames.setdefault(frame.image, frame) is frame:
+                _copy(folder, output, frame, class_ids)
     write_class_names(output, names)
     write_frame_list(output, frames.values())
-    return len(frames)
+    return len(frames), listed - len(frames)
 
 
 def _copy(folder: Path, output: Path, frame: CollectedFrame, class_ids: Sequence[int]) -> None:

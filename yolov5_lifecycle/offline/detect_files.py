@@ -13,6 +13,7 @@ from yolov5_lifecycle.offline.annotated_files import VideoOutput, write_image
 from yolov5_lifecycle.offline.detecting import Account, LoadDetector, OfflineDetector
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage
 from yolov5_lifecycle.offline.export.exporting import Export, export_images, whole_export
+from yolov5_lifecycle.offline.export.formats import FORMATS
 from yolov5_lifecycle.offline.image_files import VideoFile, has_still_images, image_files
 
 
@@ -33,6 +34,8 @@ def write_files(source: Path, export: Export, *, annotated: Path | None, load: L
     """
     if has_still_images(source):
         files = image_files(source)
+        if check_images := FORMATS[export.suffix].check_images:
+            check_images(files)
         images = functools.partial(_DrawnImages, annotated, source.is_dir()) if annotated else None
         return export_images(files, len(files), export, load=load, drawings=images)
     video = VideoFile.open(source)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from rosbags.typesys.store import Typestore
 from yolov5_lifecycle.images.compressed import compressed_image
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, ImageError
+from yolov5_lifecycle.offline.distinct_names import DistinctNames
 from yolov5_lifecycle.offline.recording_limits import (
     bounded_reading,
     check_chunks,
@@ -62,6 +63,10 @@ TYPES = _typestore()
 """Message types of Jazzy and vision_msgs."""
 
 
+Stamp = tuple[int, int]
+"""Seconds and nanoseconds in the header."""
+
+
 class RecordingError(ValueError):
     """A recording that cannot be read or lacks what was requested; the message lists what it has."""
 
@@ -89,32 +94,36 @@ class RecordedMessage:
             ) from None
 
     @property
+    def stamp(self) -> Stamp:
+        """Of its header; raises ImageError."""
+        stamp = self.message.header.stamp
+        return int(stamp.sec), int(stamp.nanosec)
+
+    @property
     def stamp_s(self) -> float:
         """Stamp of its header in seconds; raises ImageError."""
-        stamp = self.message.header.stamp
-        return float(stamp.sec) + float(stamp.nanosec) * 1e-9
+        seconds, nanoseconds = self.stamp
+        return seconds + nanoseconds * 1e-9
 
 
+@dataclass(frozen=True)
 class RecordedImage(RecordedMessage):
-    """A recorded image message."""
+    """A recorded image message, counted from 0 on its topic, and the names of those before it."""
+
+    frame: int = field(default=0, kw_only=True)
+    names: DistinctNames = field(default_factory=DistinctNames, kw_only=True)
 
     @property
     def identity(self) -> dict[str, str | int]:
-        """The key that identifies it in its recording, and the value: the stamp of its header."""
-        return {"stamp_ns": self._seconds * 10**9 + self._nanoseconds}
+        """The stamp of its header, which others may have, too, and its number; raises ImageError."""
+        seconds, nanoseconds = self.stamp
+        return {"stamp_ns": seconds * 10**9 + nanoseconds, "frame": self.frame}
 
     @property
     def stem(self) -> str:
-        """The name of files about it: the stamp of its header."""
-        return f"{self._seconds}_{self._nanoseconds:09}"
-
-    @property
-    def _seconds(self) -> int:
-        return int(self.message.header.stamp.sec)
-
-    @property
-    def _nanoseconds(self) -> int:
-        return int(self.message.header.stamp.nanosec)
+        """The name of files about it: its stamp, and its number if one before has it; ask in order."""
+        seconds, nanoseconds = self.stamp
+        return self.names.of(f"{seconds}_{nanoseconds:09}", self.frame)
 
     def load(self) -> ColourImage:
         decode = compressed_image if self.type_name == _COMPRESSED else raw_image
@@ -172,7 +181,11 @@ class Recording:
 
     def images(self, topic: RecordedTopic) -> Iterator[RecordedImage]:
         """Every image of `topic` in recording order; raises RecordingError if the file is damaged."""
-        return (RecordedImage(*message) for message in self._messages(topic))
+        names = DistinctNames()
+        return (
+            RecordedImage(*message, frame=frame, names=names)
+            for frame, message in enumerate(self._messages(topic))
+        )
 
     def messages(self, topic: RecordedTopic) -> Iterator[RecordedMessage]:
         """Like `images` for any topic whose messages have a header."""

@@ -101,11 +101,32 @@ def test_any_image_name_makes_a_file(name: str, tmp_path: Path) -> None:
     assert len(names(tmp_path)) == 1
 
 
-def test_two_images_of_one_name_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("images", "written"),
+    [
+        pytest.param(["a.png", "b.png"], ["a", "b"], id="different names"),
+        pytest.param(["a.jpg", "a.png"], ["a", "a_frame_000001"], id="different suffixes"),
+        pytest.param(["A.png", "a.png"], ["A", "a_frame_000001"], id="different cases"),
+        pytest.param(
+            [f"{'n' * 230}{end}.png" for end in "ab"], ["n" * 200, f"{'n' * 200}_frame_000001"], id="long"
+        ),
+        pytest.param(
+            ["a_frame_000001.png", "a.jpg", "a.png"],
+            ["a_frame_000001", "a", "a_frame_000002"],
+            id="a name like a numbered one",
+        ),
+        pytest.param(
+            ["a.jpg", "a_frame_000002.png", "a.png"],
+            ["a", "a_frame_000002", "a_frame_000002_frame_000002"],
+            id="the very numbered name",
+        ),
+    ],
+)
+def test_each_image_has_crops_of_its_own(images: list[str], written: list[str], tmp_path: Path) -> None:
     folder = crops(tmp_path / "crops")
-    folder.add(detected((0, 0, 9, 9), name="a.png"))
-    with pytest.raises(OutputError, match="a: two images have this name"):
-        folder.add(detected((0, 0, 9, 9), name="a.jpg"))
+    for name in images:
+        folder.add(detected((0, 0, 9, 9), name=name))
+    assert names(tmp_path / "crops") == sorted(f"0_dog/{stem}_0.jpg" for stem in written)
 
 
 def test_there_are_at_most_so_many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import csv
 import json
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ from pycocotools import mask
 from pycocotools.coco import COCO
 from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, prepare_once, run
+from support.many_recordings import messages
 from support.recorded_scene import COUNT, SIZE_HW, images, raw, record, stamp_s, video
 from support.segmented_offline import SET_MODEL as SET_SEGMENTING
 from support.segmented_offline import segment
@@ -148,11 +149,12 @@ def test_an_image_is_identified_in_every_format(
         assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]) == 0
     lines = [json.loads(line) for line in (tmp_path / "found.jsonl").read_text().splitlines()]
     assert [line[identity] for line in lines] == wanted
+    keys = [identity, *(["frame"] if source == "recording" else [])]
     header, *rows = csv.reader((tmp_path / "found.csv").read_text().splitlines())
-    assert header == [identity, *COLUMNS]
+    assert header == [*keys, *COLUMNS]
     assert list(dict.fromkeys(row[0] for row in rows)) == list(map(str, wanted))
     table = parquet.read_table(tmp_path / "found.parquet")
-    assert table.column_names == [identity, *COLUMNS]
+    assert table.column_names == [*keys, *COLUMNS]
     assert list(dict.fromkeys(table[identity].to_pylist())) == wanted
 
 
@@ -284,10 +286,67 @@ def test_two_images_of_one_name_are_refused_in_yolo_text(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = images(tmp_path / "shots")
-    shutil.copy(source / "0.png", source / "0.bmp")
-    assert run([str(source), "--output", str(tmp_path / "found.yolo"), *SET_MODEL]) == 1
-    assert "0: two images have this name, but YOLO text has one file for each" in capsys.readouterr().err
+    shutil.copy(source / "1.png", source / "1.bmp")
+    assert main([str(source), "--output", str(tmp_path / "found.yolo")], prepare=never) == 1
+    assert "1: 2 images have this name, but YOLO text has one file for each" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [source]
+
+
+REPEATED = ("0_000000000", "0_000000000_frame_000001", "0_000000000_frame_000003", "1700000002_000000009")
+"""Of images that are stamped 0, 0, 1700000002, 0."""
+
+
+def stamped_again(path: Path) -> Path:
+    taken = [raw(number) for number in (0, 1, 2, 0)]
+    for number in (0, 1, 3):
+        taken[number].header.stamp.sec = taken[number].header.stamp.nanosec = 0
+    return record(path, taken, storage=StoragePlugin.MCAP)
+
+
+def frames_of(rows: Iterable[dict[str, Any]]) -> list[int]:
+    return list(dict.fromkeys(int(row["frame"]) for row in rows))
+
+
+FOUND = "/yolov5/detections"
+TOLD_APART: dict[str, tuple[Callable[[Path], Sequence[object]], Sequence[object]]] = {
+    "": (lambda path: [one for one, *_ in messages(path) if one == FOUND], [FOUND] * 4),
+    ".jsonl": (lambda path: frames_of(map(json.loads, path.read_text().splitlines())), range(4)),
+    ".json": (
+        lambda path: sorted(one["file_name"] for one in json.loads(path.read_text())["images"]),
+        REPEATED,
+    ),
+    ".csv": (lambda path: frames_of(csv.DictReader(path.read_text().splitlines())), range(4)),
+    ".parquet": (lambda path: frames_of(parquet.read_table(path).to_pylist()), range(4)),
+    ".yolo": (lambda path: sorted(file.stem for file in (path / "labels").iterdir()), REPEATED),
+}
+
+
+@pytest.mark.parametrize("suffix", ["", *READ])
+def test_images_of_one_stamp_are_told_apart(suffix: str, tmp_path: Path) -> None:
+    source, output = stamped_again(tmp_path / "drive"), tmp_path / f"found{suffix}"
+    assert run([str(source), "--output", str(output), "--crops", *SET_MODEL]) == 0
+    crops = {file.name.rpartition("_")[0] for file in (tmp_path / "found_crops").rglob("*.jpg")}
+    assert sorted(crops) == list(REPEATED)
+    read, told = TOLD_APART[suffix]
+    assert list(read(output)) == list(told)
+
+
+def test_a_label_is_that_of_the_crops_of_its_name(tmp_path: Path) -> None:
+    source, output = stamped_again(tmp_path / "drive"), tmp_path / "found.yolo"
+    assert run([str(source), "--output", str(output), "--crops", *SET_MODEL]) == 0
+    for stem in REPEATED:
+        crops = {
+            int(file.stem.rpartition("_")[2]): (
+                int(file.parent.name.partition("_")[0]),
+                cv2.imread(str(file)).shape[:2],
+            )
+            for file in (tmp_path / "found_crops").rglob(f"{stem}_[0-9].jpg")
+        }
+        lines = (output / "labels" / f"{stem}.txt").read_text().splitlines()
+        assert [crops[row][0] for row in range(len(lines))] == [int(line.split()[0]) for line in lines]
+        for row, line in enumerate(lines):
+            _, _, _, width, height = map(float, line.split())
+            np.testing.assert_allclose(crops[row][1], (height * HEIGHT, width * WIDTH), atol=2)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".json"])

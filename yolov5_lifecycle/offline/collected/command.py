@@ -68,8 +68,9 @@ def _merge(arguments: argparse.Namespace) -> str:
     for folder in arguments.folders:
         _frames(folder)
     with whole_output(arguments.output) as unfinished:
-        count = merge(arguments.folders, unfinished)
-    return f"{arguments.output}: {count} images\n"
+        count, repeated = merge(arguments.folders, unfinished)
+    first = f"; {repeated} that a folder before had, too, are as in that one" if repeated else ""
+    return f"{arguments.output}: {count} images{first}\n"
 
 
 def _remove(arguments: argparse.Namespace) -> str:

@@ -33,15 +33,13 @@ from yolov5_lifecycle.offline.recording import (
     RecordedImage,
     RecordedTopic,
     Recording,
+    Stamp,
     open_recording,
 )
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
 _LABEL_INFO = "vision_msgs/msg/LabelInfo"
 _MAX_PX = 1e6
-
-Stamp = tuple[int, int]
-"""Seconds and nanoseconds in the header."""
 
 
 @dataclass(frozen=True)
@@ -145,12 +143,11 @@ def _labels(
         if number % PROGRESS_PERIOD == 0:
             progress(f"labels: {number} messages")
         try:
-            message = recorded.message
-            stamp = _stamp(message)
+            stamp = recorded.stamp
             counts[stamp] += 1
             if counts[stamp] > 1:
                 raise LabelError("other detections have the same stamp: which image they are of is unknown")
-            boxes = _boxes(message.detections, class_ids, may_add=may_add)
+            boxes = _boxes(recorded.message.detections, class_ids, may_add=may_add)
         except (ImageError, LabelError) as error:
             problems.add("broken labels", recorded.label, error)
             continue
@@ -158,10 +155,6 @@ def _labels(
         objects += len(boxes)
         check_count(recording.path, "objects in a data set", objects, MAX_OBJECTS)
     return {stamp: found for stamp, found in labels.items() if counts[stamp] == 1}
-
-
-def _stamp(message: Any) -> Stamp:
-    return int(message.header.stamp.sec), int(message.header.stamp.nanosec)
 
 
 def _boxes(detections: Any, class_ids: dict[str, int], *, may_add: bool) -> Boxes:
@@ -199,7 +192,7 @@ def _images(
     number, seen = 0, set[Stamp]()
     for recorded in recording.images(topic):
         try:
-            stamp = _stamp(recorded.message)
+            stamp = recorded.stamp
         except ImageError as error:
             problems.add("unusable images", recorded.label, error)
             continue

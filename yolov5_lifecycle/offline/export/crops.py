@@ -13,8 +13,8 @@ import numpy as np
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.annotated_files import write_image
+from yolov5_lifecycle.offline.distinct_names import DistinctNames
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage
-from yolov5_lifecycle.printable import in_one_line
 
 MAX_CROPS = 1_000_000
 """Files of one source: more make a folder unusable."""
@@ -32,8 +32,9 @@ def _free_bytes(folder: Path) -> int:
 class Crops:
     """Writes the new folder `path`: `<class id>_<class name>/<stem>_<row>.jpg` for each detection.
 
-    Detections of one image are numbered from 0, the highest score first. `free_bytes` says how much room the
-    disk of a folder has. See `Sink`.
+    A stem that an earlier image has is followed by the number of the image. Detections of one image are
+    numbered from 0, the highest score first. `free_bytes` says how much room the disk of a folder has. See
+    `Sink`.
     """
 
     def __init__(
@@ -43,21 +44,18 @@ class Crops:
         self._path = path
         self._class_names = class_names
         self._free_bytes = free_bytes
-        self._count = 0
+        self._names = DistinctNames()
+        self._images = self._count = 0
 
     def add(self, found: DetectedImage) -> None:
         """Write the crops; raises OutputError beyond MAX_CROPS, and OSError when the disk is nearly full."""
         self._check_room(found)
+        name = self._names.of(_cut(found.named.stem), self._images)
+        self._images += 1
         for row, class_id in enumerate(found.detections.class_ids.tolist()):
             folder = self._path / f"{class_id}_{_safe(self._class_names[class_id])}"
             folder.mkdir(exist_ok=True)
-            file = folder / f"{_cut(found.named.stem)}_{row}{_SUFFIX}"
-            if os.path.lexists(file):
-                raise OutputError(
-                    f"{in_one_line(found.named.stem)}: two images have this name, but each crop is named "
-                    "after its image: rename one."
-                )
-            write_image(file, _crop(found, row))
+            write_image(folder / f"{name}_{row}{_SUFFIX}", _crop(found, row))
 
     def finish(self) -> None:
         """Nothing is left: each file is complete."""

@@ -20,11 +20,14 @@ class NamedImage(StoredImage, Protocol):
 
     @property
     def identity(self) -> Mapping[str, str | int]:
-        """One key and its value: `file`, `frame` or `stamp_ns`. Raises ImageError."""
+        """What tells it from the others: `file`, `frame`, or `stamp_ns` and `frame`. Raises ImageError."""
 
     @property
     def stem(self) -> str:
-        """Name of files about this image, without a suffix. Raises ImageError."""
+        """Name of files about this image, without a suffix; raises ImageError.
+
+        Image files may share it, other images do not.
+        """
 
 
 @dataclass(frozen=True, eq=False)

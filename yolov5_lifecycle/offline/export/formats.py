@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -10,10 +10,10 @@ from typing import Protocol
 
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.offline.export.coco_json import CocoJson
-from yolov5_lifecycle.offline.export.detected_image import Sink
+from yolov5_lifecycle.offline.export.detected_image import NamedImage, Sink
 from yolov5_lifecycle.offline.export.json_lines import JsonLines
 from yolov5_lifecycle.offline.export.table import CsvTable, ParquetTable
-from yolov5_lifecycle.offline.export.yolo_folder import YoloFolder
+from yolov5_lifecycle.offline.export.yolo_folder import YoloFolder, check_stems
 from yolov5_lifecycle.process.missing_package import absence_of
 
 JSON_LINES = ".jsonl"
@@ -34,6 +34,8 @@ class Format:
     new_sink: NewSink
     has_masks: bool
     has_ids: bool = True
+    check_images: Callable[[Sequence[NamedImage]], None] | None = None
+    """Raises OutputError for image files that it cannot tell apart."""
     package: str = ""
     """The package that writes it; "" if this one does."""
 
@@ -44,7 +46,9 @@ FORMATS: Mapping[str, Format] = MappingProxyType(
         ".json": Format("COCO", CocoJson, has_masks=True),
         ".csv": Format("CSV", CsvTable, has_masks=False),
         ".parquet": Format("Parquet", ParquetTable, has_masks=False, package="pyarrow"),
-        ".yolo": Format("a folder of YOLO text", YoloFolder, has_masks=False, has_ids=False),
+        ".yolo": Format(
+            "a folder of YOLO text", YoloFolder, has_masks=False, has_ids=False, check_images=check_stems
+        ),
     }
 )
 """By suffix of the output."""

@@ -21,7 +21,7 @@ COLUMNS = {
     "y_max": "float32",
     "id": "string",
 }
-"""Names and types of the columns behind the one that identifies the image; boxes in image pixels."""
+"""Names and types of the columns behind those that identify the image; boxes in image pixels."""
 _GROUP_ROWS = 1 << 16
 """Rows that are held in memory before they are written."""
 
@@ -97,8 +97,9 @@ class ParquetTable:
         import pyarrow
         from pyarrow import parquet
 
-        ((name, value),) = found.named.identity.items()
-        types = {name: "string" if isinstance(value, str) else "int64", **COLUMNS}
+        identity = found.named.identity
+        kinds = ("string" if isinstance(value, str) else "int64" for value in identity.values())
+        types = {**dict(zip(identity, kinds, strict=True)), **COLUMNS}
         self._schema = pyarrow.schema([(column, getattr(pyarrow, kind)()) for column, kind in types.items()])
         self._writer = parquet.ParquetWriter(self._file, self._schema)
 

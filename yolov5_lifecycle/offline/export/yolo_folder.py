@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
 
 from yolov5_lifecycle.atomic_file import OutputError
-from yolov5_lifecycle.offline.export.detected_image import DetectedImage
+from yolov5_lifecycle.offline.export.detected_image import DetectedImage, NamedImage
 from yolov5_lifecycle.printable import in_one_line
 
 
@@ -28,28 +29,31 @@ class YoloFolder:
         (path / "data.yaml").write_text(text, encoding="utf-8")
 
     def add(self, found: DetectedImage) -> None:
-        """Write the labels; raises OutputError for an image with the name of an earlier one, and OSError."""
-        stem = found.named.stem
+        """Write the labels; raises OSError."""
         lines = "".join(
             f"{class_id} {x:.6f} {y:.6f} {width:.6f} {height:.6f}\n"
             for class_id, (x, y, width, height) in zip(
                 found.detections.class_ids.tolist(), _relative_boxes(found), strict=True
             )
         )
-        try:
-            with (self._labels / f"{stem}.txt").open("x", encoding="ascii") as file:
-                file.write(lines)
-        except FileExistsError:
-            raise OutputError(
-                f"{in_one_line(stem)}: two images have this name, but YOLO text has one file for each: "
-                "rename one, or choose another format."
-            ) from None
+        with (self._labels / f"{found.named.stem}.txt").open("x", encoding="ascii") as file:
+            file.write(lines)
 
     def finish(self) -> None:
         """Nothing is left: each file is complete."""
 
     def close(self) -> None:
         """Nothing is open."""
+
+
+def check_stems(images: Sequence[NamedImage]) -> None:
+    """Raise OutputError if two of `images` would share one file of labels."""
+    stem, count = Counter(image.stem for image in images).most_common(1)[0]
+    if count > 1:
+        raise OutputError(
+            f"{in_one_line(stem)}: {count} images have this name, but YOLO text has one file for each: "
+            "rename them, or choose another format."
+        )
 
 
 def _relative_boxes(found: DetectedImage) -> list[tuple[float, float, float, float]]:
