@@ -31,8 +31,8 @@ def test_a_compressed_image_is_decoded(data: bytes, tolerance: int) -> None:
     np.testing.assert_allclose(image.pixels.astype(int), smooth_bgr(40, 60), atol=tolerance)
 
 
-def png(values: NDArray[np.unsignedinteger[Any]]) -> bytes:
-    is_encoded, data = cv2.imencode(".png", values)
+def file(suffix: str, values: NDArray[Any]) -> bytes:
+    is_encoded, data = cv2.imencode(suffix, values)
     assert is_encoded
     return bytes(data)
 
@@ -45,83 +45,124 @@ def test_a_png_gives_its_colours_by_their_higher_bits(
     values = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (4, 6, channels), dtype)
     high = (values >> 8 * (values.itemsize - 1)).astype(np.uint8)
     expected = np.repeat(high, 3, axis=2) if channels == 1 else high[..., :3]
-    np.testing.assert_array_equal(decode_compressed(png(values)).pixels, expected)
+    np.testing.assert_array_equal(decode_compressed(file(".png", values)).pixels, expected)
 
 
 def test_a_grey_jpeg_has_three_channels() -> None:
-    grey = cv2.imencode(".jpg", np.full((8, 8), 77, np.uint8))[1]
+    grey = file(".jpg", np.full((8, 8), 77, np.uint8))
     np.testing.assert_array_equal(decode_compressed(grey).pixels, np.full((8, 8, 3), 77))
 
 
+GREY = smooth_bgr(40, 60)[..., 2]
+FILES = {
+    "colour jpeg": smooth_file(".jpg"),
+    "colour png": smooth_file(".png"),
+    "deep colour png": file(".png", smooth_bgr(40, 60).astype(np.uint16) * 257),
+    "grey jpeg": file(".jpg", GREY),
+    "grey png": file(".png", GREY),
+    "deep png": file(".png", GREY.astype(np.uint16) * 99),
+    "tiff": file(".tiff", GREY),
+    "nothing": b"",
+}
+CLIPPED = "grey values of 16 bits for {}, found 8 bits. Set .*format. .* to png.* name after"
+NOT_SUPPORTED = "Encoding '{}' is not supported; supported: "
+NO_DEPTH = "compressedDepth, which is not supported; subscribe to the raw 16UC1 image"
+
+
 @pytest.mark.parametrize(
-    ("format_text", "order"),
+    ("format_text", "files", "order"),
     [
-        ("", "bgr"),
-        ("jpeg", "bgr"),
-        ("rgb8; jpeg compressed bgr8", "bgr"),
-        ("bgr8; png compressed bgr8", "bgr"),
-        ("bgra8; png compressed bgr8", "bgr"),
-        ("mono8; jpeg compressed mono8", "bgr"),
-        ("mono16; png compressed ", "bgr"),
-        ("rgb8; jpeg compressed ", "bgr"),
-        ("rgb8; jpeg compressed rgb8", "rgb"),
-        ("x" * 10_000, "bgr"),
+        *((text, "colour jpeg, colour png, grey jpeg, deep png", "bgr") for text in ("", "x" * 10_000, ";")),
+        *((text, "colour jpeg, grey jpeg", "bgr") for text in ("jpeg", "jpg", "JPEG", "mjpeg", "rgb8; jpeg")),
+        ("png", "colour png, deep colour png, grey png, deep png", "bgr"),
+        ("640x480", "colour jpeg", "bgr"),
+        ("rgb8; jpeg compressed bgr8", "colour jpeg", "bgr"),
+        ("bgr8; jpeg compressed bgr8", "colour jpeg", "bgr"),
+        ("rgba8; jpeg compressed bgr8", "colour jpeg", "bgr"),
+        ("rgb16; jpeg compressed bgr8", "colour jpeg", "bgr"),
+        ("nv21; jpeg compressed bgr8", "colour jpeg", "bgr"),
+        ("bayer_rggb8; jpeg compressed bgr8", "colour jpeg", "bgr"),
+        ("rgb8; jpeg compressed ", "colour jpeg", "bgr"),
+        ("rgb8; jpeg compressed rgb8", "colour jpeg", "rgb"),
+        ("jpeg compressed rgb8", "colour jpeg", "rgb"),
+        ("bgra8; png compressed bgr8", "colour png", "bgr"),
+        ("bgr16; png compressed bgr16", "deep colour png", "bgr"),
+        ("rgb16; png compressed rgb16", "deep colour png", "rgb"),
+        ("8UC3; png compressed ", "colour png", "bgr"),
+        ("8UC1; png compressed ", "grey png", "bgr"),
+        ("mono8; jpeg compressed mono8", "grey jpeg", "bgr"),
+        ("mono8; jpeg compressed ", "grey jpeg", "bgr"),
+        ("mono8; png compressed ", "grey png", "bgr"),
+        ("mono16; jpeg compressed mono8", "grey jpeg", "bgr"),
+        ("yuv422; jpeg compressed mono8", "grey jpeg", "bgr"),
+        ("bayer_rggb8; jpeg compressed mono8", "grey jpeg", "bgr"),
+        ("bayer_rggb16; jpeg compressed mono8", "grey jpeg", "bgr"),
     ],
 )
-@pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_the_format_says_whether_red_and_blue_are_swapped(
-    suffix: str, format_text: str, order: Order
-) -> None:
-    image = decode_compressed(smooth_file(suffix), format_text=format_text)
-    assert image.order == order
-    np.testing.assert_allclose(image.pixels.astype(int), smooth_bgr(40, 60), atol=10)
+def test_a_file_of_viewable_pixels_gives_its_own_colours(format_text: str, files: str, order: Order) -> None:
+    """Red and blue are swapped where its format says so."""
+    for name in files.split(", "):
+        image = decode_compressed(FILES[name], format_text=format_text)
+        assert image.order == order
+        colours = cv2.imdecode(np.frombuffer(FILES[name], np.uint8), cv2.IMREAD_COLOR)
+        np.testing.assert_array_equal(image.pixels, colours)
 
 
 @pytest.mark.parametrize(
-    ("encoding", "dtype"), [("16UC1", np.uint16), ("bayer_rggb8", np.uint8), ("bayer_gbrg8", np.uint8)]
+    ("format_text", "name", "encoding"),
+    [
+        ("bayer_rggb8; jpeg compressed bayer_rggb8", "grey jpeg", "bayer_rggb8"),
+        ("bayer_gbrg8; jpeg compressed ", "grey jpeg", "bayer_gbrg8"),
+        ("bayer_grbg8; png compressed ", "grey png", "bayer_grbg8"),
+        ("bayer_bggr8; png compressed bayer_bggr8", "grey png", "bayer_bggr8"),
+        ("bayer_bggr8", "grey jpeg", "bayer_bggr8"),
+        ("mono16; png compressed ", "deep png", "mono16"),
+        ("mono16; png compressed mono16", "deep png", "mono16"),
+        ("16UC1; png compressed ", "deep png", "16UC1"),
+    ],
 )
-def test_a_png_of_values_gives_the_image_of_the_raw_image(
-    encoding: str, dtype: type[np.unsignedinteger[Any]]
+def test_a_file_of_values_gives_the_image_of_the_raw_image(
+    format_text: str, name: str, encoding: str
 ) -> None:
-    values = np.random.default_rng(0).integers(
-        300 if dtype is np.uint16 else 0, np.iinfo(dtype).max, (5, 7), dtype
-    )
+    values = cv2.imdecode(np.frombuffer(FILES[name], np.uint8), cv2.IMREAD_UNCHANGED)
     raw = decode_raw(
         values.astype(values.dtype.newbyteorder("<")).tobytes(),
         encoding=encoding,
-        height=5,
-        width=7,
-        step=7 * values.itemsize,
+        height=40,
+        width=60,
+        step=60 * values.itemsize,
         is_bigendian=False,
     )
-    image = decode_compressed(png(values), format_text=f"{encoding}; png compressed ")
+    image = decode_compressed(FILES[name], format_text=format_text)
     assert image.order == raw.order
     np.testing.assert_array_equal(image.pixels, raw.pixels)
 
 
-def test_a_jpeg_of_a_mosaic_is_the_grey_image_that_image_transport_made_of_it() -> None:
-    image = decode_compressed(smooth_file(".jpg"), format_text="bayer_rggb8; jpeg compressed mono8")
-    np.testing.assert_array_equal(image.pixels, decode_compressed(smooth_file(".jpg")).pixels)
-
-
 @pytest.mark.parametrize(
-    ("dtype", "encoding", "reason"),
+    ("format_text", "name", "reason"),
     [
-        (np.uint8, "16UC1", "uint16 values for 16UC1, found uint8"),
-        (np.uint16, "bayer_rggb8", "uint8 values for bayer_rggb8, found uint16"),
+        ("mono16; jpeg compressed ", "grey jpeg", CLIPPED.format("mono16")),
+        ("16UC1; jpeg compressed ", "grey jpeg", CLIPPED.format("16UC1")),
+        ("16UC1; png compressed ", "grey png", CLIPPED.format("16UC1")),
+        ("16UC1; jpeg compressed mono8", "nothing", "found 0 bytes that begin with nothing. Set .* to png"),
+        ("bayer_rggb8; jpeg compressed bayer_rggb8", "colour jpeg", "8 bits for bayer_rggb8, found colours"),
+        ("bayer_rggb8; png compressed ", "colour png", "8 bits for bayer_rggb8, found colours"),
+        ("bayer_rggb8; png compressed ", "deep png", "8 bits for bayer_rggb8, found 16 bits"),
+        ("bayer_rggb16; png compressed ", "deep png", NOT_SUPPORTED.format("bayer_rggb16")),
+        ("16SC1; png compressed ", "grey png", NOT_SUPPORTED.format("16SC1")),
+        ("32FC1; tiff compressed ", "tiff", "Expected a JPEG or PNG, found .* Set .* to png"),
+        ("mono8; tiff compressed ", "tiff", "Expected a JPEG or PNG, found .* Set .* to png"),
+        ("16UC1; compressedDepth", "deep png", NO_DEPTH),
+        ("16UC1; compressedDepth png", "deep png", NO_DEPTH),
+        ("16UC1; compressedDepth rvl", "nothing", NO_DEPTH),
+        ("32FC1; compressedDepth png", "deep png", NO_DEPTH),
     ],
 )
-def test_a_png_of_other_values_than_its_format_says_is_refused(
-    dtype: type[np.unsignedinteger[Any]], encoding: str, reason: str
+def test_a_file_that_cannot_hold_what_its_format_says_is_refused_with_what_to_do(
+    format_text: str, name: str, reason: str
 ) -> None:
     with pytest.raises(ImageError, match=reason):
-        decode_compressed(png(np.zeros((4, 4), dtype)), format_text=f"{encoding}; png compressed ")
-
-
-@pytest.mark.parametrize("format_text", ["16UC1; compressedDepth png", "32FC1; compressedDepth"])
-def test_compressed_depth_is_refused_with_what_to_use_instead(format_text: str) -> None:
-    with pytest.raises(ImageError, match=f"{format_text}.*compressedDepth, which is not supported.*raw"):
-        decode_compressed(bytes(12) + png(np.zeros((4, 4), np.uint16)), format_text=format_text)
+        decode_compressed(FILES[name], format_text=format_text)
 
 
 @pytest.mark.parametrize("order", ["rgb", "bgr"])

@@ -21,7 +21,7 @@ from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 
 from yolov5_lifecycle.images.compressed import decode_compressed, decode_image_file
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError
-from yolov5_lifecycle.images.jpeg_structure import MAX_SCANNED_PX, MAX_SCANS, MAX_SEGMENTS, jpeg_size_hw
+from yolov5_lifecycle.images.jpeg_structure import MAX_SCANNED_PX, MAX_SCANS, MAX_SEGMENTS, jpeg_shape_hwc
 from yolov5_lifecycle.images.png_structure import MAX_CHUNKS, png_structure
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 
@@ -100,7 +100,7 @@ def test_a_png_that_is_not_plain_is_refused(data: bytes, reason: str, decode: De
 
 def test_a_jpeg_at_every_limit_is_decoded() -> None:
     assert decode_compressed(jpeg.progressive(48, 64, scans=MAX_SCANS)).size_hw == (48, 64)
-    assert jpeg_size_hw(np.frombuffer(jpeg.progressive(4096, 4096, MAX_SCANNED_PX >> 24), np.uint8))
+    assert jpeg_shape_hwc(np.frombuffer(jpeg.progressive(4096, 4096, MAX_SCANNED_PX >> 24), np.uint8))
     texts = jpeg.segment(0xE1, b"") * (MAX_SEGMENTS - 7)
     assert decode_compressed(jpeg.opened(texts, jpeg.frame(8, 8)) + jpeg.closed()).size_hw == (8, 8)
 
@@ -169,7 +169,7 @@ PIECES = [
 def test_opencv_decodes_no_other_size_than_the_one_that_was_checked(rest: bytes) -> None:
     data = np.frombuffer(jpeg.SOI + jpeg.tables() + rest, np.uint8)
     try:
-        size_hw = jpeg_size_hw(data)
+        size_hw = jpeg_shape_hwc(data)[:2]
     except ImageError:
         return
     pixels = cv2.imdecode(data, cv2.IMREAD_COLOR)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -10,20 +11,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.encodings import decode_raw, encoded
+from yolov5_lifecycle.images.encodings import decode_raw, encoded, layout_of
 from yolov5_lifecycle.images.image import ColourImage, ImageError, bytes_of, check_frame_id, check_size
-from yolov5_lifecycle.images.jpeg_structure import is_jpeg, jpeg_size_hw
+from yolov5_lifecycle.images.jpeg_structure import is_jpeg, jpeg_shape_hwc
 from yolov5_lifecycle.images.png_structure import is_png, png_structure
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 
 JPEG_QUALITY = 80
 """Out of 100: half the bytes of OpenCV's default 95; text and thin lines stay clean."""
 
-_VALUES: dict[str, type[np.unsignedinteger[Any]]] = {
-    "16UC1": np.uint16,
-    **dict.fromkeys(("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8"), np.uint8),
-}
-"""Encodings whose PNG holds raw sensor values rather than a viewable image, and their dtype."""
+_VALUES = re.compile("bayer_|mono16|8SC|(16|32|64)[USF]C")
+"""Beginnings of the encodings whose file holds values to convert like those of a raw image."""
+
+_SET_PNG = "Set the parameter `compressed.format` of the publisher to png if it is image_transport's"
 
 
 def compressed_image(image: Any) -> ColourImage:
@@ -38,14 +38,16 @@ def compressed_image(image: Any) -> ColourImage:
 def decode_compressed(data: Any, *, format_text: str = "") -> ColourImage:
     """Decode a JPEG or PNG file; `data` as for `decode_raw`.
 
-    `format_text` is the message's `format`, such as "rgb8; jpeg compressed bgr8"; empty and unknown values
-    select the file's own colours. A PNG of 16UC1 or of a Bayer mosaic is decoded like in `decode_raw`. Of
-    other 16-bit files the high byte is kept; transparency is dropped. CMYK is converted by OpenCV.
+    `format_text` is the message's `format`, such as "rgb8; jpeg compressed bgr8": what the file holds follows
+    `compressed`, or is the camera's encoding if nothing does. A mosaic and 16-bit grey are decoded like in
+    `decode_raw`; everything else, also empty and unknown, selects the file's own colours. Of other 16-bit
+    files the high byte is kept; transparency is dropped. CMYK is converted by OpenCV.
 
     EXIF rotation is ignored: pixels are returned as stored.
 
-    Raises ImageError for another format, an image larger than MAX_COMPRESSED_PX, one that exceeds the
-    decoding limits of `jpeg_size_hw` and `png_structure`, or one that does not decode to its header's size.
+    Raises ImageError for another format, a file that cannot hold what `format_text` names, an image larger
+    than MAX_COMPRESSED_PX, one that exceeds the decoding limits of `jpeg_shape_hwc` and `png_structure`, or
+    one that does not decode to its header's size.
     """
     if "compressedDepth" in format_text:
         raise ImageError(
@@ -53,12 +55,13 @@ def decode_compressed(data: Any, *, format_text: str = "") -> ColourImage:
             "subscribe to the raw 16UC1 image instead, or publish it through the transport compressed."
         )
     file = _checked(bytes_of(data))
-    encoding = format_text.partition(";")[0].strip()
-    if encoding in _VALUES and is_png(file.data):
-        return _decode_values(file, encoding)
+    target = format_text.partition("compressed")[2].strip()
+    held = target or format_text.partition(";")[0].strip()
+    if _VALUES.match(held):
+        return _decode_values(file, held)
     pixels = _decoded(file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    # "compressed rgb": the encoder swapped red and blue; image_transport swaps them back the same way.
-    return ColourImage(pixels, "rgb" if "compressed rgb" in format_text else "bgr")
+    # The encoder swapped red and blue; image_transport swaps them back the same way.
+    return ColourImage(pixels, "rgb" if target.startswith("rgb") else "bgr")
 
 
 def decode_image_file(data: NDArray[np.uint8]) -> ColourImage:
@@ -94,18 +97,24 @@ class _CheckedFile:
 
     data: NDArray[np.uint8]
     size_hw: tuple[int, int]
+    grey_bits: int | None
+    """Per value; None if the file has colours."""
 
 
 def _checked(buffer: NDArray[np.uint8]) -> _CheckedFile:
     """The file, if decoding it takes bounded memory and time; else ImageError."""
     if is_png(buffer):
         png = png_structure(buffer)
-        file = _CheckedFile(png.pixels_alone, png.size_hw)
+        file = _CheckedFile(png.pixels_alone, png.size_hw, png.grey_bits)
     elif is_jpeg(buffer):
-        file = _CheckedFile(buffer, jpeg_size_hw(buffer))
+        height, width, components = jpeg_shape_hwc(buffer)
+        file = _CheckedFile(buffer, (height, width), 8 if components == 1 else None)
     else:
-        start = buffer[:8].tobytes().hex()
-        raise ImageError(f"Expected a JPEG or PNG, found {buffer.size} bytes that begin with {start}.")
+        start = buffer[:8].tobytes().hex() or "nothing"
+        raise ImageError(
+            f"Expected a JPEG or PNG, found {buffer.size} bytes that begin with {start}. {_SET_PNG}, which "
+            "sends nothing where it cannot make a JPEG."
+        )
     height, width = file.size_hw
     check_size(height, width)
     if height * width > MAX_COMPRESSED_PX:
@@ -116,10 +125,14 @@ def _checked(buffer: NDArray[np.uint8]) -> _CheckedFile:
 
 
 def _decode_values(file: _CheckedFile, encoding: str) -> ColourImage:
+    bits = 8 * layout_of(encoding).pixel_bytes
+    if file.grey_bits != bits:
+        found = "colours" if file.grey_bits is None else f"{file.grey_bits} bits"
+        raise ImageError(
+            f"Expected a file of grey values of {bits} bits for {encoding}, found {found}. {_SET_PNG}, or "
+            "have the publisher name after 'compressed' what the file holds, such as bgr8 or mono8."
+        )
     values = _decoded(file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
-    if values.dtype != _VALUES[encoding]:
-        expected = np.dtype(_VALUES[encoding]).name
-        raise ImageError(f"Expected a PNG of {expected} values for {encoding}, found {values.dtype}.")
     height, width = file.size_hw
     return decode_raw(
         values,

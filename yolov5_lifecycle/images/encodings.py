@@ -71,7 +71,7 @@ class _RawImage:
 
     @property
     def layout(self) -> _Layout:
-        return ENCODINGS[self.encoding]
+        return layout_of(self.encoding)
 
     @property
     def rows(self) -> int:
@@ -192,6 +192,13 @@ ENCODINGS: Mapping[str, _Layout] = MappingProxyType(
 """Supported encodings of sensor_msgs/Image by name; docs/images.md has a table."""
 
 
+def layout_of(encoding: str) -> _Layout:
+    """Raises ImageError when the encoding is unsupported."""
+    if encoding not in ENCODINGS:
+        raise ImageError(f"Encoding {encoding[:40]!r} is not supported; supported: {', '.join(ENCODINGS)}.")
+    return ENCODINGS[encoding]
+
+
 def raw_image(image: Any) -> ColourImage:
     """Decode a sensor_msgs/Image, deserialised by any library; see `decode_raw`.
 
@@ -220,8 +227,7 @@ def decode_raw(
 
     Raises ImageError when the encoding is unsupported or the buffer is too small for the given layout.
     """
-    if encoding not in ENCODINGS:
-        raise ImageError(f"Encoding {encoding[:40]!r} is not supported; supported: {', '.join(ENCODINGS)}.")
+    layout_of(encoding)
     image = _RawImage(bytes_of(data), encoding, height, width, step, is_bigendian)
     _check_size(image)
     _check_buffer(image)

@@ -37,21 +37,21 @@ def is_jpeg(buffer: NDArray[np.uint8]) -> bool:
     return buffer[:3].tobytes() == b"\xff\xd8\xff"
 
 
-def jpeg_size_hw(buffer: NDArray[np.uint8]) -> tuple[int, int]:
-    """Height and width in pixels of the JPEG file (N,), parsed without decoding.
+def jpeg_shape_hwc(buffer: NDArray[np.uint8]) -> tuple[int, int, int]:
+    """Height and width in pixels, and components, of the JPEG file (N,), parsed without decoding.
 
     Raises ImageError for files that OpenCV does not decode, for unusual structure such as markers without a
     length before the scans or a second frame header, and beyond MAX_SEGMENTS, MAX_SCANS or MAX_SCANNED_PX.
     """
     walk = _Walk(buffer)
-    height, width = walk.size_hw()
+    height, width, components = walk.shape_hwc()
     scans = walk.count_scans()
     if scans > MAX_SCANS or scans * height * width > MAX_SCANNED_PX:
         raise ImageError(
             f"A JPEG may have {MAX_SCANS} scans, and {MAX_SCANNED_PX} scans x pixels; "
             f"this one has {scans} of {height} x {width}. Save it as a baseline JPEG."
         )
-    return height, width
+    return height, width, components
 
 
 class _Walk:
@@ -63,20 +63,20 @@ class _Walk:
         self._position = 2
         self._left = MAX_SEGMENTS
 
-    def size_hw(self) -> tuple[int, int]:
-        """Height and width from the only frame header; leaves the position after the first SOS marker."""
-        size_hw = None
+    def shape_hwc(self) -> tuple[int, int, int]:
+        """As the only frame header has them; leaves the position after the first SOS marker."""
+        shape_hwc = None
         while (marker := self._next_marker()) != _SOS:
             if marker in _FRAMES:
-                if size_hw is not None:
+                if shape_hwc is not None:
                     raise ImageError("Expected a JPEG with one frame header, found a second one.")
-                size_hw = self._frame_size_hw()
+                shape_hwc = self._frame_shape_hwc()
             elif marker not in _TABLES_AND_TEXTS:
                 raise ImageError(f"Expected a baseline or progressive JPEG, found {_name(marker)}.")
             self._skip_segment(marker)
-        if size_hw is None:
+        if shape_hwc is None:
             raise ImageError("Expected a JPEG with a frame header, found a scan without one.")
-        return size_hw
+        return shape_hwc
 
     def _next_marker(self) -> int:
         """Read the marker at the position and any fill bytes before it."""
@@ -95,7 +95,7 @@ class _Walk:
             raise ImageError(f"A JPEG may have {MAX_SEGMENTS} segments and fill bytes, this one has more.")
 
     def count_scans(self) -> int:
-        """Number of scans up to the end of the image; call after `size_hw` has read the first SOS marker."""
+        """Number of scans up to the end of the image; call after `shape_hwc`, which reads the first SOS."""
         scans, marker = 0, _SOS
         while marker != _EOI:
             if marker not in _TABLES_AND_TEXTS and marker not in (_SOS, _DNL):
@@ -127,8 +127,8 @@ class _Walk:
             )
         self._position += length
 
-    def _frame_size_hw(self) -> tuple[int, int]:
-        """Height and width from the frame header: length, bits, height, width, 3 bytes per component."""
+    def _frame_shape_hwc(self) -> tuple[int, int, int]:
+        """From the frame header: length, bits, height, width, components, 3 bytes per component."""
         length, bits, components = (
             self._number(self._position),
             self._byte(self._position + 2),
@@ -140,7 +140,7 @@ class _Walk:
             raise ImageError(
                 f"Expected a JPEG of 1, 3 or 4 components, found {components} in a header of {length} bytes."
             )
-        return self._number(self._position + 3), self._number(self._position + 5)
+        return self._number(self._position + 3), self._number(self._position + 5), components
 
     def _number(self, position: int) -> int:
         return self._byte(position) << 8 | self._byte(position + 1)

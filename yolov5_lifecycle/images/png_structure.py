@@ -20,6 +20,7 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHUNK = struct.Struct(">I4s")  # length of its data, name; the data and 4 bytes of checksum follow
 _AROUND_DATA = _CHUNK.size + 4
 _HEADER_BYTES = 13
+_COLOURED = 3  # bits of the colour type: a palette, colours
 _ONCE = {b"IHDR", b"PLTE", b"tRNS", b"eXIf"}
 _USED = _ONCE | {b"IDAT", b"IEND"}
 
@@ -29,6 +30,8 @@ class PngStructure:
     """Height and width in pixels, and the file (M,) reduced to the chunks needed to decode it."""
 
     size_hw: tuple[int, int]
+    grey_bits: int | None
+    """Per value; None if the file has colours."""
     pixels_alone: NDArray[np.uint8]
 
 
@@ -61,8 +64,8 @@ def png_structure(buffer: NDArray[np.uint8]) -> PngStructure:
         raise ImageError(f"A PNG may have {MAX_CHUNKS} chunks, this one has more.")
     if b"IDAT" not in found:
         raise ImageError(f"Expected a complete PNG, found {len(data)} bytes without pixels (IDAT).")
-    width, height = struct.unpack_from(">II", data, len(_SIGNATURE) + _CHUNK.size)
-    return PngStructure((height, width), _joined(buffer, kept))
+    width, height, bits, colour = struct.unpack_from(">IIBB", data, len(_SIGNATURE) + _CHUNK.size)
+    return PngStructure((height, width), None if colour & _COLOURED else bits, _joined(buffer, kept))
 
 
 def _chunk(data: memoryview, position: int) -> tuple[bytes, int]:

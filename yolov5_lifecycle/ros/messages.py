@@ -40,7 +40,7 @@ def image_of_message(message: Image | CompressedImage) -> ColourImage:
 def jpeg_of_message(message: Image | CompressedImage, image: ColourImage) -> NDArray[np.uint8] | None:
     """The JPEG file (N,) in `message`, without a copy, if every reader sees `image` in it; else None.
 
-    Others are rotated by their EXIF data, which ROS ignores, or have red and blue exchanged.
+    Others are rotated by their EXIF data, which ROS ignores, have red and blue exchanged, or are mosaics.
     """
     if not isinstance(message, CompressedImage) or image.order != "bgr":
         return None
