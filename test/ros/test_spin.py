@@ -21,10 +21,11 @@ def node(ros_domain: int) -> Iterator[Node]:
 
 
 @pytest.fixture
-def executor(node: Node) -> SingleThreadedExecutor:
+def executor(node: Node) -> Iterator[SingleThreadedExecutor]:
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
-    return executor
+    yield executor
+    executor.shutdown()  # else the garbage collector does, and raises if it takes its parts first
 
 
 def test_what_one_callback_raises_does_not_keep_the_others_from_being_served(

@@ -47,7 +47,10 @@ class RosThread:
         self._is_stopping.set()
         self._executor.wake()
         self._thread.join(_END_S)
-        return not self._thread.is_alive()
+        if self._thread.is_alive():
+            return False
+        self._executor.shutdown()  # else the garbage collector does, and raises if it takes its parts first
+        return True
 
     def post(self, function: Callable[..., object], *arguments: object) -> None:
         """Call `function` soon in the thread of the event loop; may be called in any thread."""
