@@ -5,21 +5,32 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import io
+import itertools
 import threading
 import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path, PosixPath
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 import torch
-from support.checkpoint_builder import SMALL, foreign, layers_of, official_model, saved, stripped
+from support.checkpoint_builder import (
+    SMALL,
+    foreign,
+    in_one_storage,
+    layers_of,
+    official_model,
+    saved,
+    stripped,
+)
 from support.random_model import CLASS_NAMES, TINY, random_network
 from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints import pt_file as checkpoint
+from yolov5_lifecycle.checkpoints.archive import Archive
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
@@ -296,6 +307,34 @@ def test_what_belongs_to_no_layer_is_not_read() -> None:
     damaged = data.replace(torch.full((64,), 7.0).numpy().tobytes(), bytes(256))
     assert damaged != data
     assert read_checkpoint(damaged).class_names == CLASS_NAMES
+
+
+def with_shared_normalisation(model: Any) -> Any:
+    first, second = (vars(layers_of(model)[index])["_modules"] for index in ("0", "1"))
+    second["bn"] = first["bn"]
+    return model
+
+
+@pytest.mark.parametrize(
+    ("changed", "shared"),
+    [
+        pytest.param(in_one_storage, {}, id="views of one storage"),
+        pytest.param(with_shared_normalisation, {"model.1.bn.": "model.0.bn."}, id="a tensor twice"),
+    ],
+)
+def test_a_storage_of_several_tensors_is_read_once(
+    changed: Callable[[Any], Any], shared: dict[str, str]
+) -> None:
+    expected = dict(read().state_dict)
+    for key, (ours, theirs) in itertools.product(expected, shared.items()):
+        if key.startswith(ours):
+            expected[key] = expected[key.replace(ours, theirs)]
+    data = saved(stripped(changed(official_model())))
+    with mock.patch.object(Archive, "record", autospec=True, side_effect=Archive.record) as record:
+        found = read_checkpoint(data).state_dict
+    records = [name for (_, name), _ in record.call_args_list]
+    assert len(records) == len(set(records)) > 0
+    assert all(torch.equal(found[key], tensor) for key, tensor in expected.items())
 
 
 def test_another_byte_order_is_refused() -> None:

@@ -166,6 +166,29 @@ def _add_anchor_grid(detect: Any, architecture: Architecture) -> None:
     buffers["anchor_grid"] = grid.view(len(grid), 1, -1, 1, 1, 2)
 
 
+def in_one_storage(model: Any, *, spare: int = 0) -> Any:
+    """`model` with its weights as views of one flat storage, which has `spare` more numbers."""
+    groups = [vars(module)[name] for module in _modules_of(model) for name in ("_parameters", "_buffers")]
+    places = [(group, key) for group in groups for key, held in group.items() if _is_weight(held)]
+    tensors = [group[key].detach() for group, key in places]
+    numbers = torch.cat([tensor.reshape(-1) for tensor in tensors] + [torch.zeros(spare).to(tensors[0])])
+    parts = numbers.split([tensor.numel() for tensor in tensors] + [spare])
+    for (group, key), tensor, part in zip(places, tensors, parts[:-1], strict=True):
+        view = part.view(tensor.shape)
+        group[key] = nn.Parameter(view) if isinstance(group[key], nn.Parameter) else view
+    return model
+
+
+def _modules_of(module: Any) -> Iterator[Any]:
+    yield module
+    for child in vars(module)["_modules"].values():
+        yield from _modules_of(child)
+
+
+def _is_weight(held: torch.Tensor | None) -> bool:
+    return held is not None and held.is_floating_point()
+
+
 def layers_of(model: Any) -> dict[str, Any]:
     found: dict[str, Any] = vars(vars(model)["_modules"]["model"])["_modules"]
     return found

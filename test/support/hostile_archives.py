@@ -24,14 +24,18 @@ def valid(protocol: int = 2) -> bytes:
 
 
 def with_pickle(pickle: bytes, whole: bytes = b"") -> bytes:
-    """The valid archive, or another one, with another data.pkl; it is whole, so that this is looked at."""
+    return with_record(_PICKLE, pickle, whole)
+
+
+def with_record(record: str, content: bytes, whole: bytes = b"") -> bytes:
+    """The valid archive, or another one, with another record; it is whole, so that this is looked at."""
     file = io.BytesIO()
     with (
         zipfile.ZipFile(io.BytesIO(whole or valid())) as old,
         zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as new,
     ):
         for name in old.namelist():
-            new.writestr(name, pickle if name == _PICKLE else old.read(name))
+            new.writestr(name, content if name == record else old.read(name))
     return file.getvalue()
 
 
@@ -175,6 +179,7 @@ ARCHIVES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     ),
     "bzip2": (lambda: archive(mapping({}), compression=zipfile.ZIP_BZIP2), "is compressed"),
     "encrypted": (lambda: with_flag(1), "is encrypted"),
+    "byte order of 30 MiB": (lambda: with_record("archive/byteorder", bytes(30 << 20)), "in the byte order"),
     "overlapping records": (lambda: overlapping(1000), "overlap"),
     "25,000 records": (
         lambda: archive(mapping({}), storages=list(itertools.repeat(b"", 25_000))),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Mapping
 
 from support import pickle_assembler as asm
+from support.checkpoint_builder import in_one_storage, layers_of, official_model, saved, stripped
 from support.hostile_gadgets import FOREIGN, SHELL
 from support.pickle_assembler import (
     archive,
@@ -77,6 +79,13 @@ def all_in_all_modules(levels: int) -> bytes:
         tree += instance("models.common", "Conv", {"_modules": twice}) + put(level + 1)
     unused = asm.EMPTY_LIST + asm.MARK + tree + b"e"
     return archive(mapping({"unused": unused, "model": get(levels)}))
+
+
+def small_views(storage_bytes: int) -> bytes:
+    """A model whose tensors are parts of one storage; only when all are read a number is found wrong."""
+    model = in_one_storage(official_model(), spare=storage_bytes // 2)
+    vars(layers_of(model)["0"])["_modules"]["bn"].running_mean.fill_(math.nan)
+    return saved(stripped(model))
 
 
 BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
@@ -372,6 +381,7 @@ TENSORS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         ),
         "tensors claim",
     ),
+    "small views of 20 MiB": (lambda: small_views(20 << 20), "numbers that are not finite"),
     "bytes as weights": (
         lambda: archive(model(asm.tensor(stored=asm.storage(16, kind="ByteStorage")))),
         "holds torch.uint8",

@@ -109,6 +109,12 @@ def deep_json() -> bytes:
     return struct.pack("<Q", len(text)) + text
 
 
+def escaped_objects() -> bytes:
+    """The text of the header does not show how many there are."""
+    text, tensors = cut(metadata(architecture="[@0]")())
+    return glued(text.replace(b"@", rb"\u007b\"\":0}\u002c" * 800_000), tensors)
+
+
 FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "empty": (lambda: b"", "found 0 bytes"),
     "header of 16 EiB": (lambda: b"\xff" * 8 + b"{}", "its header does not fit"),
@@ -138,7 +144,12 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "a million channels": (architecture(layers=[[[-1], 1, "Conv", [1_000_000]]]), "the channels of layer 0"),
     "even window": (arguments(4, [64, 4]), "has the arguments [64, 4]"),
     "a million repeats": (architecture(layers=[[[-1], 1_000_000, "C3", [64]]]), "the number of layer 0"),
-    "a million strides": (architecture(strides=[8] * 1_000_000), "equally many anchors"),
+    "100,000 strides": (architecture(strides=[8] * 100_000), "equally many anchors"),
+    "header of two million objects": (
+        lambda: glued(b'{"x":[' + b'{"":0},' * 2_000_000 + b"0]}", b""),
+        "not JSON of at most 500000 values",
+    ),
+    "architecture of 800,000 objects, escaped": (escaped_objects, "has more than 500000 values"),
     "class names that are lists": (
         metadata(class_names='["a", [], "c"]'),
         "found a list: convert the original",

@@ -31,6 +31,7 @@ class Archive:
     def __init__(self, archive: zipfile.ZipFile, folder: str) -> None:
         self._archive = archive
         self._folder = folder
+        self._storages: dict[str, memoryview] = {}
 
     def has(self, name: str) -> bool:
         """Whether there is a record named `name`."""
@@ -42,9 +43,14 @@ class Archive:
             raise WeightsError(f"the storage {shown(key)} is missing: copy or download the file again")
         return self._archive.getinfo(f"{self._folder}/data/{key}").file_size
 
-    def storage(self, key: str) -> bytes:
-        """The bytes of the storage `key`, checked against their CRC; raises WeightsError."""
-        return self.record(f"data/{key}")
+    def storage(self, key: str) -> memoryview:
+        """The writable bytes of the storage `key`, read once and checked against their CRC.
+
+        However many tensors are views of them, they take no more memory than the file. Raises WeightsError.
+        """
+        if key not in self._storages:
+            self._storages[key] = io.BytesIO(self.record(f"data/{key}")).getbuffer()
+        return self._storages[key]
 
     def record(self, name: str) -> bytes:
         """The bytes of a record, checked against their CRC; raises WeightsError."""

@@ -50,7 +50,8 @@ for Adam is two fp32 values per weight, three with amsgrad.
 def read_checkpoint(data: bytes) -> Model:
     """The model in the bytes of a `.pt` file; its `ema` if present, as YOLOv5 itself prefers.
 
-    Tensor data is read once all tensors are known to fit the layers; data of no layer is never read.
+    Tensor data is read once all tensors are known to fit the layers, each storage once; that of no layer is
+    never read.
     Raises WeightsError.
     """
     archive = read_archive(data)
@@ -128,4 +129,6 @@ def _in_cells(anchors_px: AnchorsPx, strides: tuple[int, ...]) -> Tensor:
 def _check_byte_order(archive: Archive) -> None:
     """Reject foreign byte order. Torch before 2.1 records none, but hardly ran on big-endian machines."""
     if archive.has("byteorder") and (order := archive.record("byteorder")) != sys.byteorder.encode():
-        raise WeightsError(f"its numbers are in the byte order {shown(str(order))}: save it on this machine")
+        raise WeightsError(
+            f"its numbers are in the byte order {shown(str(order[:16]))}: save it on this machine"
+        )

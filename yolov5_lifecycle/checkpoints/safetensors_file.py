@@ -36,6 +36,8 @@ from yolov5_lifecycle.models.model import (
 
 FORMAT = "yolov5_lifecycle 1"
 MAX_HEADER_BYTES = 16 << 20
+MAX_VALUES = 500_000
+"""Of a JSON text, by its commas and brackets; an object of a few bytes takes up hundreds in memory."""
 _DTYPES = {
     "F16": torch.float16,
     "BF16": torch.bfloat16,
@@ -108,9 +110,11 @@ def _header(data: bytes) -> dict[str, Any]:
     if header_bytes > min(MAX_HEADER_BYTES, len(data) - 8):
         raise WeightsError("this is not a .safetensors file, or it is cut short: its header does not fit")
     try:
-        header = json.loads(data[8 : 8 + header_bytes])
+        header = _parsed(data[8 : 8 + header_bytes].decode())
     except (ValueError, RecursionError):
-        raise WeightsError("this is not a .safetensors file: its header is not JSON") from None
+        raise WeightsError(
+            f"this is not a .safetensors file: its header is not JSON of at most {MAX_VALUES} values"
+        ) from None
     if not isinstance(header, dict):
         raise WeightsError(f"this is not a .safetensors file: its header is {shown(header)}")
     return header
@@ -151,11 +155,19 @@ def _smallest(tensor: torch.Tensor) -> torch.Tensor:
 
 def _json(metadata: Mapping[str, Any], key: str) -> Any:
     try:
-        return json.loads(metadata.get(key, ""))
-    except (TypeError, ValueError, RecursionError):
+        return _parsed(str(metadata.get(key, "")))
+    except (ValueError, RecursionError):
         raise WeightsError(
-            f"the metadata entry {key} is missing or damaged: convert the original .pt again"
+            f"the metadata entry {key} is missing or damaged, or has more than {MAX_VALUES} values: "
+            "convert the original .pt again"
         ) from None
+
+
+def _parsed(text: str) -> Any:
+    """The value of a JSON text; raises ValueError, also for more than `MAX_VALUES`, or RecursionError."""
+    if sum(map(text.count, ",[{")) > MAX_VALUES:
+        raise ValueError("too many values")
+    return json.loads(text)
 
 
 def _architecture(described: Any) -> Architecture:

@@ -73,8 +73,8 @@ class StoredTensor:
         """A meta tensor of the same shape and dtype, without data."""
         return torch.empty(self.shape, dtype=self.dtype, device="meta")
 
-    def of(self, content: bytes) -> Tensor:
-        """The tensor, copied from `content`, the bytes of the storage. Raises WeightsError."""
+    def of(self, content: memoryview) -> Tensor:
+        """The tensor as a view of `content`, the writable bytes of the storage. Raises WeightsError."""
         if len(content) != self.storage.size_bytes:
             raise WeightsError(
                 f"the storage {shown(self.storage.key)} has {len(content)} bytes, "
@@ -82,7 +82,7 @@ class StoredTensor:
             )
         if not content:
             return torch.empty(self.shape, dtype=self.dtype)
-        numbers = torch.frombuffer(bytearray(content), dtype=self.dtype)
+        numbers = torch.frombuffer(content, dtype=self.dtype)
         return numbers.as_strided(self.shape, self.strides, self.offset)
 
 
