@@ -1,4 +1,4 @@
-"""Sanitizing of untrusted text for logs, terminals and diagnostics; which text is UTF-8."""
+"""Text for logs, terminals, diagnostics: without secrets and unprintable characters; which text is UTF-8."""
 
 from __future__ import annotations
 
@@ -16,24 +16,76 @@ _LETTER = rf"[^\x00-\x7f{_JOINERS}]"
 _STRAY_JOINER = re.compile(f"(?<!{_LETTER})[{_JOINERS}]|[{_JOINERS}](?!{_LETTER})")
 """One that has no such letter on each side: it joins nothing, but makes equal-looking texts differ."""
 
+_SCHEME = r"[A-Za-z][A-Za-z0-9+.-]{0,31}://"
+_ADDRESS = re.compile(
+    rf"""(?<![A-Za-z0-9+.-])(?P<scheme>{_SCHEME})(?P<rest>(?:(?![\s'"=(,;<\[]{_SCHEME}).)*)""", re.DOTALL
+)
+"""An address, and what follows it up to the next one."""
+_QUERY_VALUE = re.compile(r"(=)[^&]*|(?<=[?&])[^=&]+(?=&|$)")
+_PROPERTY = re.compile(
+    rf"""(?<=\s)([\w:-]+\s*=\s*)(?!["']?{_SCHEME}|\*\*\*)("(?:\\.|[^"\\])*"?|'(?:\\.|[^'\\])*'?|\S+)"""
+)
+"""Of an element in a GStreamer pipeline."""
+
+
+def without_secrets(line: str) -> str:
+    """`line` with `***` for all before the last @ of an address, for its values, and for those of a pipeline.
+
+    A line that begins with an address, and quotes around one, have nothing else in them. Elsewhere an address
+    ends at a blank, unless an @ follows. What may be part of a password counts as such.
+    """
+    line = _ADDRESS.sub(_without_secrets, line)
+    return _PROPERTY.sub(r"\1***", line) if " ! " in line else line
+
+
+def _without_secrets(found: re.Match[str]) -> str:
+    end = _address_end(found)
+    address, after = found["rest"][:end], found["rest"][end:]
+    before, at, host = address.rpartition("@")
+    if ":" not in before:  # then an @ in the path ends no password
+        authority = re.split("[/?#]", address, maxsplit=1)[0]
+        at = "@" if "@" in authority else ""
+        host = address[authority.rfind("@") + 1 :]
+    values = _QUERY_VALUE.sub(lambda value: f"{value[1] or ''}***", host)
+    return f"{found['scheme']}{'***' if at else ''}{at}{values}{after}"
+
+
+def _address_end(found: re.Match[str]) -> int:
+    """Where in the rest the address ends."""
+    rest, quote = found["rest"], found.string[: found.start()][-1:]
+    if not quote:
+        return len(rest)
+    if quote in "'\"":
+        closing = re.search(rf"{quote}(?!\w)", rest)
+        return closing.start() if closing else len(rest)
+    end = _token_end(rest, 0)
+    return _token_end(rest, max(end, rest.rfind("@"))) if ":" in rest[:end] else end
+
+
+def _token_end(text: str, begin: int) -> int:
+    blank = re.compile(r"\s|$").search(text, begin)
+    return blank.start() if blank else len(text)
+
 
 def in_one_line(text: str, limit: int = MAX_LINE) -> str:
     """`text` as one line of at most `limit` characters, with white space as blanks, unprintable ones as `?`.
 
+    Secrets are replaced, see `without_secrets`.
     Escape sequences, control characters and bidirectional formatting characters are unprintable. Longer text
     is truncated and its length appended.
     """
     # Truncated before it is split: a string of many megabytes costs no more than its beginning.
-    line = printable(" ".join(text[: 4 * limit].split()))
+    line = printable(without_secrets(" ".join(text[: 4 * limit].split())))
     return line if len(line) <= limit and len(text) <= 4 * limit else _cut(line, len(text), limit)
 
 
 def in_lines(text: str, limit: int = MAX_TEXT) -> str:
     """`text` with its line breaks; later lines are indented by at least two blanks, unlike log lines.
 
-    Handles unprintable characters and overlong text like `in_one_line`.
+    Handles secrets, unprintable characters and overlong text like `in_one_line`.
     """
-    first, *later = (printable(line.replace("\t", "    ")) for line in text[: 2 * limit].split("\n"))
+    lines_of_text = text[: 2 * limit].replace("\t", "    ").split("\n")
+    first, *later = (printable(without_secrets(line)) for line in lines_of_text)
     if not all(line.startswith(_INDENT) for line in later):
         later = [_INDENT + line for line in later]
     lines = "\n".join([first, *later])

@@ -19,7 +19,6 @@ from yolov5_lifecycle.sources.network_stream import (
     is_stream,
     open_capture,
     open_stream,
-    without_secrets,
 )
 from yolov5_lifecycle.sources.source import open_source
 
@@ -82,8 +81,8 @@ def test_a_stream_that_breaks_off_is_connected_again() -> None:
     assert camera.numbers(5) == [0, 1, 2, 3, 4]
     assert camera.waits_s == [1.0]
     assert camera.reports == [
-        "'rtsp://user:***@camera/stream' delivers no more images. Reconnecting in 1 s.",
-        "'rtsp://user:***@camera/stream' is connected again.",
+        "'rtsp://***@camera/stream' delivers no more images. Reconnecting in 1 s.",
+        "'rtsp://***@camera/stream' is connected again.",
     ]
     assert camera.captures[0].is_released
 
@@ -109,7 +108,7 @@ def test_a_stream_that_is_played_once_ends() -> None:
 
 def test_a_first_connection_that_fails_is_an_error() -> None:
     camera = Camera([None])
-    with pytest.raises(SourceError, match=r"'rtsp://user:\*\*\*@camera/stream' cannot be opened"):
+    with pytest.raises(SourceError, match=r"'rtsp://\*\*\*@camera/stream' cannot be opened"):
         camera.numbers(1)
     assert camera.captures[0].is_released
 
@@ -135,23 +134,6 @@ def test_only_a_file_that_is_served_has_a_rate(length: int, rate_hz: float | Non
 )
 def test_a_stream_is_recognized(source: str, expected: bool) -> None:
     assert is_stream(source) is expected
-
-
-@pytest.mark.parametrize(
-    ("source", "shown"),
-    [
-        ("rtsp://a:b@h/x", "rtsp://a:***@h/x"),
-        ("rtsp://a:b@c@h/x", "rtsp://a:***@h/x"),
-        ("rtsp://h:554/x", "rtsp://h:554/x"),
-        (
-            "rtspsrc location=rtsp://h user-pw=abc ! appsink",
-            "rtspsrc location=rtsp://h user-pw=*** ! appsink",
-        ),
-        ("rtsp://h/\x1b[31m\n", "rtsp://h/?[31m"),
-    ],
-)
-def test_passwords_and_control_characters_are_not_shown(source: str, shown: str) -> None:
-    assert without_secrets(source) == shown
 
 
 def test_a_refused_connection_is_an_error_that_says_what_to_check() -> None:

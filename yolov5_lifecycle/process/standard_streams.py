@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import suppress
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
-from yolov5_lifecycle.printable import in_lines, in_one_line, in_report
+from yolov5_lifecycle.printable import in_lines, in_one_line, in_report, without_secrets
 
 EXIT_NOT_WRITTEN = 1
 """Exit code if stdout could not be written, for example to a full disk."""
@@ -15,6 +17,7 @@ EXIT_NOBODY_READS = 141
 
 _LINE = 78
 """Letters of a progress line: fewer than the usual 80, so that it is not broken, and padded to overwrite."""
+_DRAIN_S = 1.0
 _STREAMS = ("stdin", "stdout", "stderr")
 
 
@@ -92,6 +95,33 @@ def show_progress(text: str, *, done: bool = False) -> None:
         end = "\n" if done else ""
         sys.stderr.write(f"{line}{end}")
         sys.stderr.flush()
+
+
+@contextmanager
+def stderr_without_secrets() -> Iterator[None]:
+    """What C libraries write to stderr meanwhile is passed on line by line, see `without_secrets`.
+
+    One at a time in a process; what other threads write is passed on, too.
+    """
+    reader, writer = os.pipe()
+    stderr = os.dup(2)
+    os.dup2(writer, 2)
+    os.close(writer)
+    passing = threading.Thread(target=_pass_on, args=(reader, stderr), daemon=True)
+    passing.start()
+    try:
+        yield
+    finally:
+        os.dup2(stderr, 2)
+        passing.join(_DRAIN_S)
+
+
+def _pass_on(reader: int, stderr: int) -> None:
+    with open(reader, "rb") as lines, open(stderr, "wb", buffering=0) as out:
+        for line in lines:  # to the end, even if nobody reads stderr: its writers must not wait
+            with suppress(OSError):
+                shown = without_secrets(os.fsdecode(line.rstrip(b"\n")))
+                out.write(os.fsencode(f"{shown}\n"))
 
 
 def _discard_output() -> None:

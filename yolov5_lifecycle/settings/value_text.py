@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from yolov5_lifecycle.printable import MAX_LINE, without_secrets
+
 MAX_SHOWN = 100
 """Max characters of a value or an unknown name shown in a message."""
 
@@ -34,4 +36,4 @@ def shown_value(value: object) -> str:
 
 
 def _beginning(value: object) -> object:
-    return value[: MAX_SHOWN + 1] if isinstance(value, str) else value
+    return without_secrets(value[:MAX_LINE])[: MAX_SHOWN + 1] if isinstance(value, str) else value

@@ -7,12 +7,14 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
+from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.process.standard_streams import stderr_without_secrets
 from yolov5_lifecycle.sources.frames import SourceError
 
 SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "http", "https", "udp", "tcp", "rtp", "srt")
@@ -21,10 +23,7 @@ MAX_DELAY_S = 30.0
 _TIMEOUT_MS = 10_000
 """For connecting and for each frame; OpenCV's default is 30 s. GStreamer pipelines set their own."""
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
-_SECRETS = (
-    (re.compile(r"(://[^/\s:@]*):[^/\s]*@"), r"\1:***@"),
-    (re.compile(r"(\b(?:user-pw|password|passphrase)=)\S+"), r"\1***"),
-)
+_UNENCODED = re.compile(r"://.*[\s/?#].*@")
 
 Report = Callable[[str], None]
 Wait = Callable[[float], bool]
@@ -53,13 +52,6 @@ def is_stream(source: str) -> bool:
     return _SCHEME.match(source) is not None or " ! " in source
 
 
-def without_secrets(source: str) -> str:
-    """`source` on one line, passwords replaced by ***."""
-    for pattern, replacement in _SECRETS:
-        source = pattern.sub(replacement, source)
-    return in_one_line(source)
-
-
 def sleep(seconds: float) -> bool:
     """A `Wait` that cannot be interrupted."""
     time.sleep(seconds)
@@ -74,16 +66,31 @@ def open_capture(source: str) -> Capture:
         return _capture(source, cv2.CAP_GSTREAMER, [])
     if scheme[1].lower() not in SCHEMES:
         raise SourceError(
-            f"'{without_secrets(source)}': expected a URL that begins with one of "
+            f"'{in_one_line(source)}': expected a URL that begins with one of "
             f"{', '.join(SCHEMES)}, or the path of a file without file://."
         )
+    _check_host(source)
     _check_backend(cv2.CAP_FFMPEG, "URLs", "FFmpeg")
     timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT_MS]
     return _capture(source, cv2.CAP_FFMPEG, timeouts)
 
 
+def _check_host(source: str) -> None:
+    """Raises SourceError where FFmpeg would take, and tell, a part of the password for the host."""
+    try:
+        address = urlsplit(source)
+        is_host = " " not in address.netloc and address.port != 0
+    except ValueError:
+        is_host = False
+    if not is_host:
+        raise SourceError(
+            f"'{in_one_line(source)}': expected HOST or HOST:PORT before the path.{_hint(source)}"
+        )
+
+
 def _capture(source: str, backend: int, options: list[int]) -> Capture:
-    capture: Capture = cv2.VideoCapture(source, backend, options)
+    with stderr_without_secrets():
+        capture: Capture = cv2.VideoCapture(source, backend, options)
     return capture
 
 
@@ -104,13 +111,19 @@ def open_stream(
     if not capture.isOpened():
         capture.release()
         raise SourceError(
-            f"'{without_secrets(source)}' cannot be opened: is the address right, does the camera answer, "
-            "and does it need a user name and a password? OpenCV's own message is above."
+            f"'{in_one_line(source)}' cannot be opened: is the address right, does the camera answer, "
+            f"and does it need a user name and a password?{_hint(source)} OpenCV's own message is above."
         )
     is_file = capture.get(cv2.CAP_PROP_FRAME_COUNT) > 0
     rate_hz = capture.get(cv2.CAP_PROP_FPS)
     frames = _frames(source, capture, reconnects=reconnects, report=report, wait=wait, connect=connect)
     return NetworkStream(frames, rate_hz if is_file and 0 < rate_hz <= 1000 else None)
+
+
+def _hint(source: str) -> str:
+    if not _UNENCODED.search(source):
+        return ""
+    return " Percent-encode what a password has of #, /, ? and blanks: %23, %2F, %3F and %20."
 
 
 def _frames(
@@ -130,13 +143,13 @@ def _frames(
         if not reconnects:
             return
         while True:
-            report(f"'{without_secrets(source)}' delivers no more images. Reconnecting in {delay_s:g} s.")
+            report(f"'{in_one_line(source)}' delivers no more images. Reconnecting in {delay_s:g} s.")
             if wait(delay_s):
                 return
             delay_s = min(2 * delay_s, MAX_DELAY_S)
             capture = connect(source)
             if capture.isOpened():
-                report(f"'{without_secrets(source)}' is connected again.")
+                report(f"'{in_one_line(source)}' is connected again.")
                 break
             capture.release()
 

@@ -22,7 +22,6 @@ from yolov5_lifecycle.sources.network_stream import (
     is_stream,
     open_stream,
     sleep,
-    without_secrets,
 )
 from yolov5_lifecycle.sources.scene import Scene
 from yolov5_lifecycle.sources.scene_depth import SceneDepth
@@ -75,12 +74,14 @@ def open_source(
     path = Path(source).expanduser()
     if is_stream(source) and not _exists(path):
         if not is_utf8(source):  # OpenCV 5.0 crashes
-            raise SourceError(f"'{without_secrets(source)}': the address of a stream must be UTF-8.")
+            raise SourceError(f"'{in_one_line(source)}': the address of a stream must be UTF-8.")
         stream = open_stream(source, reconnects=loop, report=report, wait=wait)
         return ImageSource((_frame(pixels, size_hw) for pixels in stream.frames), stream.rate_hz)
     if not _exists(path):
+        before, _, after = source.rpartition("@")  # an address without its scheme has a password, too
+        shown = in_one_line(f"***@{after}" if ":" in before else source)
         raise SourceError(
-            f"'{in_one_line(source)}' is neither '{SYNTHETIC}', nor the number of a device, nor a URL, "
+            f"'{shown}' is neither '{SYNTHETIC}', nor the number of a device, nor a URL, "
             "nor an existing file or folder."
         )
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
