@@ -43,6 +43,12 @@ FFMPEG = pytest.mark.skipif(
             id="pipeline",
         ),
         pytest.param("To srt://h:1?passphrase=a failed", "To srt://h:1?passphrase=*** failed", id="message"),
+        pytest.param(
+            "http://h/n.pt: answers 404 ?why", "http://h/n.pt: answers 404 ?why", id="before a message"
+        ),
+        pytest.param(
+            "rtsp://a:b: c@h/x: no", "rtsp://***@h/x: no", id="blank in the password, and a message"
+        ),
         pytest.param("x:rtsp://a:b c@h/x, rtsp://d@i", "x:rtsp://***@h/x, rtsp://***@i", id="two"),
         pytest.param("'rtsp://h:1/x?a=b' me@x", "'rtsp://h:1/x?a=***' me@x", id="quoted"),
     ],

@@ -31,8 +31,9 @@ _PROPERTY = re.compile(
 def without_secrets(line: str) -> str:
     """`line` with `***` for all before the last @ of an address, for its values, and for those of a pipeline.
 
-    A line that begins with an address, and quotes around one, have nothing else in them. Elsewhere an address
-    ends at a blank, unless an @ follows. What may be part of a password counts as such.
+    Quotes around an address have nothing else in them, and a line that begins with one has it up to a colon
+    and a blank. Elsewhere an address ends at a blank, unless an @ follows. What may be part of a password
+    counts as such.
     """
     line = _ADDRESS.sub(_without_secrets, line)
     return _PROPERTY.sub(r"\1***", line) if " ! " in line else line
@@ -54,7 +55,8 @@ def _address_end(found: re.Match[str]) -> int:
     """Where in the rest the address ends."""
     rest, quote = found["rest"], found.string[: found.start()][-1:]
     if not quote:
-        return len(rest)
+        end = rest.find(": ", rest.rfind("@") + 1)  # where a message about the address begins
+        return end if end >= 0 else len(rest)
     if quote in "'\"":
         closing = re.search(rf"{quote}(?!\w)", rest)
         return closing.start() if closing else len(rest)
