@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import gc
 import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -138,3 +140,25 @@ def test_loading_and_closing_many_times_keeps_no_memory(runtime_name: str) -> No
     gc.collect()
     used = [cycle() for _ in range(12)]
     assert min(used[-3:]) < used[4] + 8, used  # the weights alone are 7.5 MB a time
+
+
+AFTER_MODELS = """
+import gc, os, signal
+from yolov5_lifecycle import load_model
+signal.signal(signal.SIGUSR1, lambda *_: print("handled"))
+one, other = (load_model({weights!r}, runtime={runtime!r}) for _ in range(2))
+del one
+gc.collect()
+del other
+gc.collect()
+os.kill(os.getpid(), signal.SIGUSR1)
+"""
+
+
+@pytest.mark.long
+def test_a_signal_is_handled_after_models_were_freed_in_any_order(runtime_name: str) -> None:
+    program = AFTER_MODELS.format(
+        weights=str(REPOSITORY / "weights" / "shapes.safetensors"), runtime=runtime_name
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout) == (0, "handled\n"), run.stderr

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 
 from yolov5_lifecycle.process.environment import disable_telemetry
 
@@ -30,10 +30,20 @@ def openvino_engine(precision: str = "fp32") -> Engine:
     return Engine("openvino", build, compiled, (RuntimeError,), precision)
 
 
+@cache
+def _core() -> openvino.Core:
+    """The only one of the process, to its end.
+
+    Each changes the stack on which the thread handles signals, and puts back the one before when it is freed.
+    Of several, freed in another order, a freed stack stays, and the next signal is a segmentation fault:
+    https://github.com/openvinotoolkit/openvino/pull/11894
+    """
+    return openvino.Core()
+
+
 def _compile(graph: bytes, threads: Threads, *, hint: str) -> Loaded:
-    core = openvino.Core()
-    compiled = core.compile_model(
-        core.read_model(graph),
+    compiled = _core().compile_model(
+        _core().read_model(graph),
         "CPU",
         {
             "PERFORMANCE_HINT": "LATENCY",
