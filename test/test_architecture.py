@@ -33,7 +33,7 @@ ROS_MODULES = (
 # A folder may import folders of lower rows; the first row holds the modules that lie beside the folders.
 RANKS = (
     ("printable", "input_file", "folder_listing", "unfinished"),
-    ("atomic_file", "process"),
+    ("atomic_file", "outside_yaml", "process"),
     ("images", "models"),
     ("settings", "checkpoints", "runtimes", "streaming", "sources", "spatial"),
     ("quantization",),

@@ -214,8 +214,7 @@ def aliases(depth: int) -> str:
     ("description", "reason"),
     [
         pytest.param(aliases(9), "an alias", id="bomb"),
-        pytest.param("names: " + "[" * 5000, "nested more than 32 deep", id="deep"),
-        pytest.param("names: [" + "x, " * 30_000 + "]", "more than 20000 names and values", id="long"),
+        pytest.param("names: " + "[" * 5000, "nested more than 20 deep", id="deep"),
         pytest.param("x: " + "x" * (1 << 21), "1048576 bytes, the limit", id="large"),
         pytest.param("[1, 2]", "expected names and values", id="list"),
         pytest.param("just text", "expected names and values", id="text"),

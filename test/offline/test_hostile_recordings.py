@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import os
 import sqlite3
-import struct
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
-import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
-from support.recorded_scene import COMPRESSED, IMAGE, TOPIC, jpeg, raw, record, video
+from support.detected_offline import SET_MODEL
+from support.recorded_scene import COMPRESSED, IMAGE, TOPIC, jpeg, raw, record, recorded_ns, video
 
+from yolov5_lifecycle import outside_yaml
 from yolov5_lifecycle.images.image import MAX_FRAME_ID, ColourImage, ImageError
-from yolov5_lifecycle.offline import recording_limits
+from yolov5_lifecycle.offline import recording_files, sqlite_file
 from yolov5_lifecycle.offline.annotated_files import VideoOutput
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.image_files import VideoFile
 from yolov5_lifecycle.offline.recording import TYPES, RecordedImage, RecordingError, open_recording
-from yolov5_lifecycle.offline.recording_limits import LimitError, unpacked_message
+from yolov5_lifecycle.offline.recordings import is_recording
 from yolov5_lifecycle.sources.frames import SourceError
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
@@ -86,39 +86,14 @@ def a_linked_device(folder: Path) -> Path:
 
 def large_metadata(folder: Path) -> Path:
     bag = record(folder / "bag", [raw(0)], storage=MCAP)
-    os.truncate(bag / "metadata.yaml", recording_limits.MAX_METADATA_BYTES + 1)
+    os.truncate(bag / "metadata.yaml", recording_files.MAX_METADATA_BYTES + 1)
     return bag
 
 
-def compressed(folder: Path) -> Path:
-    """An MCAP file with its messages in one zstd chunk."""
-    record(folder / "bag", [raw(0)], storage=MCAP, compression=CompressionMode.STORAGE)
-    return folder / "bag" / "bag.mcap"
-
-
-def chunk_with_claim(folder: Path, size: int) -> Path:
-    """The chunk of `compressed`, which claims to unpack to `size` bytes in header and index."""
-    path = compressed(folder)
-    with open_recording(path) as recording:
-        (chunk,) = vars(recording._reader.storage)["chunks"]
-    claim = struct.pack("<Q", chunk.uncompressed_size)
-    content = path.read_bytes()
-    assert content.count(claim) >= 2
-    path.write_bytes(content.replace(claim, struct.pack("<Q", size)))
-    return path
-
-
-def cut_off(folder: Path) -> Path:
-    path = compressed(folder)
-    path.write_bytes(path.read_bytes()[:-100])
-    return path
-
-
-def giant_record(folder: Path) -> Path:
-    path = compressed(folder)
-    content = path.read_bytes()
-    path.write_bytes(content[:9] + struct.pack("<Q", 2**40) + content[17:])
-    return path
+def metadata_with(text: str, folder: Path) -> Path:
+    bag = record(folder / "bag", [raw(0)], storage=MCAP)
+    (bag / "metadata.yaml").write_text(text)
+    return bag
 
 
 @pytest.mark.parametrize(
@@ -140,16 +115,21 @@ def giant_record(folder: Path) -> Path:
         ),
         pytest.param(a_pipe, "bag.mcap is not a regular file", id="a pipe"),
         pytest.param(a_pipe_that_metadata_names, "pipe is not a regular file", id="a pipe of another name"),
-        pytest.param(a_pipe_as_metadata, "metadata.yaml is not a regular file", id="a pipe as metadata"),
+        pytest.param(a_pipe_as_metadata, "metadata.yaml: expected a regular file", id="a pipe as metadata"),
         pytest.param(a_linked_device, "bag.db3 is not a regular file", id="a link to a device"),
-        pytest.param(large_metadata, "metadata.yaml has more than", id="large metadata"),
-        pytest.param(lambda f: chunk_with_claim(f, 1000), "unpacks to more than the 1000", id="a bomb"),
-        pytest.param(lambda f: chunk_with_claim(f, 2**40), "a chunk claims 1099511627776", id="a claim"),
-        pytest.param(cut_off, "cannot be read", id="cut off"),
-        pytest.param(giant_record, "cannot be read", id="a giant record"),
+        pytest.param(large_metadata, "metadata.yaml: found more than", id="large metadata"),
+        pytest.param(partial(metadata_with, "a: &a []\nb: [*a, *a]"), "line 2: an alias", id="aliases"),
+        pytest.param(
+            partial(metadata_with, "[" + "[]," * 60_000), "more than 50,000 values", id="many lists"
+        ),
+        pytest.param(partial(metadata_with, "[" * 100), "nested more than 20 deep", id="deep lists"),
+        pytest.param(partial(metadata_with, "a: 1"), "no list relative_file_paths", id="other metadata"),
     ],
 )
-def test_a_hostile_recording_is_refused(tmp_path: Path, make: Callable[[Path], Path], told: str) -> None:
+def test_a_hostile_recording_is_refused(
+    tmp_path: Path, make: Callable[[Path], Path], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outside_yaml, "MAX_VALUES", 50_000)
     path = make(tmp_path)
     with pytest.raises(RecordingError) as raised:
         images(path)
@@ -157,22 +137,15 @@ def test_a_hostile_recording_is_refused(tmp_path: Path, make: Callable[[Path], P
     assert str(raised.value).replace("\n", "").isprintable()
 
 
-def test_a_bomb_is_unpacked_no_further_than_it_claims(monkeypatch: pytest.MonkeyPatch) -> None:
-    megabytes = lz4.frame.compress(bytes(50_000_000))
-    with pytest.raises(LimitError, match="more than the 1000 bytes"):
-        DECOMPRESSORS["lz4"](megabytes, 1000)
-    monkeypatch.setattr(recording_limits, "MAX_CHUNK_BYTES", 1000)
-    zstd: Any = recording_limits._ZSTD
-    with pytest.raises(LimitError, match="more than the 1000 bytes"):
-        unpacked_message(zstd.compress(bytes(50_000_000)))
-
-
-@pytest.mark.parametrize("is_folder", [True, False], ids=["folder", "file"])
-def test_a_large_index_is_not_read(is_folder: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = compressed(tmp_path)
-    monkeypatch.setattr(recording_limits, "MAX_INDEX_BYTES", 10)
-    with pytest.raises(RecordingError, match=r"the index has \d+ bytes, expected at most 10"):
-        images(path.parent if is_folder else path)
+def test_a_giant_value_in_a_database_is_rejected_unread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sqlite_file, "MAX_MESSAGE_BYTES", 300_000)
+    added = (
+        "INSERT INTO messages (topic_id, timestamp, data) SELECT topic_id, 0, zeroblob(300001) FROM messages"
+    )
+    found = images(database(tmp_path, added))
+    assert [image.data is None for image in found] == [False, True]
 
 
 @pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE, CompressionMode.STORAGE])
@@ -186,6 +159,25 @@ def test_honest_compression_is_read(tmp_path: Path, mode: CompressionMode, stora
     with writer:
         writer.write(writer.add_connection(TOPIC, IMAGE, typestore=TYPES), 1, data)
     assert [image.data for image in images(tmp_path / "bag")] == [data]
+
+
+@pytest.mark.parametrize("storage", [MCAP, SQLITE], ids=["MCAP", "SQLite"])
+def test_a_single_packed_file_is_a_recording(storage: StoragePlugin, tmp_path: Path) -> None:
+    folder = record(tmp_path / "bag", [raw(0)], storage=storage, compression=CompressionMode.FILE)
+    (file,) = folder.glob("*.zstd")
+    assert is_recording(file)
+    assert [image.timestamp_ns for image in images(file)] == [recorded_ns(0)]
+
+
+@pytest.mark.parametrize("is_folder", [False, True], ids=["file", "in a folder"])
+def test_a_bag_of_ros_1_is_refused_with_the_command_that_converts_it(
+    is_folder: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "drives").mkdir()
+    bag = tmp_path / "drives" / "drive.bag"
+    bag.write_bytes(b"#ROSBAG V2.0\n")
+    assert main([str(bag.parent if is_folder else bag), "--output", str(tmp_path / "x"), *SET_MODEL]) != 0
+    assert f"rosbags-convert --src {bag} --dst {bag.with_suffix('')}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("type_name", [IMAGE, COMPRESSED])

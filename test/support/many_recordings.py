@@ -14,7 +14,6 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from support.detected_offline import MODEL
 from support.recorded_scene import raw, record
 from yolov5_lifecycle.offline.many_recordings.plan import Plan, plan_of
-from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
 from yolov5_lifecycle.offline.many_recordings.supervisor import Tally
 from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers
 from yolov5_lifecycle.offline.many_recordings.workers import Event, Progress
@@ -71,11 +70,12 @@ class Notes:
 
     def __init__(self, on_progress: Callable[[Tally], object] = lambda _: None) -> None:
         self.remarks: list[str] = []
-        self.aside: list[RecordingResult] = []
         self._on_progress = on_progress
 
-    def set_aside(self, result: RecordingResult) -> None:
-        self.aside.append(result)
+    @property
+    def aside(self) -> list[str]:
+        """The remarks on recordings that were set aside."""
+        return [remark for remark in self.remarks if ": set aside: " in remark]
 
     def remark(self, text: str) -> None:
         self.remarks.append(text)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,13 +11,9 @@ import yaml
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, ClassNamesError, class_names_of
-from yolov5_lifecycle.settings.parameter_yaml import (
-    MAX_DEPTH,
-    MAX_FILE_BYTES,
-    BoundedEvents,
-    ParameterYamlError,
-)
+from yolov5_lifecycle.outside_yaml import OutsideYamlError, PlainText, texts_of
 
+_MAX_BYTES = 1 << 20
 SPLITS = ("val", "test", "train")
 """The first of these that `data.yaml` has is evaluated."""
 _NO_PATH = ("", "~", "null", "Null", "NULL")
@@ -34,12 +30,6 @@ _CONSTRUCTORS: Mapping[str, Callable[[yaml.ScalarNode], object]] = {
 }
 
 
-class _Plain(str):
-    """A text without quotes."""
-
-    __slots__ = ()
-
-
 @dataclass(frozen=True)
 class DataDescription:
     """The entries of a `data.yaml` that are used here."""
@@ -52,11 +42,10 @@ class DataDescription:
 
 
 def read_description(path: Path) -> DataDescription:
-    """Read the `data.yaml` at `path`, with the limits of parameter files. Raises DataError."""
+    """Read the `data.yaml` at `path`, at most a megabyte. Raises DataError."""
     try:
-        events = BoundedEvents(read_regular_file(path, MAX_FILE_BYTES))
-        content = next((_node(events, event, 0) for event in events if _begins(event)), {})
-    except (ParameterYamlError, RegularFileError, OSError) as error:
+        content = texts_of(read_regular_file(path, _MAX_BYTES))
+    except (OutsideYamlError, RegularFileError, OSError) as error:
         problem = error.strerror if isinstance(error, OSError) else str(error)
         raise DataError(f"{path}: {problem}.") from None
     if not isinstance(content, dict):
@@ -72,31 +61,6 @@ def read_description(path: Path) -> DataDescription:
         {name: entries for name, entries in splits.items() if entries},
         names,
     )
-
-
-def _begins(event: yaml.Event) -> bool:
-    return isinstance(event, (yaml.ScalarEvent, yaml.SequenceStartEvent, yaml.MappingStartEvent))
-
-
-def _node(events: Iterator[yaml.Event], event: yaml.Event, depth: int) -> object:
-    """The text, list or mapping that begins with `event`; a text is not interpreted."""
-    if depth > MAX_DEPTH:
-        raise ParameterYamlError(f"nested more than {MAX_DEPTH} deep")
-    if isinstance(event, yaml.ScalarEvent):
-        return _Plain(event.value) if event.implicit[0] else event.value
-    if isinstance(event, yaml.SequenceStartEvent):
-        return [_node(events, item, depth + 1) for item in _until(events, yaml.SequenceEndEvent)]
-    keys = _until(events, yaml.MappingEndEvent)
-    # The event after a key begins its value.
-    pairs = ((_node(events, key, depth + 1), _node(events, next(events), depth + 1)) for key in keys)
-    return {key if isinstance(key, str) else "": value for key, value in pairs}
-
-
-def _until(events: Iterator[yaml.Event], end: type[yaml.Event]) -> Iterator[yaml.Event]:
-    for event in events:
-        if isinstance(event, end):
-            return
-        yield event
 
 
 def _texts(value: object) -> tuple[str, ...]:
@@ -120,7 +84,7 @@ def _class_names(names: object) -> tuple[str, ...] | None:
 
 def _loaded(name: object) -> object:
     """What YOLOv5 gets for a name: YAML 1.1 reads some that are not quoted as numbers and truth values."""
-    if not isinstance(name, _Plain) or len(name) > MAX_NAME_LENGTH:
+    if not isinstance(name, PlainText) or len(name) > MAX_NAME_LENGTH:
         return name
     tag = _RESOLVER.resolve(yaml.ScalarNode, name, (True, False))  # type: ignore[no-untyped-call]
     construct = _CONSTRUCTORS.get(tag)

@@ -37,14 +37,14 @@ from yolov5_lifecycle.offline.recordings import (
     is_video,
     recordings_of,
 )
-from yolov5_lifecycle.offline.terminal import Terminal, report
+from yolov5_lifecycle.offline.terminal import Terminal, missing_images, report
 from yolov5_lifecycle.process.standard_streams import complain, show_report
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 
-EXIT_SET_ASIDE = 3
-"""Exit code if some of many recordings were set aside."""
+EXIT_INCOMPLETE = 3
+"""Exit code if a recording has fewer images than it claims, or was set aside as one of many."""
 
 
 def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
@@ -74,7 +74,9 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
         _complain("interrupted; unfinished output was removed")
         return 130
     show_report(report(account))
-    return 0
+    if account.missing:
+        complain("detect_bag", f"{source}: {missing_images(account.expected, account.balance.received)}")
+    return EXIT_INCOMPLETE if account.missing else 0
 
 
 def _run(source: Path, arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) -> Account:
@@ -148,7 +150,7 @@ def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
         new_workers = functools.partial(_workers, arguments.jobs, arguments.ray)
         tally = detect_recordings(sources, plan, new_workers=new_workers, watch=terminal)
     show_report(recordings_report(tally))
-    return EXIT_SET_ASIDE if tally.in_state("set aside") else 0
+    return 0 if tally.is_complete else EXIT_INCOMPLETE
 
 
 def _workers(jobs: int | None, ray: str | None, recordings: int) -> Workers:

@@ -35,7 +35,9 @@ from yolov5_lifecycle.offline.recording import (
     open_recording,
 )
 from yolov5_lifecycle.offline.sqlite_path import UriPath
+from yolov5_lifecycle.offline.terminal import missing_images
 from yolov5_lifecycle.printable import in_one_line, is_utf8
+from yolov5_lifecycle.process.standard_streams import complain
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
 _LABELS = "vision_msgs/msg/LabelInfo"
@@ -58,6 +60,8 @@ def detect_recording(source: Path, export: Export, options: RecordingOptions, lo
     Raises RecordingError, OutputError, DetectingError and what `load` raises.
     """
     with open_recording(source) as recording, whole_export(export) as unfinished:
+        if recording.foreign:
+            complain("detect_bag", f"{source}: left out, not of ROS 2: {recording.foreign}")
         return write_detections(recording, unfinished, options, load)
 
 
@@ -69,10 +73,24 @@ def write_detections(
     Without a suffix in `export`, the output is a new recording in the storage format of `recording`. Also
     raises OSError.
     """
-    image_topic = recording.image_topic(options.topic)
-    images = _not_empty(recording.path, image_topic, recording.images(image_topic))
+    topic = recording.image_topic(options.topic)
+    images = _not_empty(recording.path, topic, recording.images(topic))
     if export.suffix:
-        return export_images(images, image_topic.count, export, load=load)
+        account = export_images(images, topic.count, export, load=load)
+    else:
+        account = _write_recording(recording, images, topic.count, export, options, load)
+    account.missing = max(0, topic.count - account.balance.received)
+    return account
+
+
+def _write_recording(
+    recording: Recording,
+    images: Iterator[RecordedImage],
+    expected: int,
+    export: Export,
+    options: RecordingOptions,
+    load: LoadDetector,
+) -> Account:
     assert export.path is not None
     _check_name(export.path)
     detector = load()
@@ -96,7 +114,7 @@ def write_detections(
             if crops is not None:
                 crops.add(DetectedImage(recorded, image, detections))
 
-        return detector.run(images, expected=image_topic.count, write=write)
+        return detector.run(images, expected=expected, write=write)
 
 
 class _SqliteWriter(Sqlite3Writer):
@@ -137,6 +155,8 @@ def _not_empty(
         raise RecordingError(
             f"{source}: the topic {topic.name} has no messages. "
             "Did the camera publish during the recording? `ros2 bag info` shows the counts."
+            if not topic.count
+            else f"{source}: {missing_images(topic.count, 0)}"
         )
     return chain([first], images)
 

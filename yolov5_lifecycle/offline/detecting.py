@@ -49,6 +49,8 @@ class Account:
 
     def __init__(self, expected: int) -> None:
         self.expected = expected
+        self.missing = 0
+        """Images that a recording claims and does not have."""
         self.objects: Counter[str] = Counter()
         self._counter = FrameCounter()
         self._begun_s = time.monotonic()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -9,11 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader, StoragePlugin
-from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.rosbag2.storage_mcap import McapReader
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -21,15 +18,16 @@ from yolov5_lifecycle.images.compressed import compressed_image
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.distinct_names import DistinctNames
-from yolov5_lifecycle.offline.recording_limits import (
-    bounded_reading,
-    check_chunks,
-    check_files,
-    check_index,
-    unpacked_message,
-)
+from yolov5_lifecycle.offline.recording_files import files_of, open_storage, unpacked_message
 from yolov5_lifecycle.offline.recordings import is_mcap
-from yolov5_lifecycle.offline.sqlite_path import UriPath
+from yolov5_lifecycle.offline.stored_topics import (
+    CDR,
+    MAX_MESSAGE_BYTES,
+    DamageError,
+    Storage,
+    StorageError,
+    StoredTopic,
+)
 from yolov5_lifecycle.printable import in_one_line
 
 _RAW = "sensor_msgs/msg/Image"
@@ -63,6 +61,8 @@ TYPES = _typestore()
 """Message types of Jazzy and vision_msgs."""
 
 
+_MAX_LISTED = 50
+"""Topics in an error."""
 Stamp = tuple[int, int]
 """Seconds and nanoseconds in the header."""
 
@@ -77,7 +77,8 @@ class RecordedMessage:
 
     timestamp_ns: int
     type_name: str
-    data: bytes
+    data: bytes | None
+    """None if it is larger than MAX_MESSAGE_BYTES."""
 
     @property
     def label(self) -> str:
@@ -86,6 +87,8 @@ class RecordedMessage:
     @cached_property
     def message(self) -> Any:
         """The deserialized message, a rosbags object; raises ImageError, whatever the message is."""
+        if self.data is None:
+            raise ImageError(f"Expected a message of at most {MAX_MESSAGE_BYTES >> 20} MiB, found more.")
         try:
             return TYPES.deserialize_cdr(self.data, self.type_name)
         except Exception as error:  # noqa: BLE001 - rosbags wraps only some errors of damaged bytes
@@ -132,21 +135,20 @@ class RecordedImage(RecordedMessage):
 
 @dataclass(frozen=True)
 class RecordedTopic:
-    """A topic and its number of messages."""
+    """A topic and its number of messages, as the recording claims; a damaged one may have fewer."""
 
     name: str
     type_name: str
     count: int
-    connections: tuple[Connection, ...]
 
 
 class Recording:
     """An open recording; see `open_recording`."""
 
-    def __init__(self, path: Path, reader: Reader) -> None:
+    def __init__(self, path: Path, storages: Sequence[Storage], claimed: Mapping[str, int]) -> None:
         self.path = path
-        self._reader = reader
-        self._is_packed = reader.compression_mode == "message"  # reading changes this attribute
+        self._storages = storages
+        self._claimed = claimed
 
     @property
     def storage(self) -> StoragePlugin:
@@ -156,9 +158,7 @@ class Recording:
     def image_topic(self, name: str | None = None) -> RecordedTopic:
         """The image topic `name`, or the only one; raises RecordingError with the available topics."""
         if not (topics := self.topics(_RAW, _COMPRESSED)):
-            others = (
-                ", ".join(sorted({in_one_line(one.topic)[:200] for one in self._connections()})) or "nothing"
-            )
+            others = in_one_line(", ".join(sorted({topic.name for topic in self._stored()})) or "nothing")
             raise RecordingError(
                 f"{self.path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
                 "Record the image topic of the camera."
@@ -173,7 +173,8 @@ class Recording:
         if len(wanted) == 1:
             return wanted[0]
         listing = "".join(
-            f"\n  {in_one_line(topic.name)}  {topic.type_name}  {topic.count}" for topic in topics
+            f"\n  {in_one_line(topic.name)}  {topic.type_name}  {topic.count}"
+            for topic in topics[:_MAX_LISTED]
         )
         if name is None:
             raise RecordingError(f"{self.path}: choose one of its {what}s with {option}:{listing}")
@@ -191,82 +192,36 @@ class Recording:
         """Like `images` for any topic whose messages have a header."""
         return (RecordedMessage(*message) for message in self._messages(topic))
 
-    def _messages(self, topic: RecordedTopic) -> Iterator[tuple[int, str, bytes]]:
-        messages = self._raw_messages(topic)
-        while True:
-            with _readable(self.path):
-                if (found := next(messages, None)) is None:
-                    return
-                _, timestamp_ns, data = found
-                if not (isinstance(timestamp_ns, int) and isinstance(data, bytes)):
-                    raise TypeError("expected a time and bytes for each message")
-                data = unpacked_message(data) if self._is_packed else data
-            yield timestamp_ns, topic.type_name, data
-
-    def _raw_messages(self, topic: RecordedTopic) -> Iterator[Any]:
-        """Messages as stored: rosbags would decompress them without a limit."""
-        storage = self._reader.storage
-        storage.metadata = storage.metadata._replace(compression_mode=None)
-        return self._reader.messages(topic.connections)
+    def _messages(self, topic: RecordedTopic) -> Iterator[tuple[int, str, bytes | None]]:
+        for storage in self._storages:
+            messages = storage.messages(topic.name, topic.type_name)
+            while True:
+                with _readable(self.path):
+                    if (found := next(messages, None)) is None:
+                        break
+                    timestamp_ns, data = found
+                    data = data and unpacked_message(data)
+                yield timestamp_ns, topic.type_name, data
 
     def topics(self, *type_names: str) -> list[RecordedTopic]:
         """Its topics of these types, sorted by name."""
-        by_topic: dict[tuple[str, str], list[Connection]] = {}
-        for connection in self._connections():
-            if connection.msgtype in type_names:
-                by_topic.setdefault((connection.topic, connection.msgtype), []).append(connection)
+        counts: Counter[tuple[str, str]] = Counter()
+        for topic in self._stored():
+            if topic.type_name in type_names and topic.encoding == CDR:
+                counts[topic.name, topic.type_name] += topic.count
         return [
-            RecordedTopic(name, type_name, sum(one.msgcount for one in connections), tuple(connections))
-            for (name, type_name), connections in sorted(by_topic.items())
+            RecordedTopic(name, type_name, max(count, self._claimed.get(name, 0)))
+            for (name, type_name), count in sorted(counts.items())
         ]
 
-    def _connections(self) -> list[Connection]:
-        """Connections from the files: rosbags drops those that contradict metadata.yaml."""
-        files = _storages(self._reader)
-        return [
-            connection
-            for file in files
-            for connection in file.connections
-            if isinstance(connection.topic, str) and isinstance(connection.msgtype, str)
-        ]
+    @property
+    def foreign(self) -> str:
+        """Topics whose messages are not those of ROS 2, with their encodings."""
+        foreign = {f"{topic.name} ({topic.encoding})" for topic in self._stored() if topic.encoding != CDR}
+        return in_one_line(", ".join(sorted(foreign)))
 
-
-class _SqliteReader(Sqlite3Reader):
-    """Opens the file at its path, whatever characters the path has."""
-
-    def __init__(self, path: Any) -> None:
-        super().__init__(UriPath(path))
-
-
-class _McapReader(McapReader):
-    """Raises LimitError instead of reading an index that is too large."""
-
-    def read_index(self) -> None:
-        check_index(self.path.stat().st_size - self.data_end)
-        super().read_index()
-
-
-class _DirectoryReader(DirectoryReader):
-    STORAGE_PLUGINS: Mapping[str, Any] = {
-        **DirectoryReader.STORAGE_PLUGINS,
-        "sqlite3": _SqliteReader,
-        "mcap": _McapReader,
-    }
-
-
-class _Reader(Reader):
-    STORAGE_PLUGINS: Mapping[str, Any] = {
-        **Reader.STORAGE_PLUGINS,
-        "dir": _DirectoryReader,
-        ".db3": _SqliteReader,
-        ".mcap": _McapReader,
-    }
-
-
-def _storages(reader: Reader) -> list[Any]:
-    """The open files of a recording."""
-    storage = reader.storage
-    return list(storage.storages) if isinstance(storage, DirectoryReader) else [storage]
+    def _stored(self) -> Iterator[StoredTopic]:
+        return (topic for storage in self._storages for topic in storage.topics)
 
 
 @contextmanager
@@ -277,12 +232,9 @@ def open_recording(path: Path) -> Iterator[Recording]:
     """
     with ExitStack() as stack:
         with _readable(path):
-            check_files(path)
-            with bounded_reading():
-                reader = stack.enter_context(_Reader(path))
-            for storage in _storages(reader):
-                check_chunks(storage)
-        yield Recording(path, reader)
+            files = files_of(path)
+            storages = [open_storage(file, stack) for file in files.paths]
+        yield Recording(path, storages, files.claimed)
 
 
 @contextmanager
@@ -292,8 +244,7 @@ def _readable(path: Path) -> Iterator[None]:
     except RecordingError:
         raise
     except Exception as error:
-        reason = in_one_line(str(error))[:500] or type(error).__name__
-        raise RecordingError(
-            f"{path}: the recording cannot be read: {reason.removesuffix('.')}. "
-            "If its end is missing, `ros2 bag reindex` or `mcap recover` may repair it."
-        ) from error
+        reason = in_one_line(str(error))[:500].removesuffix(".") or type(error).__name__
+        is_refused = isinstance(error, StorageError) and not isinstance(error, DamageError)
+        repair = "" if is_refused else " If its end is missing, `mcap recover` may repair it."
+        raise RecordingError(f"{path}: the recording cannot be read: {reason}.{repair}") from error

@@ -15,12 +15,13 @@ from yolov5_lifecycle.printable import is_utf8
 from yolov5_lifecycle.sources.frames import SourceError
 
 METADATA = "metadata.yaml"
+ROS1_BAG = ".bag"
+PACKED = ".zstd"
 _SUFFIXES = (".mcap", ".db3")
 _VIDEO_SUFFIXES = (
     *(".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4"),
     *(".mpeg", ".mpg", ".ogv", ".webm", ".wmv"),
 )
-_PACKED = ".zstd"
 _WILDCARDS = "*?["
 _MAX_TOLD = 5
 
@@ -34,9 +35,12 @@ class SourceRecording:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether `path` is a rosbag2 file, possibly compressed, or a folder that contains such files."""
+    """Whether `path` has the name of a recording, or is a folder that contains files of rosbag2.
+
+    A bag of ROS 1 counts: opening it says how to convert it.
+    """
     if not path.is_dir():
-        return path.suffix in _SUFFIXES
+        return is_storage(path) or path.suffix == ROS1_BAG
     return any(map(is_storage, entries(path)))
 
 
@@ -47,7 +51,7 @@ def is_video(path: Path) -> bool:
 
 def is_storage(path: Path) -> bool:
     """Whether `path` has the name of a rosbag2 file, possibly compressed."""
-    return Path(path.name.removesuffix(_PACKED)).suffix in _SUFFIXES
+    return Path(path.name.removesuffix(PACKED)).suffix in _SUFFIXES
 
 
 def is_mcap(path: Path) -> bool:
@@ -132,7 +136,7 @@ def _children(folder: Path) -> list[Path]:
 def _may_be_recording(path: Path) -> bool:
     """Whether it looks like one; true for a folder that cannot be listed: reading it will report why."""
     try:
-        return is_video(path) or (is_storage(path) if path.is_file() else is_recording(path))
+        return is_video(path) or is_recording(path)
     except OSError:
         return True
 
@@ -141,7 +145,7 @@ def _name(path: Path) -> str:
     """Name of the folder, or of the file without the extensions of its format."""
     if path.is_dir():
         return path.name
-    name = path.name.removesuffix(_PACKED)
+    name = path.name.removesuffix(PACKED)
     return name[: -len(Path(name).suffix)] or path.name
 
 

@@ -71,6 +71,14 @@ class Terminal:
         self._line.close()
 
 
+def missing_images(claimed: int, received: int) -> str:
+    """What is wrong with a recording that has fewer images than it claims, and what to do."""
+    return (
+        f"the recording claims {claimed} images, but has {received}: it was damaged or changed. Compare it "
+        "with the original, or repair it with `mcap recover` (.mcap) or `ros2 bag reindex`."
+    )
+
+
 def report(account: Account) -> str:
     """Summary of a run for the user, one fact per line."""
     balance, objects = account.balance, account.objects

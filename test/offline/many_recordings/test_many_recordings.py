@@ -29,7 +29,7 @@ from support.recorded_scene import COUNT, raw, record
 from support.started import started
 
 from yolov5_lifecycle.atomic_file import has_unfinished_outputs
-from yolov5_lifecycle.offline.detect_bag import EXIT_SET_ASIDE, main
+from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE, main
 from yolov5_lifecycle.offline.many_recordings.finished import RECORD_NAME
 from yolov5_lifecycle.offline.many_recordings.recording_task import NoRoomError, RecordingTask
 from yolov5_lifecycle.offline.many_recordings.supervisor import Tally, detect_recordings
@@ -53,7 +53,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def found(drives: Path) -> Path:
     """The results of two workers."""
     output = drives.parent / "found"
-    assert main([str(drives), "--output", str(output), "--jobs", "2", *SET_MODEL]) == EXIT_SET_ASIDE
+    assert main([str(drives), "--output", str(output), "--jobs", "2", *SET_MODEL]) == EXIT_INCOMPLETE
     return output
 
 

@@ -15,7 +15,7 @@ from support.detected_offline import SET_MODEL, prepare_once, run
 from support.many_recordings import messages, plan_for
 from support.recorded_scene import COUNT, images, raw, record, video
 
-from yolov5_lifecycle.offline.detect_bag import EXIT_SET_ASIDE, main
+from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE, main
 from yolov5_lifecycle.offline.export.formats import FORMATS
 from yolov5_lifecycle.offline.many_recordings.finished import RECORD_NAME, finished_before
 from yolov5_lifecycle.offline.many_recordings.plan import Plan
@@ -192,7 +192,7 @@ def test_a_pattern_of_videos_needs_no_rosbags_and_sets_a_broken_one_aside(
     ended = subprocess.run(
         [sys.executable, "-c", program, *words], capture_output=True, text=True, check=False
     )
-    assert ended.returncode == EXIT_SET_ASIDE, ended.stderr
+    assert ended.returncode == EXIT_INCOMPLETE, ended.stderr
     assert states(tmp_path / "found") == {"broken": "set aside", "monday": "done"}
     assert "broken: set aside: " in ended.stderr
 

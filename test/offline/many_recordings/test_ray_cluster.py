@@ -17,7 +17,7 @@ from support.ray_head import RayHead, ray_head
 from support.recorded_scene import COUNT, video
 
 from yolov5_lifecycle.atomic_file import has_unfinished_outputs
-from yolov5_lifecycle.offline.detect_bag import EXIT_SET_ASIDE
+from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.ros.demo.child_process import entry_point
 
@@ -66,7 +66,7 @@ def test_a_cluster_gives_the_results_of_single_runs_and_then_skips_them(
     video(drives / "film.avi")
     output = tmp_path / "found"
     code, told = ended(started(head, drives, output))
-    assert code == EXIT_SET_ASIDE, told
+    assert code == EXIT_INCOMPLETE, told
     assert states(output) == {"a": "done", "b": "done", "c": "set aside", "film": "done"}
     lines = tmp_path / "film.jsonl"
     assert run([str(drives / "film.avi"), "--output", str(lines), *SET_MODEL]) == 0
@@ -74,7 +74,7 @@ def test_a_cluster_gives_the_results_of_single_runs_and_then_skips_them(
     assert run([str(drives / "a"), "--output", str(tmp_path / "a"), *SET_MODEL]) == 0
     assert messages(output / "a") == messages(tmp_path / "a")
     code, told = ended(started(head, drives, output))
-    assert code == EXIT_SET_ASIDE, told
+    assert code == EXIT_INCOMPLETE, told
     assert states(output) == {"a": "skipped", "b": "skipped", "c": "set aside", "film": "skipped"}
 
 

@@ -54,6 +54,8 @@ class RecordingResult(BaseModel):
     detected: Count = 0
     rejected: Count = 0
     failed: Count = 0
+    missing: Count = 0
+    """Images that the recording claims and does not have."""
     first_problem: Text = ""
     """What was wrong with the first image that was rejected or failed."""
     seconds: Annotated[float, Field(ge=0, le=_MAX_SECONDS)] = 0.0

@@ -159,6 +159,7 @@ class RecordingTask:
             detected=balance[Outcome.DETECTED],
             rejected=balance[Outcome.REJECTED],
             failed=balance[Outcome.FAILED],
+            missing=account.missing,
             first_problem=watch.first_problem,
             seconds=round(seconds, 3),
             runtime=self.runtime,

@@ -5,22 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from typing import get_args
 
-from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult, State
+from yolov5_lifecycle.offline.many_recordings.recording_result import State
 from yolov5_lifecycle.offline.many_recordings.supervisor import Tally
 from yolov5_lifecycle.offline.terminal import ProgressLine, objects_line
 from yolov5_lifecycle.process.standard_streams import complain
 
-_COUNTED = ("images", "detected", "rejected", "failed")
+_COUNTED = ("images", "detected", "rejected", "failed", "missing")
 
 
 class RecordingsTerminal:
-    """Reports each recording that was set aside, and progress over all."""
+    """Reports what went wrong, and progress over all."""
 
     def __init__(self) -> None:
         self._line = ProgressLine()
-
-    def set_aside(self, result: RecordingResult) -> None:
-        self.remark(f"{result.recording}: set aside: {result.reason}")
 
     def remark(self, text: str) -> None:
         self.close()
@@ -45,10 +42,11 @@ def recordings_report(tally: Tally) -> str:
         objects.update(+Counter(result.detections))
     images = {name: sum(getattr(result, name) for result in results) for name in _COUNTED}
     states = ", ".join(f"{tally.in_state(state)} {state}" for state in get_args(State))
+    missing = f", {images['missing']} missing" if images["missing"] else ""
     return (
         f"recordings  {tally.count}: {states}\n"
         f"images      {images['images']}: {images['detected']} detected, {images['rejected']} rejected, "
-        f"{images['failed']} failed\n"
+        f"{images['failed']} failed{missing}\n"
         f"{objects_line(objects)}"
         f"rate        {tally.rate_hz:.1f} images per second in this run\n"
     )

@@ -19,7 +19,7 @@ JSON_NAME, PARQUET_NAME = "summary.json", "summary.parquet"
 CLASS_COLUMN = "detections/"
 """Prefix of the columns of classes in the table."""
 _BEGIN = b'{\n "weights": "'
-_COUNTED = ("images", "detected", "rejected", "failed")
+_COUNTED = ("images", "detected", "rejected", "failed", "missing")
 _COLUMNS = {
     "recording": "string",
     "path": "string",
@@ -29,6 +29,7 @@ _COLUMNS = {
     "detected": "int64",
     "rejected": "int64",
     "failed": "int64",
+    "missing": "int64",
     "first_problem": "string",
     "seconds": "float64",
     "runtime": "string",

@@ -26,6 +26,7 @@ from yolov5_lifecycle.offline.many_recordings.workers import (
     Workers,
 )
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
+from yolov5_lifecycle.offline.terminal import missing_images
 from yolov5_lifecycle.printable import in_lines, is_utf8
 from yolov5_lifecycle.unfinished import hold, open_itself
 
@@ -62,6 +63,11 @@ class Tally:
         """Images per second since the first model was loaded, of all workers together."""
         return 0.0 if self._begun_s is None else self.images / max(time.monotonic() - self._begun_s, 1e-9)
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether every recording has a result with all its images."""
+        return not any(result.state == "set aside" or result.missing for result in self.results.values())
+
     def in_state(self, state: str) -> int:
         """How many recordings are in `state`."""
         return sum(result.state == state for result in self.results.values())
@@ -70,11 +76,8 @@ class Tally:
 class RunWatch(Protocol):
     """Observer of a run over many recordings."""
 
-    def set_aside(self, result: RecordingResult) -> None:
-        """Called for each recording without a result."""
-
     def remark(self, text: str) -> None:
-        """Called for other events that the user should know."""
+        """Called for events that the user should know, such as a recording without a result."""
 
     def progress(self, tally: Tally) -> None:
         """Called about once a second with the totals so far."""
@@ -216,7 +219,10 @@ class _Run:
     def _end(self, result: RecordingResult) -> None:
         self._tally.add(result)
         if result.state == "set aside":
-            self._watch.set_aside(result)
+            self._watch.remark(f"{result.recording}: set aside: {result.reason}")
+        elif result.missing:
+            claimed = result.images + result.missing
+            self._watch.remark(f"{result.recording}: {missing_images(claimed, result.images)}")
 
     def _refuse(self, event: Refused) -> None:
         self._loading.discard(event.worker)

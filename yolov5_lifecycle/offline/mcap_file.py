@@ -1,0 +1,261 @@
+"""Messages in an MCAP file, in the order of the file, with or without indexes: https://mcap.dev/spec.
+
+Read as a stream, because libraries unpack a whole chunk: 33 kB may become a gigabyte.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from struct import Struct
+from typing import Any, BinaryIO
+from zlib import crc32
+
+import lz4.frame  # type: ignore[import-untyped]
+
+from yolov5_lifecycle.offline.stored_topics import MAX_MESSAGE_BYTES, DamageError, StorageError, StoredTopic
+from yolov5_lifecycle.printable import in_one_line
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+MAX_CHANNELS = 10_000
+MAX_NAME_BYTES = 4096
+MESSAGES_OF_ANY_FILE = 100_000
+BYTES_PER_MESSAGE = 4
+"""Of a longer file, for each message beyond MESSAGES_OF_ANY_FILE: even packed ones need as many."""
+_MAGIC = b"\x89MCAP0\r\n"
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = range(1, 7)
+_STATISTICS, _DATA_END = 0x0B, 0x0F
+_FOOTER_BYTES = 9 + 20 + len(_MAGIC)
+_BLOCK_BYTES = 1 << 20
+_BUFFER_BYTES = 1 << 16
+
+_U16, _U32, _U64 = Struct("<H"), Struct("<I"), Struct("<Q")
+_RECORD = Struct("<BQ")  # opcode, bytes
+_CHANNEL_START = Struct("<HH")  # id, id of its schema
+_MESSAGE_START = Struct("<HIQQ")  # channel, number, time of recording, time of publication
+_CHUNK_START = Struct("<QQQI")  # first and last time, unpacked bytes, their CRC-32 or 0
+_STATISTICS_START = Struct("<QHIIIIQQ")  # messages, schemas, channels, then others that are not used
+_COUNT = Struct("<HQ")  # channel, messages
+
+
+class McapFile:
+    """An open file; owns it until `close`. Raises StorageError and OSError, also while messages are read."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("rb")
+        try:
+            self._size = path.stat().st_size
+            self._data_start, self._data_end = self._bounds()
+            self._channels: dict[int, StoredTopic] = {}
+            self._schemas: dict[int, str] = {}
+            self._counts = self._summarised() or self._counted()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        self._file.close()
+
+    @property
+    def topics(self) -> list[StoredTopic]:
+        """A topic for each channel, with as many messages as the statistics claim, or are counted."""
+        return [topic.with_count(self._counts[number]) for number, topic in self._channels.items()]
+
+    def messages(self, name: str, type_name: str) -> Iterator[tuple[int, bytes | None]]:
+        """Time of recording in nanoseconds and content, None if larger than MAX_MESSAGE_BYTES."""
+        for channel, time_ns, contents, size in self._messages():
+            topic = self._channels.get(channel)
+            if topic is not None and (topic.name, topic.type_name) == (name, type_name):
+                yield time_ns, contents.take(size) if size <= MAX_MESSAGE_BYTES else None
+
+    def _bounds(self) -> tuple[int, int]:
+        """Where records begin, and where the footer does; raises StorageError for another format."""
+        if self._file.read(len(_MAGIC)) != _MAGIC:
+            raise StorageError("it does not begin like an MCAP file")
+        opcode, size = _RECORD.unpack(self._file.read(_RECORD.size).ljust(_RECORD.size, b"\0"))
+        start = self._file.tell()
+        if opcode != _HEADER or size > self._size - start:
+            raise DamageError("expected the header of an MCAP file")
+        if _text(_Contents(self._file, size)) == "ros1":
+            raise StorageError(
+                "its messages are those of ROS 1, which are not read. Convert the .bag that it was made "
+                "from: rosbags-convert --src FILE.bag --dst FOLDER"
+            )
+        end = self._size - _FOOTER_BYTES
+        self._file.seek(max(end, 0))
+        if end < start + size or not self._file.read().endswith(_MAGIC):
+            raise DamageError("its end is missing")
+        return start + size, end
+
+    def _summarised(self) -> Counter[int] | None:
+        """Counts of the summary at the end; None unless it has statistics, and what these say."""
+        self._file.seek(self._data_end + _RECORD.size)
+        (start,) = _U64.unpack(self._file.read(_U64.size))
+        if not self._data_start <= start < self._data_end:
+            return None
+        self._file.seek(start)
+        summary = _Contents(self._file, self._data_end - start)
+        claimed: tuple[int, int, Counter[int]] | None = None
+        for opcode, _ in summary.records():
+            if opcode == _STATISTICS:
+                claimed = _statistics(summary)
+            else:
+                self._describe(opcode, summary)
+        if claimed is None:
+            return None
+        messages, channels, counts = claimed
+        return counts if (counts.total(), len(self._channels)) == (messages, channels) else None
+
+    def _counted(self) -> Counter[int]:
+        """Counts of all messages, which are read for that, as are the channels."""
+        return Counter(channel for channel, *_ in self._messages())
+
+    def _messages(self) -> Iterator[tuple[int, int, _Contents, int]]:
+        """Channel and time of each message, and the number of bytes that may then be taken."""
+        left = MESSAGES_OF_ANY_FILE + self._size // BYTES_PER_MESSAGE
+        for opcode, contents, size in self._records():
+            if opcode != _MESSAGE:
+                self._describe(opcode, contents)
+                continue
+            if not (left := left - 1):
+                raise StorageError("it unpacks to more messages than a recording of its size has")
+            channel, _, time_ns, _ = contents.fields(_MESSAGE_START)
+            yield channel, time_ns, contents, size - _MESSAGE_START.size
+
+    def _records(self) -> Iterator[tuple[int, _Contents, int]]:
+        """Opcode and size of the records, also of those in chunks."""
+        self._file.seek(self._data_start)
+        data = _Contents(self._file, self._data_end - self._data_start)
+        for opcode, size in data.records():
+            if opcode == _DATA_END:
+                return
+            if opcode != _CHUNK:
+                yield opcode, data, size
+                continue
+            with _unpacked(data) as chunk:
+                for inner, inner_size in chunk.records():
+                    if inner == _CHUNK:
+                        raise DamageError("a chunk within a chunk")
+                    yield inner, chunk, inner_size
+
+    def _describe(self, opcode: int, contents: _Contents) -> None:
+        """Keep a schema or channel, of which each may occur many times."""
+        if opcode == _SCHEMA:
+            (number,) = contents.fields(_U16)
+            self._schemas.setdefault(number, _text(contents))
+        elif opcode == _CHANNEL:
+            number, schema = contents.fields(_CHANNEL_START)
+            name, encoding = _text(contents), _text(contents)
+            self._channels.setdefault(number, StoredTopic(name, self._schemas.get(schema, ""), encoding))
+        if max(len(self._schemas), len(self._channels)) > MAX_CHANNELS:
+            raise StorageError(f"more than {MAX_CHANNELS} channels")
+
+
+class _Contents:
+    """The next `left` bytes of `file`, taken one after the other; raises DamageError if it has less."""
+
+    def __init__(self, file: BinaryIO, size: int, crc: int = 0) -> None:
+        self._file = file
+        self._expected_crc = crc  # 0 stands for none
+        self._crc = 0
+        self.left = size
+
+    def take(self, size: int) -> bytes:
+        data = self._file.read(size) if size <= self.left else b""
+        if len(data) != size:
+            raise DamageError(f"a record ends after {len(data)} of {size} bytes")
+        self.left -= size
+        if self._expected_crc:
+            self._crc = crc32(data, self._crc)
+        return data
+
+    def check(self) -> None:
+        """Raise DamageError unless nothing is left in the file, and the checksum is right."""
+        if self._file.read(1):
+            raise DamageError("a chunk unpacks to more bytes than it claims")
+        if self._crc != self._expected_crc:
+            raise DamageError("a chunk is damaged: its checksum is wrong")
+
+    def _skip_to(self, end: int) -> None:
+        if self._file.seekable() and not self._expected_crc:
+            self._file.seek(self.left - end, io.SEEK_CUR)
+            self.left = end
+        while self.left > end:
+            self.take(min(self.left - end, _BLOCK_BYTES))
+
+    def fields(self, layout: Struct) -> tuple[int, ...]:
+        return layout.unpack(self.take(layout.size))
+
+    def records(self) -> Iterator[tuple[int, int]]:
+        """Opcode and size of each record; what has not been taken of it is then skipped."""
+        while self.left:
+            opcode, size = self.fields(_RECORD)
+            end = self.left - size
+            if end < 0:
+                raise DamageError(f"a record of {size} bytes where {self.left} are left")
+            yield opcode, size
+            if self.left < end:
+                raise DamageError("a record is shorter than its fields")
+            self._skip_to(end)
+
+
+class _Packed(io.RawIOBase):
+    """The next `size` bytes of `contents` as a file."""
+
+    def __init__(self, contents: _Contents, size: int) -> None:
+        self._contents = contents
+        self._left = size
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
+        data = self._contents.take(min(len(buffer), self._left))
+        self._left -= len(data)
+        buffer[: len(data)] = data
+        return len(data)
+
+
+@contextmanager
+def _unpacked(data: _Contents) -> Iterator[_Contents]:
+    """What the chunk at the beginning of `data` has when it is unpacked; checked when all of it was taken."""
+    _, _, size, crc = data.fields(_CHUNK_START)
+    compression = _text(data)
+    packed = _Packed(data, *data.fields(_U64))
+    if compression not in _UNPACKING:
+        raise StorageError(f"a chunk is packed as {in_one_line(compression)!r}, expected zstd or lz4")
+    with io.BufferedReader(_UNPACKING[compression](packed), _BUFFER_BYTES) as file:
+        chunk = _Contents(file, size, crc)
+        yield chunk
+        chunk.check()
+
+
+_UNPACKING: Mapping[str, Callable[[Any], Any]] = {
+    "": lambda packed: packed,
+    "lz4": lz4.frame.LZ4FrameFile,
+    "zstd": zstd.ZstdFile,
+}
+
+
+def _text(contents: _Contents) -> str:
+    (size,) = contents.fields(_U32)
+    if size > MAX_NAME_BYTES:
+        raise StorageError(f"a name of {size} bytes, expected at most {MAX_NAME_BYTES}")
+    return contents.take(size).decode("utf-8", "replace")
+
+
+def _statistics(contents: _Contents) -> tuple[int, int, Counter[int]]:
+    """Claimed number of messages, of channels, and of the messages of each channel."""
+    messages, _, channels, *_ = contents.fields(_STATISTICS_START)
+    (size,) = contents.fields(_U32)
+    if size > _COUNT.size * MAX_CHANNELS:
+        raise StorageError(f"statistics of more than {MAX_CHANNELS} channels")
+    return messages, channels, Counter(dict(_COUNT.iter_unpack(contents.take(size))))
