@@ -159,6 +159,8 @@ class RecordingTask:
             detected=balance[Outcome.DETECTED],
             rejected=balance[Outcome.REJECTED],
             failed=balance[Outcome.FAILED],
+            late=account.stamps.late,
+            jumps=account.stamps.jumps,
             first_problem=watch.first_problem,
             seconds=round(seconds, 3),
             runtime=self.runtime,

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from typing import get_args
 
-from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult, State
+from yolov5_lifecycle.offline.many_recordings.recording_result import COUNTED, RecordingResult, State
 from yolov5_lifecycle.offline.many_recordings.supervisor import Tally
-from yolov5_lifecycle.offline.terminal import ProgressLine, objects_line
+from yolov5_lifecycle.offline.terminal import ProgressLine, objects_line, order_line
 from yolov5_lifecycle.process.standard_streams import complain
-
-_COUNTED = ("images", "detected", "rejected", "failed")
 
 
 class RecordingsTerminal:
@@ -43,12 +41,13 @@ def recordings_report(tally: Tally) -> str:
     objects: Counter[str] = Counter()
     for result in results:
         objects.update(+Counter(result.detections))
-    images = {name: sum(getattr(result, name) for result in results) for name in _COUNTED}
+    images = {name: sum(getattr(result, name) for result in results) for name in COUNTED}
     states = ", ".join(f"{tally.in_state(state)} {state}" for state in get_args(State))
     return (
         f"recordings  {tally.count}: {states}\n"
         f"images      {images['images']}: {images['detected']} detected, {images['rejected']} rejected, "
         f"{images['failed']} failed\n"
         f"{objects_line(objects)}"
+        f"{order_line(images['late'], images['jumps'])}"
         f"rate        {tally.rate_hz:.1f} images per second in this run\n"
     )
