@@ -13,6 +13,7 @@ import numpy as np
 from fuzz.fields import Fields
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.tracking.byte_tracker import (
+    MAX_LATE_S,
     MAX_TIMEOUT_S,
     MAX_TRACKS,
     STEP_WITHOUT_TIME_S,
@@ -69,8 +70,12 @@ class _Camera:
 
     def see(self, found: Detections, stamp_s: float, settings: TrackerSettings) -> None:
         """Give `found` to the tracker and judge the ids that it returns."""
+        is_late = 0 < self.stamp_s - stamp_s <= MAX_LATE_S
         camera = _camera(len(found)) if settings.track_camera_motion == "auto" else None
         ids = self._tracker.update(found, stamp_s=stamp_s, settings=settings, camera=camera)
+        if is_late:
+            assert ids == ("",) * len(found)
+            return
         self._forget(stamp_s, settings.track_timeout)
         assert self._tracker.confirmed <= len(self._tracker) <= MAX_TRACKS
         assert len(ids) == len(found)

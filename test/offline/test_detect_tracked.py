@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,8 +23,11 @@ from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.offline.detecting import OfflineDetector
+from yolov5_lifecycle.offline.terminal import report
 from yolov5_lifecycle.ros.messages import image_of_message
 from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
@@ -75,6 +80,39 @@ def test_the_lines_of_a_video_have_ids(words: list[str], tmp_path: Path) -> None
     last = [one["id"] for one in lines[-1]]
     assert "" not in last
     assert len({*last}) == len(last) > 0
+
+
+@pytest.mark.parametrize(
+    ("stamps_s", "ids", "told"),
+    [
+        pytest.param([10, 11, 12], ["", "1", "1"], "", id="in order"),
+        pytest.param(
+            [10, 11, 10.5, 12],
+            ["", "1", "", "1"],
+            "late images not tracked: 1, jumps back at which tracking began anew: 0",
+            id="late",
+        ),
+        pytest.param(
+            [10, 11, 5, 6],
+            ["", "1", "", "other"],
+            "not tracked: 0, jumps back at which tracking began anew: 1",
+            id="jump",
+        ),
+    ],
+)
+def test_images_that_are_late_are_detected_but_not_tracked(
+    stamps_s: list[float], ids: list[str], told: str
+) -> None:
+    quiet: Any = SimpleNamespace(progress=lambda _: None)
+    settings = SETTINGS.model_copy(update={"tracker": "bytetrack"})
+    offline = OfflineDetector(settings, quiet, with_masks=False, prepare=prepare_once)
+    image = ColourImage(shown(0)[0], "rgb")
+    stored: list[Any] = [SimpleNamespace(stamp_s=stamp_s, load=lambda: image) for stamp_s in stamps_s]
+    found: list[str] = []
+    account = offline.run(stored, expected=0, write=lambda *args: found.append(args[2].track_ids[0]))
+    assert [each if each in ("", "1") else "other" for each in found] == ids
+    assert account.balance[Outcome.DETECTED] == len(stamps_s)
+    assert (told in report(account)) if told else ("stamps" not in report(account))
 
 
 def test_without_a_tracker_lines_have_no_ids(tmp_path: Path) -> None:

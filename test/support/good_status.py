@@ -38,7 +38,12 @@ GOOD_CAMERA = CameraStatus(
     overtaken=7,
     latency=LatencySummary(29.9, 21.0, 30.5),
     empty=EmptyRun(0.9),
-    tracking={"tracker": "bytetrack", "confirmed tracks": "6"},
+    tracking={
+        "tracker": "bytetrack",
+        "confirmed tracks": "6",
+        "late images not tracked": "2",
+        "jumps back in time": "1",
+    },
     depth_status=DepthStatus(
         image=SOURCE, camera_info=SOURCE, counts=PlacingCounts(), run=None, recently_rejected=""
     ),

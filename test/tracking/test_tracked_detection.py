@@ -154,6 +154,18 @@ def test_a_camera_that_jumps_keeps_its_ids_if_its_motion_is_looked_for(
     assert set(ids[1:]) == expected
 
 
+def test_a_late_image_of_a_camera_that_jumps_is_no_motion() -> None:
+    images, rows = jumping(4)
+    late = 2
+    order = [0, 1, 3, late, 3]  # seen at the other side, and shown between two images from one side
+    detector, tracking = detector_of([rows[number] for number in order]), new_tracking()
+    ids = [
+        tracking.detect(detector, images[number], Selection(), stamp_s).track_ids
+        for number, stamp_s in zip(order, (0.0, 0.1, 0.3, 0.2, 0.4), strict=True)
+    ]
+    assert ids == [("",), ("1",), ("1",), ("",), ("1",)]
+
+
 def test_images_of_a_still_camera_change_nothing() -> None:
     images = [predicted([(16 + 2 * number, 32, 20, 20, 0.9, 0)]) for number in range(8)]
     ids = {

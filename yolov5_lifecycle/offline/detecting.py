@@ -19,6 +19,7 @@ from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
+from yolov5_lifecycle.tracking.byte_tracker import StampCounts
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 
@@ -47,10 +48,11 @@ class DetectingError(RuntimeError):
 class Account:
     """Statistics of a run over a source that claims to have `expected` images, 0 if unknown."""
 
-    def __init__(self, expected: int) -> None:
+    def __init__(self, expected: int, stamps: StampCounts | None = None) -> None:
         self.expected = expected
         self.missing = 0
         """Images that a recording claims and does not have."""
+        self.stamps = stamps or StampCounts()
         self.objects: Counter[str] = Counter()
         self._counter = FrameCounter()
         self._begun_s = time.monotonic()
@@ -99,7 +101,8 @@ class OfflineDetector:
         if problems := model_problems(settings, self.class_names):
             raise SettingsError(problems)
         self._selection = replace(selection(settings, self.class_names), with_masks=with_masks)
-        self._tracking = TrackedDetection.started(settings, itertools.count(1))
+        self._stamps = StampCounts()
+        self._tracking = TrackedDetection.started(settings, itertools.count(1), self._stamps)
         self._failures = 0
 
     @property
@@ -124,7 +127,7 @@ class OfflineDetector:
         Raises DetectingError after too many consecutive inference failures, if the device is lost, or if no
         image could be used.
         """
-        account = Account(expected)
+        account = Account(expected, self._stamps)
         for stored in images:
             account.receive()
             account.finish(self._detect(stored, write, account.objects))

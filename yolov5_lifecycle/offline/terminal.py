@@ -87,8 +87,16 @@ def report(account: Account) -> str:
         f"images    {balance.received}{missing}: {balance[Outcome.DETECTED]} detected, "
         f"{balance[Outcome.REJECTED]} rejected, {balance[Outcome.FAILED]} failed\n"
         f"{objects_line(objects)}"
+        f"{order_line(account.stamps.late, account.stamps.jumps)}"
         f"rate        {account.rate_hz:.1f} images per second\n"
     )
+
+
+def order_line(late: int, jumps: int) -> str:
+    """The line of the summary about stamps that were not in order; "" if all were, or nothing was tracked."""
+    if not late + jumps:
+        return ""
+    return f"stamps      late images not tracked: {late}, jumps back at which tracking began anew: {jumps}\n"
 
 
 def objects_line(objects: Counter[str]) -> str:

@@ -15,11 +15,13 @@ from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.impl import rcutils_logger
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 Convert = Callable[[int], object]
 """Converts the C message at an address to a Python message."""
@@ -59,6 +61,16 @@ def destroy_state_machine(node: LifecycleNode) -> None:
     handles belong to the state machine.
     """
     node._state_machine.destroy_when_not_in_use()
+
+
+def publishers_on(node: Node, name: str) -> list[TopicEndpointInfo]:
+    """The publishers on the topic with the full name `name`, whatever `node` remaps it to.
+
+    rclpy/node.py, `Node._get_info_by_topic`: remaps the name, although its documentation denies that.
+    """
+    with node.handle:
+        rows = rclpy_implementation.rclpy_get_publishers_info_by_topic(node.handle, name, False)
+    return [TopicEndpointInfo(**row) for row in rows]
 
 
 def attribute_logs_to_callers_of(path: str) -> None:

@@ -26,6 +26,8 @@ MAX_TRACKS = 2 * MAX_DETECTIONS
 """Tracks that are kept, the most recently seen; bounds time and memory."""
 STEP_WITHOUT_TIME_S = 1 / 30
 """Assumed time between two images with equal stamps: some cameras set none."""
+MAX_LATE_S = 1.0
+"""An image that is older than the newest one by no more than this is late; by more, time has begun anew."""
 MAX_TIMEOUT_S = 60.0
 _LEADING = 100
 """Detections and tracks that say what all have in common; bounds the time that this takes."""
@@ -74,16 +76,29 @@ class TrackerSettings:
             )
 
 
+@dataclass
+class StampCounts:
+    """How often the stamps of a camera were not in order; one thread counts, any thread may read."""
+
+    late: int = 0
+    """Images that were not tracked, because a newer one had been."""
+    jumps: int = 0
+    """Jumps back in time, at each of which tracking began anew."""
+    last_jump_s: float = 0.0
+    """How far the last one went back."""
+
+
 class ByteTracker:
     """Tracks the objects of one camera.
 
     `ids` gives the number of each new track, above 0; trackers that share it never give the same one.
-    Raises TrackerAbsentError, a ValueError, when scipy is not installed.
+    `counts` are continued. Raises TrackerAbsentError, a ValueError, when scipy is not installed.
     """
 
-    def __init__(self, ids: Iterator[int]) -> None:
+    def __init__(self, ids: Iterator[int], counts: StampCounts | None = None) -> None:
         self._solver = load_solver()
         self._ids = ids
+        self._counts = counts or StampCounts()
         self._tracks = Tracks.none()
         self._common = CommonMotion()
         self._stamp_s = -math.inf
@@ -103,6 +118,10 @@ class ByteTracker:
         self._common = CommonMotion()
         self._stamp_s = -math.inf
 
+    def is_late(self, stamp_s: float) -> bool:
+        """Whether `update` will leave an image of this stamp out, as a newer one has been tracked."""
+        return 0 < self._stamp_s - stamp_s <= MAX_LATE_S
+
     def update(
         self,
         detections: Detections,
@@ -116,12 +135,18 @@ class ByteTracker:
         `camera` maps pixels of the last image to those of this one, if it is known to have moved.
 
         `detections` reach down to `track_low_threshold`, below the threshold of what is published. `stamp_s`
-        is in seconds since any epoch; one before that of the previous image, or later by more than
-        `track_timeout`, starts afresh. Raises ValueError when it is not finite.
+        is in seconds since any epoch; one that is late changes nothing, and has no ids; one even earlier, or
+        later than the newest by more than `track_timeout`, starts afresh. Raises ValueError when it is not
+        finite.
         """
         if not math.isfinite(stamp_s):
             raise ValueError(f"stamp_s must be finite, found {stamp_s}.")
+        if self.is_late(stamp_s):
+            self._counts.late += 1
+            return ("",) * len(detections)
         if stamp_s < self._stamp_s:
+            self._counts.last_jump_s = self._stamp_s - stamp_s
+            self._counts.jumps += 1
             self.reset()
         step_s = stamp_s - self._stamp_s or STEP_WITHOUT_TIME_S
         tracks = self._tracks.later(step_s, settings.track_timeout)

@@ -10,7 +10,7 @@ from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection, narrowed
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, StampCounts, TrackerSettings
 from yolov5_lifecycle.tracking.camera_motion import CameraMotion
 
 
@@ -23,11 +23,13 @@ class TrackedDetection:
     camera: CameraMotion = field(default_factory=CameraMotion)
 
     @classmethod
-    def started(cls, settings: Settings, ids: Iterator[int]) -> TrackedDetection | None:
-        """Without tracks; None if `settings` ask for no tracker. For `ids` see ByteTracker."""
+    def started(
+        cls, settings: Settings, ids: Iterator[int], counts: StampCounts | None = None
+    ) -> TrackedDetection | None:
+        """Without tracks; None if `settings` ask for no tracker. For `ids` and `counts` see ByteTracker."""
         if settings.tracker == "none":
             return None
-        return cls(ByteTracker(ids), tracker_settings(settings))
+        return cls(ByteTracker(ids, counts), tracker_settings(settings))
 
     def with_settings(self, settings: Settings) -> TrackedDetection:
         """The same tracker and tracks with the tracker's part of `settings`."""
@@ -54,10 +56,10 @@ class TrackedDetection:
         `found`: those of the wider selection in `image`.
         """
         camera = None
-        if self.settings.track_camera_motion == "auto":
-            camera = self.camera.since_last(image, found.boxes_xyxy)
-        else:
+        if self.settings.track_camera_motion == "off":
             self.camera.reset()
+        elif not self.tracker.is_late(stamp_s):
+            camera = self.camera.since_last(image, found.boxes_xyxy)
         ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings, camera=camera)
         return narrowed(replace(found, track_ids=ids), selection)
 

@@ -56,6 +56,12 @@ def missing(seconds: float = DISCOVERY_S + 1) -> dict[str, Any]:
             id="no-images",
         ),
         pytest.param(
+            depth(image=dataclasses.replace(IMAGE, **missing(), sent_as="/a", remedy="type `this`")),
+            "no publisher of depth images on /yolov5/depth/image_raw (but in another form on /a): detections "
+            "have no place in space; type `this`",
+            id="images-in-another-form",
+        ),
+        pytest.param(
             depth(camera_info=dataclasses.replace(INFO, **missing()), recently_rejected=REJECTION),
             "no publisher of its camera_info on /yolov5/depth/camera_info: detections have no place in "
             "space; start the depth camera, remap the topic or set depth to false",

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import ReliabilityPolicy
-from support.good_status import GOOD, GOOD_CAMERA, GOOD_INPUT, LARGE
+from support.good_status import GOOD, GOOD_CAMERA, GOOD_INPUT, LARGE, OF_CAMERAS
 
 from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.camera_status import EMPTY_S, SILENCE_S, SLOW_S
@@ -65,9 +65,14 @@ def _with_input(**changes: Any) -> Status:
             id="another-topic",
         ),
         pytest.param(
-            _with_topic(similar=("/yolov5/image_raw/compressed",)),
-            "set image_transport to compressed",
-            id="compressed-alone",
+            _with_topic(sent_as="/a/compressed", remedy="type `this`", similar=("/a/compressed", "/b")),
+            "/yolov5/image_raw. They are published in another form, on /a/compressed: type `this`",
+            id="another-form",
+        ),
+        pytest.param(
+            _with_topic(similar=("/a", "/b"), remedy="type `this`"),
+            "Images are published on /a and /b: did you mean that? For /a, type `this`",
+            id="other-topics-with-remedy",
         ),
         pytest.param(
             _with_topic(other_types=("std_msgs/msg/String",)),
@@ -167,6 +172,19 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
         ),
         pytest.param(dataclasses.replace(GOOD, state="finalized"), "finalized", id="any-other-state"),
         pytest.param(dataclasses.replace(GOOD, problem="no weights"), "no weights", id="problem-first"),
+        pytest.param(
+            dataclasses.replace(_with_topic(), namesakes="2 nodes"), "2 nodes", id="namesakes-before-images"
+        ),
+        pytest.param(
+            dataclasses.replace(GOOD, state="inactive", cameras=(), namesakes="2 nodes"),
+            "2 nodes",
+            id="namesakes-in-every-state",
+        ),
+        pytest.param(
+            dataclasses.replace(OF_CAMERAS, state="inactive", namesakes="2 nodes"),
+            "2 nodes",
+            id="namesakes-of-a-node-with-cameras",
+        ),
     ],
 )
 def test_the_message_is_the_most_pressing_thing(status: Status, message: str) -> None:

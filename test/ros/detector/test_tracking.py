@@ -130,6 +130,24 @@ def test_another_image_transport_starts_afresh(tracking: ServedNode) -> None:
 
 def test_a_stamp_that_goes_back_starts_afresh(tracking: ServedNode) -> None:
     assert ids_at(tracking, 10, 11, 5, 6) == ["", "1", "", "2"]
+    tracking.wait_for_log("the stamps of the images went back by 6.0 s: tracking begins anew")
+    tracking.values()
+    assert sum("went back" in said for said in tracking.log) == 1
+
+
+def test_a_late_image_is_published_without_ids_and_counted(tracking: ServedNode) -> None:
+    before = tracking.counts()
+    assert ids_at(tracking, 10, 11, 10, 12) == ["", "1", "", "1"]
+    values, counts = tracking.values(), tracking.counts()
+    assert (values["late images not tracked"], values["jumps back in time"]) == ("1", "0")
+    assert counts["detected"] - before["detected"] == counts["received"] - before["received"] == 4
+
+
+def test_counts_of_stamps_outlive_a_reload(tracking: ServedNode) -> None:
+    ids_at(tracking, 10, 9)
+    assert tracking.set(precision="bf16") == (True, "")
+    ids_at(tracking, 20, 19)
+    assert tracking.values()["late images not tracked"] == "2"
 
 
 def test_only_what_the_threshold_admits_is_published(tracking: ServedNode, prepare: Preparations) -> None:

@@ -12,6 +12,8 @@ from yolov5_lifecycle.printable import MAX_TEXT, is_utf8, printable
 
 State = Literal["done", "skipped", "set aside"]
 
+COUNTED = ("images", "detected", "rejected", "failed", "missing", "late", "jumps")
+"""Columns of a row that are summed up for all recordings."""
 _MAX_COUNT = 10**12
 _MAX_PATH = 10_000
 _MAX_SECONDS = 1e9
@@ -56,6 +58,10 @@ class RecordingResult(BaseModel):
     failed: Count = 0
     missing: Count = 0
     """Images that the recording claims and does not have."""
+    late: Count = 0
+    """Images that were not tracked, because a newer one had been."""
+    jumps: Count = 0
+    """Jumps back in time, at each of which tracking began anew."""
     first_problem: Text = ""
     """What was wrong with the first image that was rejected or failed."""
     seconds: Annotated[float, Field(ge=0, le=_MAX_SECONDS)] = 0.0

@@ -160,6 +160,8 @@ class RecordingTask:
             rejected=balance[Outcome.REJECTED],
             failed=balance[Outcome.FAILED],
             missing=account.missing,
+            late=account.stamps.late,
+            jumps=account.stamps.jumps,
             first_problem=watch.first_problem,
             seconds=round(seconds, 3),
             runtime=self.runtime,

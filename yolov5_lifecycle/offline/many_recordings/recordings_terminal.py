@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from typing import get_args
 
-from yolov5_lifecycle.offline.many_recordings.recording_result import State
+from yolov5_lifecycle.offline.many_recordings.recording_result import COUNTED, State
 from yolov5_lifecycle.offline.many_recordings.supervisor import Tally
-from yolov5_lifecycle.offline.terminal import ProgressLine, objects_line
+from yolov5_lifecycle.offline.terminal import ProgressLine, objects_line, order_line
 from yolov5_lifecycle.process.standard_streams import complain
-
-_COUNTED = ("images", "detected", "rejected", "failed", "missing")
 
 
 class RecordingsTerminal:
@@ -40,7 +38,7 @@ def recordings_report(tally: Tally) -> str:
     objects: Counter[str] = Counter()
     for result in results:
         objects.update(+Counter(result.detections))
-    images = {name: sum(getattr(result, name) for result in results) for name in _COUNTED}
+    images = {name: sum(getattr(result, name) for result in results) for name in COUNTED}
     states = ", ".join(f"{tally.in_state(state)} {state}" for state in get_args(State))
     missing = f", {images['missing']} missing" if images["missing"] else ""
     return (
@@ -48,5 +46,6 @@ def recordings_report(tally: Tally) -> str:
         f"images      {images['images']}: {images['detected']} detected, {images['rejected']} rejected, "
         f"{images['failed']} failed{missing}\n"
         f"{objects_line(objects)}"
+        f"{order_line(images['late'], images['jumps'])}"
         f"rate        {tally.rate_hz:.1f} images per second in this run\n"
     )

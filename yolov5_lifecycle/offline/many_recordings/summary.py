@@ -11,7 +11,7 @@ from typing import Any
 
 from yolov5_lifecycle.atomic_file import OutputError, write_together, write_whole
 from yolov5_lifecycle.offline.many_recordings.plan import Plan
-from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.recording_result import COUNTED, RecordingResult
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.unfinished import open_itself
 
@@ -19,17 +19,12 @@ JSON_NAME, PARQUET_NAME = "summary.json", "summary.parquet"
 CLASS_COLUMN = "detections/"
 """Prefix of the columns of classes in the table."""
 _BEGIN = b'{\n "weights": "'
-_COUNTED = ("images", "detected", "rejected", "failed", "missing")
 _COLUMNS = {
     "recording": "string",
     "path": "string",
     "state": "string",
     "reason": "string",
-    "images": "int64",
-    "detected": "int64",
-    "rejected": "int64",
-    "failed": "int64",
-    "missing": "int64",
+    **dict.fromkeys(COUNTED, "int64"),
     "first_problem": "string",
     "seconds": "float64",
     "runtime": "string",
@@ -91,7 +86,7 @@ def summary(plan: Plan, results: Sequence[RecordingResult]) -> Mapping[str, obje
             state.replace(" ", "_"): sum(result.state == state for result in results)
             for state in ("done", "skipped", "set aside")
         },
-        **{name: sum(getattr(result, name) for result in results) for name in _COUNTED},
+        **{name: sum(getattr(result, name) for result in results) for name in COUNTED},
         "detections": dict(detections),
         "results": [result.model_dump() for result in results],
     }

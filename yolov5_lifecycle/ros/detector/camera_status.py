@@ -162,19 +162,15 @@ def _emptiness(empty: EmptyRun) -> str:
 def _missing(topic: TopicStatus) -> str:
     """Explain that `topic` has no publisher, and suggest a remedy."""
     others = f" (but {', '.join(topic.other_types)})" if topic.other_types else ""
-    text = f"no publisher of images on {topic.name}{others}: start the camera or remap the topic"
+    text = f"no publisher of images on {topic.name}{others}"
+    if topic.sent_as:
+        return f"{text}. They are published in another form, on {topic.sent_as}: {topic.remedy}"
+    text = f"{text}: start the camera or remap the topic"
     if not topic.similar:
         return text
+    then = f" For {topic.similar[0]}, {topic.remedy}" if topic.remedy else ""
     similar = " and ".join(topic.similar)
-    return f"{text}. " + f"Images are published on {similar}: did you mean that?{_hint(topic)}"
-
-
-def _hint(topic: TopicStatus) -> str:
-    if f"{topic.name}/compressed" in topic.similar:
-        return " For compressed images, set image_transport to compressed"
-    if topic.name.removesuffix("/compressed") in topic.similar:
-        return " For raw images, set image_transport to raw"
-    return ""
+    return f"{text}. " + f"Images are published on {similar}: did you mean that?{then}"
 
 
 def _has_many_lost(recent: RecentImages) -> bool:

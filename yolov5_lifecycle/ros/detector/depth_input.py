@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing
 from yolov5_lifecycle.ros.detector.depth_status import DepthStatus, SourceStatus
 from yolov5_lifecycle.ros.detector.frame_failures import RECENT_S
+from yolov5_lifecycle.ros.detector.published_images import COMPRESSED, RAW, camera_of, remedy, similar_images
 from yolov5_lifecycle.ros.detector.subscription import Subscription
-from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, of_camera
+from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name, of_camera
 
 _QUEUE = 2
 
@@ -65,6 +68,8 @@ class DepthInput:
     def look(self) -> DepthStatus:
         """Update the subscriptions to what the publishers offer; return the status."""
         image, camera_info = [_looked_at(each) for each in self._subscriptions] or (None, None)
+        if image is not None and image.publishers == 0:
+            image = self._in_another_form(image)
         is_recent = time.monotonic() - self.placing.rejected_s < RECENT_S
         return DepthStatus(
             image=image,
@@ -73,6 +78,24 @@ class DepthInput:
             run=self.placing.run,
             recently_rejected=self.placing.rejection if is_recent else "",
         )
+
+    def _in_another_form(self, image: SourceStatus) -> SourceStatus:
+        """`image` with what to type if the same images are published by another transport."""
+        local = of_camera(DEPTH_IMAGE_RAW, self._camera)
+        name = full_name(self._node, local)
+        found = similar_images(
+            self._node,
+            name,
+            transport=RAW,
+            usable=(RAW,),
+            is_candidate=lambda other: camera_of(other) == camera_of(name),
+        )
+        # JPEG cannot hold distances.
+        best = min(found, key=lambda images: images.form == COMPRESSED, default=None)
+        if best is None:
+            return image
+        clause = remedy(self._node, best, topics={RAW: DEPTH_IMAGE_RAW}, transport=RAW, camera=self._camera)
+        return replace(image, sent_as=in_one_line(best.name), remedy=clause)
 
 
 def _looked_at(subscription: Subscription) -> SourceStatus:

@@ -16,13 +16,16 @@ UNPLACED_S = 2.0
 class SourceStatus:
     """A topic of the depth camera: its publishers of the right type, and the seconds without one.
 
-    `problem`: why subscribing failed, "" if it did not.
+    `problem`: why subscribing failed, "" if it did not. `remedy`: what to type if the images are published in
+    another form, on `sent_as`; both "" if they are not.
     """
 
     name: str
     publishers: int
     missing_s: float
     problem: str = ""
+    sent_as: str = ""
+    remedy: str = ""
 
 
 @dataclass(frozen=True)
@@ -48,9 +51,11 @@ class DepthStatus:
             if source.problem:
                 return f"{source.problem}: detections have no place in space"
             if source.publishers == 0 and source.missing_s > DISCOVERY_S:
+                where = f" (but in another form on {source.sent_as})" if source.sent_as else ""
+                remedy = source.remedy or "start the depth camera, remap the topic or set depth to false"
                 return (
-                    f"no publisher of {what} on {source.name}: detections have no place in space; start the "
-                    "depth camera, remap the topic or set depth to false"
+                    f"no publisher of {what} on {source.name}{where}: detections have no place in space; "
+                    f"{remedy}"
                 )
         if self.recently_rejected:
             return f"detections have no place in space: {self.recently_rejected}"

@@ -21,7 +21,7 @@ _REPEAT_S = 60.0
 
 
 class Diagnostics:
-    """Publishes `status()` every `period_s` and logs why an active node has no output.
+    """Publishes `status()` every `period_s`; logs namesakes, and why an active node has no output.
 
     `clock` returns monotonic seconds.
     """
@@ -54,7 +54,8 @@ class Diagnostics:
                 status=[diagnostic_status(summary, name) for summary in (of_node, *of_cameras)],
             )
         )
-        self._log_reasons(of_cameras or [of_node] if status.state == "active" else [])
+        detecting = of_cameras or [of_node] if status.state == "active" else []
+        self._log_reasons([of_node] if status.namesakes else detecting)
 
     def _log_reasons(self, summaries: Sequence[Summary]) -> None:
         logs = {summary.name: self._reasons.get(summary.name) or ReasonLog() for summary in summaries}

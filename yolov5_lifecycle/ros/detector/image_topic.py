@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,8 +14,14 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CompressedImage, Image
 
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros.detector.published_images import (
+    TYPE_NAMES,
+    PublishedImages,
+    camera_of,
+    remedy,
+    similar_images,
+)
 from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE_RAW, IMAGE_RAW, full_name, of_camera, used_otherwise
-from yolov5_lifecycle.settings.suggestion import most_similar
 
 Transport = Literal["raw", "compressed"]
 
@@ -23,14 +29,13 @@ TOPICS: dict[Transport, tuple[str, type]] = {
     "raw": (IMAGE_RAW, Image),
     "compressed": (COMPRESSED_IMAGE_RAW, CompressedImage),
 }
-_TYPE_NAMES = {"raw": "sensor_msgs/msg/Image", "compressed": "sensor_msgs/msg/CompressedImage"}
+_LOCAL_NAMES: Mapping[str, str] = {transport: name for transport, (name, _) in TOPICS.items()}
 DISCOVERY_S = 5.0
 """Time that ROS may take to discover publishers."""
 _SEARCH_EVERY_S = 5.0
-_NOT_COLOUR = {"mask", "label", "segmentation", "semantic", "instance", "depth", "disparity"}
+_LABELS = {"mask", "label", "segmentation", "semantic", "instance"}
+_NOT_COLOUR = _LABELS | {"depth", "compresseddepth", "disparity"}
 """Words in the names of topics with images whose pixels are labels or distances."""
-_MAX_CANDIDATES = 200
-_MAX_ASKED = 20
 _MAX_SHOWN = 3
 
 
@@ -40,7 +45,9 @@ class TopicStatus:
 
     `reliabilities`: offered by each publisher of the right type. `gids`: their gids. `other_types`: types of
     the other publishers, which never match. `missing_s`: seconds without a publisher of the right type.
-    `similar`: other topics with images, searched only while this topic has no such publisher.
+    `similar`: other topics with images, searched only while this topic has no such publisher. `sent_as`: the
+    one that has the images of this camera in another form, "" if there is none. `remedy`: what to type to
+    receive that one, else the first of `similar`.
     """
 
     name: str
@@ -49,6 +56,8 @@ class TopicStatus:
     other_types: tuple[str, ...] = ()
     missing_s: float = 0.0
     similar: tuple[str, ...] = ()
+    sent_as: str = ""
+    remedy: str = ""
 
     @property
     def publishers(self) -> int:
@@ -78,7 +87,7 @@ class ImageTopic:
         self.transport = transport
         self.name = full_name(node, self.local_name)
         self._seen_s = clock()
-        self._similar: tuple[str, ...] = ()
+        self._similar: list[PublishedImages] = []
         self._searched_s = float("-inf")
 
     @property
@@ -91,24 +100,28 @@ class ImageTopic:
         if transport != self.transport:
             self.transport = transport
             self.name = full_name(self._node, self.local_name)
-            self._seen_s, self._similar, self._searched_s = self._clock(), (), float("-inf")
+            self._seen_s, self._similar, self._searched_s = self._clock(), [], float("-inf")
 
     def look(self) -> TopicStatus:
         """Query the ROS graph, which is cached in this process."""
         infos = self._node.get_publishers_info_by_topic(self.name)
-        ours = [info for info in infos if info.topic_type == _TYPE_NAMES[self.transport]]
+        ours = [info for info in infos if info.topic_type == TYPE_NAMES[self.transport]]
         now_s = self._clock()
         if ours:
-            self._seen_s, self._similar, self._searched_s = now_s, (), float("-inf")
+            self._seen_s, self._similar, self._searched_s = now_s, [], float("-inf")
         elif now_s - self._searched_s >= _SEARCH_EVERY_S:
             self._similar, self._searched_s = self._search(), now_s
+        first = next(iter(self._similar), None)
+        others = dict.fromkeys(in_one_line(each.name) for each in self._similar if each.name != self.name)
         return TopicStatus(
             name=in_one_line(self.name),
             reliabilities=tuple(info.qos_profile.reliability for info in ours),
             gids=frozenset(map(_gid, ours)),
             other_types=tuple(sorted({in_one_line(info.topic_type) for info in infos if info not in ours})),
             missing_s=now_s - self._seen_s,
-            similar=self._similar,
+            similar=tuple(others)[:_MAX_SHOWN],
+            sent_as=in_one_line(first.name) if first and first.camera == camera_of(self.name) else "",
+            remedy=self._remedy(first) if first else "",
         )
 
     def publisher(self) -> bytes | None:
@@ -116,20 +129,21 @@ class ImageTopic:
         gids = [_gid(info) for info in self._node.get_publishers_info_by_topic(self.name)]
         return gids[0] if len(gids) == 1 else None
 
-    def _search(self) -> tuple[str, ...]:
-        """Other topics with an image publisher, most similar name first; queries a bounded number."""
+    def _search(self) -> list[PublishedImages]:
+        """Images that the node does not receive, those of this camera first."""
         elsewhere = used_otherwise(self._camera, self._cameras())
-        own = {full_name(self._node, topic) for topic in elsewhere} | {self.name}
-        candidates = [
-            name
-            for name, types in self._node.get_topic_names_and_types()
-            if name not in own
-            and any(type_name in types for type_name in _TYPE_NAMES.values())
-            and not (_words(name) & _NOT_COLOUR) - _words(self.name)
-        ]
-        ranked = most_similar(self.name, candidates[:_MAX_CANDIDATES])[:_MAX_ASKED]
-        published = [name for name in ranked if self._node.count_publishers(name)]
-        return tuple(map(in_one_line, published[:_MAX_SHOWN]))
+        own = {full_name(self._node, topic) for topic in elsewhere}
+        not_colour = _NOT_COLOUR - _words(self.name)
+        return similar_images(
+            self._node,
+            self.name,
+            transport=self.transport,
+            usable=TOPICS,
+            is_candidate=lambda name: name not in own and not _words(name) & not_colour,
+        )
+
+    def _remedy(self, images: PublishedImages) -> str:
+        return remedy(self._node, images, topics=_LOCAL_NAMES, transport=self.transport, camera=self._camera)
 
 
 def _words(name: str) -> set[str]:

@@ -21,6 +21,7 @@ from yolov5_lifecycle.ros.detector.outputs import label_info_publisher
 from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
 from yolov5_lifecycle.ros.detector.session import Session, abandoned
 from yolov5_lifecycle.ros.detector.status import Status
+from yolov5_lifecycle.ros.namesakes import namesakes
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.topics import impossible_names
 from yolov5_lifecycle.settings.settings import Settings
@@ -253,6 +254,7 @@ class ManagedResources:
             abandoned_threads=self._worker.abandoned_threads(),
             resident_mb=resident_mb(),
             collected=self._collecting.status,
+            namesakes=namesakes(self._node),
         )
 
     def _sizes_hw(self, settings: Settings) -> list[tuple[int, int]]:

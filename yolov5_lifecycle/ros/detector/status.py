@@ -46,6 +46,7 @@ class Status:
     `cameras`: the named ones, otherwise one with the name ""; none if ROS refuses the names of their topics.
     `abandoned_threads`: threads that hung during deactivate and are still running.
     `resident_mb`: RAM of the process, None if unknown. `collected`: None without `collect_dir`.
+    `namesakes`: that other nodes have the name of this one, else "".
     """
 
     state: str
@@ -56,22 +57,26 @@ class Status:
     abandoned_threads: int
     resident_mb: float | None
     collected: CollectorStatus | None
+    namesakes: str = ""
 
     @property
     def of_node(self) -> Summary:
         """Summary of the node: all values of its only camera, or the first problem of several cameras."""
         each = self.of_cameras
         if not self.cameras:
-            return Summary(NODE_STATUS, self.problem, "", self._inactivity, self._values(self.problem))
+            return Summary(
+                NODE_STATUS, self.problem, self.namesakes, self._inactivity, self._values(self.problem)
+            )
         if not each:
             one, problem = self._summary(self.cameras[0]), self.problem or self.cameras[0].problem
-            return Summary(NODE_STATUS, problem, one.hint, one.remark, self._values(problem) | one.values)
+            hint = self.namesakes or one.hint
+            return Summary(NODE_STATUS, problem, hint, one.remark, self._values(problem) | one.values)
         problems = [f"{camera.name}: {camera.problem}" for camera in each if camera.problem]
         hints = [f"{camera.name}: {camera.hint}" for camera in each if camera.hint]
         return Summary(
             NODE_STATUS,
             problem=self.problem,
-            hint=next(iter(problems + hints), ""),
+            hint=self.namesakes or next(iter(problems + hints), ""),
             remark=self._inactivity,
             values=self._values(self.problem) | {"cameras": ", ".join(camera.name for camera in each)},
         )

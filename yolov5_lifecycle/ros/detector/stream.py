@@ -21,6 +21,7 @@ from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
 from yolov5_lifecycle.streaming.pipeline import Networks
 from yolov5_lifecycle.streaming.worker import Feed
+from yolov5_lifecycle.tracking.byte_tracker import StampCounts
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 
@@ -58,7 +59,9 @@ class Stream:
         self._last_image = last_image
         self._track_ids = track_ids
         self._collector = collector
-        self._tracking = TrackedDetection.started(settings, track_ids)
+        self._stamps = StampCounts()
+        self._told_jumps = 0
+        self._tracking = TrackedDetection.started(settings, track_ids, self._stamps)
         self._collecting: CameraCollecting | None = None
         self._input: ImageInput | None = None
         self.losses = ImageLosses()
@@ -73,8 +76,12 @@ class Stream:
         """For diagnostics: the tracker and its tracks after the last image; empty without one."""
         if self._tracking is None:
             return {}
-        tracker = self._tracking.tracker
-        return {"tracker": self._settings.tracker, "confirmed tracks": str(tracker.confirmed)}
+        return {
+            "tracker": self._settings.tracker,
+            "confirmed tracks": str(self._tracking.tracker.confirmed),
+            "late images not tracked": str(self._stamps.late),
+            "jumps back in time": str(self._stamps.jumps),
+        }
 
     @property
     def collects(self) -> bool:
@@ -97,7 +104,11 @@ class Stream:
         return self._input.problem if self._input else ""
 
     def look(self) -> InputStatus | None:
-        """Update the subscription to what the publishers offer; return its status, None without one."""
+        """Update the subscription to what the publishers offer; return its status, None without one.
+
+        Tells how far the stamps went back, if they have since the last look.
+        """
+        self._tell_jumps()
         self.follow_subscribers()
         status = self._input.look() if self._input else None
         return None if self.problem else status
@@ -119,7 +130,7 @@ class Stream:
         is_other_camera = before.image_transport != settings.image_transport
         self._networks = networks
         if is_other_camera or is_other_model or before.tracker != settings.tracker:
-            self._tracking = TrackedDetection.started(settings, self._track_ids)
+            self._tracking = TrackedDetection.started(settings, self._track_ids, self._stamps)
         elif self._tracking is not None:
             self._tracking = self._tracking.with_settings(settings)
         if is_other_model:
@@ -160,6 +171,18 @@ class Stream:
         if self.depth is not None and wanted:
             viewers = subscribers_3d + outputs.image_subscribers
             self.depth.follow(is_needed=not is_lazy or viewers > 0)
+
+    def _tell_jumps(self) -> None:
+        jumps = self._stamps.jumps - self._told_jumps
+        if jumps == 0:
+            return
+        self._told_jumps += jumps
+        whose, often = f"{self._camera}: " if self._camera else "", f" {jumps} times" if jumps > 1 else ""
+        self._node.get_logger().warning(
+            f"{whose}the stamps of the images went back{often} by {self._stamps.last_jump_s:.1f} s: tracking "
+            "begins anew. This is right if a recording or the simulation began again; otherwise look for a "
+            "second publisher or a clock that was set"
+        )
 
     def _start(self) -> None:
         settings = self._settings
