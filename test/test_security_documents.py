@@ -11,10 +11,10 @@ from support.colcon_workspace import REPOSITORY
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.checkpoints.archive import MAX_PICKLE_BYTES, MAX_RECORDS
+from yolov5_lifecycle.checkpoints.archive import MAX_DIRECTORY_BYTES, MAX_RECORDS
 from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES
 from yolov5_lifecycle.checkpoints.pickle_opcodes import MAX_OPERATIONS
-from yolov5_lifecycle.checkpoints.pickle_safety import MAX_CALLS
+from yolov5_lifecycle.checkpoints.pickle_safety import MAX_CALLS, MAX_PICKLE_BYTES
 from yolov5_lifecycle.checkpoints.safetensors_file import MAX_HEADER_BYTES
 from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
 from yolov5_lifecycle.models.model import MAX_CLASSES
@@ -88,7 +88,7 @@ def test_the_page_names_every_topic_of_the_policy(right: str) -> None:
     "words",
     [
         f"more than {MAX_FILE_BYTES >> 30} GiB",
-        f"more than {MAX_RECORDS:,} of them",
+        f"more than {MAX_RECORDS:,} of them, or more than {MAX_DIRECTORY_BYTES >> 20} MiB of names and other",
         f"more than {MAX_PICKLE_BYTES >> 20} MiB, {MAX_OPERATIONS:,} operations or {MAX_CALLS:,} objects",
         f"more than {MAX_HEADER_BYTES >> 20} MiB",
         f"more than {MAX_CLASSES:,} classes",

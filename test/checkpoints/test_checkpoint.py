@@ -20,14 +20,17 @@ import torch
 from support.checkpoint_builder import (
     SMALL,
     foreign,
+    head,
     in_one_storage,
     layers_of,
+    modules_of,
     official_model,
     saved,
     stripped,
 )
 from support.random_model import CLASS_NAMES, TINY, random_network
 from support.small_families import SMALL_FAMILIES
+from torch.nn.utils import prune
 
 from yolov5_lifecycle.checkpoints import pt_file as checkpoint
 from yolov5_lifecycle.checkpoints.archive import Archive
@@ -332,9 +335,109 @@ def test_a_storage_of_several_tensors_is_read_once(
     data = saved(stripped(changed(official_model())))
     with mock.patch.object(Archive, "record", autospec=True, side_effect=Archive.record) as record:
         found = read_checkpoint(data).state_dict
-    records = [name for (_, name), _ in record.call_args_list]
+    records = [name for (_, name, *_), _ in record.call_args_list]
     assert len(records) == len(set(records)) > 0
     assert all(torch.equal(found[key], tensor) for key, tensor in expected.items())
+
+
+def counted_by_thop(model: Any) -> None:
+    for module in modules_of(model):
+        for name in ("total_ops", "total_params"):
+            vars(module)["_buffers"][name] = torch.zeros(1, dtype=torch.float64)
+
+
+def test_what_thop_counted_is_not_read() -> None:
+    model = official_model()
+    counted_by_thop(model)
+    assert read_checkpoint(saved(stripped(model))).state_dict.keys() == read().state_dict.keys()
+
+
+def first_convolution(model: Any) -> torch.nn.Conv2d:
+    """The first layer's, in fp32: half of them cannot be sorted on every processor."""
+    convolution: torch.nn.Conv2d = vars(layers_of(model)["0"])["_modules"]["conv"]
+    return convolution.float()
+
+
+def prune_twice(convolution: torch.nn.Conv2d) -> None:
+    prune.l1_unstructured(convolution, "weight", amount=0.3)
+    prune.ln_structured(convolution, "weight", amount=1, n=2, dim=0)
+
+
+def prune_by_hand(convolution: torch.nn.Conv2d) -> None:
+    prune.custom_from_mask(convolution, "weight", convolution.weight > 0)
+
+
+@pytest.mark.parametrize(
+    "prune_weight",
+    [
+        pytest.param(prune_twice, id="two methods"),
+        pytest.param(prune_by_hand, id="a mask"),
+        pytest.param(lambda convolution: prune.identity(convolution, "weight"), id="nothing"),
+    ],
+)
+def test_pruned_weights_are_those_after_prune_remove(prune_weight: Callable[[Any], object]) -> None:
+    model = official_model()
+    convolution = first_convolution(model)
+    prune_weight(convolution)
+    pruned = read_checkpoint(saved(stripped(model))).state_dict["model.0.conv.weight"]
+    prune.remove(convolution, "weight")
+    assert torch.equal(pruned, convolution.weight)
+
+
+@pytest.mark.parametrize(
+    ("mask", "message"),
+    [
+        pytest.param(torch.ones(1), r"conv.weight_mask has the shape \(1,\)", id="another shape"),
+        pytest.param(torch.ones(8, 3, 6, 6).int(), "conv.weight_mask holds torch.int32", id="integers"),
+        pytest.param(None, "conv.weight is missing", id="none"),
+    ],
+)
+def test_a_mask_that_is_not_one_of_pruning_is_refused(mask: torch.Tensor | None, message: str) -> None:
+    model = official_model()
+    prune.identity(first_convolution(model), "weight")
+    vars(first_convolution(model))["_buffers"]["weight_mask"] = mask
+    with pytest.raises(WeightsError, match=message):
+        read_checkpoint(saved(stripped(model)))
+
+
+class OnDevice:
+    """A tensor that is pickled as torch pickles one of an Apple GPU, DirectML or a TPU."""
+
+    def __init__(self, numbers: int) -> None:
+        self._numbers = np.zeros(numbers, np.float32)
+
+    def __reduce__(self) -> Any:
+        arguments = (self._numbers, torch.float32, "mps:0", False)
+        return torch._utils._rebuild_device_tensor_from_numpy, arguments
+
+
+@pytest.mark.parametrize("protocol", [2, 4])
+@pytest.mark.parametrize(
+    ("saved_with", "message"),
+    [
+        pytest.param(lambda: OnDevice(1), r"on a device.* that wrote it.*model\.cpu\(\)", id="device"),
+        pytest.param(lambda: OnDevice(2 << 20), r"on a device.*model\.cpu\(\)", id="device, 8 MiB"),
+        pytest.param(
+            lambda: torch.nn.utils.weight_norm(torch.nn.Conv2d(1, 1, 1)), "remove_weight_norm", id="norm"
+        ),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*weight_norm")
+def test_a_model_saved_with_more_than_its_weights_is_refused_with_the_remedy(
+    saved_with: Callable[[], object], message: str, protocol: int
+) -> None:
+    with pytest.raises(WeightsError, match=message):
+        read_checkpoint(saved(stripped(official_model()) | {"model": saved_with()}, protocol))
+
+
+@pytest.mark.parametrize("protocol", [2, 4])
+@pytest.mark.parametrize("number", [np.int64, np.int8, np.uint16], ids=["int64", "int8", "uint16"])
+def test_scalars_of_numpy_are_numbers_and_texts(number: Callable[[int], Any], protocol: int) -> None:
+    model = official_model(names={number(index): np.str_(name) for index, name in enumerate(CLASS_NAMES)})
+    head(model).nc, model.yaml["nc"], model.yaml["depth_multiple"] = number(3), number(3), np.float64(0.33)
+    found = read_checkpoint(saved(stripped(model), protocol))
+    assert found.class_names == CLASS_NAMES
+    assert found.architecture.classes == 3
 
 
 def test_another_byte_order_is_refused() -> None:

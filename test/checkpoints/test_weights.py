@@ -9,6 +9,7 @@ import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -23,6 +24,9 @@ from yolov5_lifecycle.checkpoints.locate import (
 )
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.model import WeightsError
+from yolov5_lifecycle.printable import in_one_line
+
+_ANYWHERE: dict[str, Any] = {"weights_dir": Path("/"), "model_size": "n"}
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +111,42 @@ def test_a_file_is_what_its_bytes_say(good: Path) -> None:
 def test_a_variable_in_a_path_is_explained() -> None:
     with pytest.raises(WeightsError, match=r"variables as in \$HOME are not replaced here: write ~"):
         load_weights(Path("$HOME/best.pt"))
+
+
+_FETCHED = "`fetch_weights {}` downloads this model"
+_DOWNLOADED = "download it, and write the path of the file; `fetch_weights n` downloads an official"
+
+
+@pytest.mark.parametrize(
+    ("url", "remedy"),
+    [
+        pytest.param("https://github.com/v7.0/yolov5n.pt", _FETCHED.format("n"), id="official"),
+        pytest.param("HTTPS://Mirror.example/YOLOv5S6.PT", _FETCHED.format("s6"), id="in capitals"),
+        pytest.param("http://host/yolov5m-seg.pt", _FETCHED.format("m-seg"), id="segmentation"),
+        pytest.param("https://me:secret@host/best.pt?raw=1", _DOWNLOADED, id="own model"),
+        pytest.param(f"s3://bucket/{'x' * 300}", _DOWNLOADED, id="bucket"),
+        pytest.param("file:///home/me/my%20model.pt", "write '/home/me/my model.pt'", id="file"),
+        pytest.param("File://localhost/home/best.pt", "write /home/best.pt", id="file of this host"),
+        pytest.param("FILE://~/best.pt", "write ~/best.pt", id="file at home"),
+    ],
+)
+@pytest.mark.parametrize(
+    "look",
+    [
+        pytest.param(lambda url: load_weights(Path(url)), id="load"),
+        pytest.param(lambda url: weights_digest(Path(url)), id="digest"),
+        pytest.param(lambda url: find_weights(weights=url, **_ANYWHERE), id="find"),
+        pytest.param(
+            lambda url: find_weights(weights=url, weights_dirs=[Path("/opt")], **_ANYWHERE), id="confined"
+        ),
+    ],
+)
+def test_a_url_is_answered_with_what_to_type(url: str, remedy: str, look: Callable[[str], object]) -> None:
+    with pytest.raises(WeightsError) as refused:
+        look(url)
+    message = in_one_line(str(refused.value))
+    assert f"this is a URL, and a path is expected: {remedy}" in message
+    assert "secret" not in message
 
 
 def test_a_link_is_followed_and_its_target_reported(good: Path, tmp_path: Path) -> None:

@@ -168,7 +168,7 @@ def _add_anchor_grid(detect: Any, architecture: Architecture) -> None:
 
 def in_one_storage(model: Any, *, spare: int = 0) -> Any:
     """`model` with its weights as views of one flat storage, which has `spare` more numbers."""
-    groups = [vars(module)[name] for module in _modules_of(model) for name in ("_parameters", "_buffers")]
+    groups = [vars(module)[name] for module in modules_of(model) for name in ("_parameters", "_buffers")]
     places = [(group, key) for group in groups for key, held in group.items() if _is_weight(held)]
     tensors = [group[key].detach() for group, key in places]
     numbers = torch.cat([tensor.reshape(-1) for tensor in tensors] + [torch.zeros(spare).to(tensors[0])])
@@ -179,10 +179,10 @@ def in_one_storage(model: Any, *, spare: int = 0) -> Any:
     return model
 
 
-def _modules_of(module: Any) -> Iterator[Any]:
+def modules_of(module: Any) -> Iterator[Any]:
     yield module
     for child in vars(module)["_modules"].values():
-        yield from _modules_of(child)
+        yield from modules_of(child)
 
 
 def _is_weight(held: torch.Tensor | None) -> bool:

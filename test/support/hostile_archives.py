@@ -125,6 +125,17 @@ def without_duplicates_warning(names: tuple[str, ...]) -> bytes:
     return data
 
 
+def with_large_fields() -> bytes:
+    """Records with 64 kB of empty fields each, over which zipfile takes longer than over the rest."""
+    file = io.BytesIO(archive(mapping({})))
+    with zipfile.ZipFile(file, "a") as zipped:
+        for index in range(33):
+            record = zipfile.ZipInfo(f"archive/data/1{index}")
+            record.extra = bytes.fromhex("99990000") * 16_383
+            zipped.writestr(record, b"")
+    return file.getvalue()
+
+
 def other_zip() -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as zipped:
@@ -179,6 +190,8 @@ ARCHIVES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     ),
     "bzip2": (lambda: archive(mapping({}), compression=zipfile.ZIP_BZIP2), "is compressed"),
     "encrypted": (lambda: with_flag(1), "is encrypted"),
+    "strongly encrypted": (lambda: with_flag(1 << 6), "is encrypted"),
+    "records with 2 MiB of fields": (with_large_fields, "the names and fields of its records have 2"),
     "byte order of 30 MiB": (lambda: with_record("archive/byteorder", bytes(30 << 20)), "in the byte order"),
     "overlapping records": (lambda: overlapping(1000), "overlap"),
     "25,000 records": (

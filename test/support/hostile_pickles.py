@@ -236,7 +236,7 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         lambda: archive(mapping({"model": number(1 << 2000)})),
         "expected a YOLOv5 model",
     ),
-    "a pickle of 5 MB": (lambda: archive(text("x" * 5_000_000)), "at most 4194304 are read"),
+    "a pickle of 5 MB": (lambda: archive(text("x" * 5_000_000)), "at most 4194304 bytes are read"),
     "a pickle without an end": (lambda: archive(b"(" * 1000), "is damaged"),
     "a pickle cut short": (lambda: archive(b"X\xff\xff\xff\x7fabc"), "cut short"),
     "an empty pickle": (lambda: archive(b"", start=b""), "damaged"),

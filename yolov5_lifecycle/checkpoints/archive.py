@@ -8,11 +8,15 @@ import zipfile
 from yolov5_lifecycle.models.model import WeightsError, first_line, shown
 
 MAX_RECORDS = 20_000
-MAX_PICKLE_BYTES = 4 << 20
-"""data.pkl of yolov5n has 83 kB, that of an x6 training checkpoint with optimizer about 1 MB."""
+MAX_DIRECTORY_BYTES = 2 << 20
+"""Names and other fields of all records; 20,000 of torch have half of it. zipfile is slow on large fields."""
 
 PICKLE = "data.pkl"
 _DIRECTORY_ENTRY = b"PK\x01\x02"
+_LENGTHS = (28, 30, 32)
+"""Where an entry has the lengths of its name, its extra fields and its comment."""
+_ENCRYPTED = 1 | 1 << 6 | 1 << 13
+"""Flags of a record: encrypted, strongly encrypted, encrypted directory."""
 _BEFORE_ZIP = b"\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19"
 """How the first pickle of the format of torch before 1.6 begins, in any protocol."""
 _FOREIGN_FILES = {
@@ -52,10 +56,11 @@ class Archive:
             self._storages[key] = io.BytesIO(self.record(f"data/{key}")).getbuffer()
         return self._storages[key]
 
-    def record(self, name: str) -> bytes:
-        """The bytes of a record, checked against their CRC; raises WeightsError."""
+    def record(self, name: str, most_bytes: int = -1) -> bytes:
+        """The bytes of a record with their CRC checked, or the first `most_bytes`; raises WeightsError."""
         try:
-            return self._archive.read(f"{self._folder}/{name}")
+            with self._archive.open(f"{self._folder}/{name}") as content:
+                return content.read(most_bytes)
         except Exception as error:  # noqa: BLE001 - any error of a hostile archive means rejection
             raise _damaged(error) from None
 
@@ -67,9 +72,7 @@ def read_archive(data: bytes) -> Archive:
     """
     if not data.startswith(b"PK\x03\x04"):
         raise WeightsError(f"expected a PyTorch checkpoint (a zip archive), {_foreign(data)}")
-    # Count entries first: zipfile creates an object for each, and a file has room for 46 million.
-    if (entries := data.count(_DIRECTORY_ENTRY)) > 2 * MAX_RECORDS:
-        raise WeightsError(f"the archive has {entries} records, at most {MAX_RECORDS} are read")
+    _check_directory(data)
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
         folder = _check_records(archive.infolist(), len(data))
@@ -78,6 +81,24 @@ def read_archive(data: bytes) -> Archive:
     except Exception as error:  # noqa: BLE001 - any error of a hostile archive means rejection
         raise _damaged(error) from None
     return Archive(archive, folder)
+
+
+def _check_directory(data: bytes) -> None:
+    """Before zipfile reads it, which creates an object for each entry: a file has room for 46 million.
+
+    Bytes of a tensor may look like an entry, too.
+    """
+    if (entries := data.count(_DIRECTORY_ENTRY)) > 2 * MAX_RECORDS:
+        raise WeightsError(f"the archive has {entries} records, at most {MAX_RECORDS} are read")
+    place, fields_bytes = data.find(_DIRECTORY_ENTRY), 0
+    while place >= 0:
+        fields_bytes += sum(int.from_bytes(data[place + at : place + at + 2], "little") for at in _LENGTHS)
+        place = data.find(_DIRECTORY_ENTRY, place + 1)
+    if fields_bytes > MAX_DIRECTORY_BYTES:
+        raise WeightsError(
+            f"the names and fields of its records have {fields_bytes} bytes, at most {MAX_DIRECTORY_BYTES} "
+            "are read"
+        )
 
 
 def _damaged(error: Exception) -> WeightsError:
@@ -124,8 +145,6 @@ def _check_records(records: list[zipfile.ZipInfo], file_bytes: int) -> str:
         raise WeightsError(
             f"expected a PyTorch checkpoint, found another zip archive, with {shown(list(sizes)[:3])}"
         )
-    if (size := sizes[f"{folders[0]}/{PICKLE}"]) > MAX_PICKLE_BYTES:
-        raise WeightsError(f"{PICKLE} has {size} bytes, at most {MAX_PICKLE_BYTES} are read")
     return folders[0]
 
 
@@ -133,7 +152,7 @@ def _check_record(record: zipfile.ZipInfo) -> None:
     name = shown(record.filename)
     if record.filename.startswith("/") or {"..", "."} & set(record.filename.replace("\\", "/").split("/")):
         raise WeightsError(f"the record name {name} leaves the archive")
-    if record.flag_bits & 1:
+    if record.flag_bits & _ENCRYPTED:
         raise WeightsError(f"the record {name} is encrypted, which torch.save never does")
     if record.compress_type != zipfile.ZIP_STORED or record.file_size != record.compress_size:
         raise WeightsError(f"the record {name} is compressed, which torch.save never does")

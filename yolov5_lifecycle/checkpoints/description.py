@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from yolov5_lifecycle.checkpoints.locate import load_weights, read_once
+from yolov5_lifecycle.checkpoints.locate import load_weights, read_once, shown_path
 from yolov5_lifecycle.checkpoints.pickled_facts import PickledFacts, counted, pickled_facts
 from yolov5_lifecycle.models.architecture import SIZES, Architecture
 from yolov5_lifecycle.models.cost import usual_cost
@@ -28,7 +28,7 @@ class Description:
 
     def __init__(self, path: Path) -> None:
         self.is_usable = False
-        facts: list[tuple[str, str]] = [("file", str(path))]
+        facts: list[tuple[str, str]] = [("file", shown_path(path))]
         with suppress(WeightsError):
             data = read_once(path)
             facts.append(("size", f"{len(data) / 1e6:.1f} MB"))
@@ -41,7 +41,7 @@ class Description:
         try:
             weights = load_weights(path)
         except WeightsError as refusal:
-            reason = str(refusal).removeprefix(f"{path}: ")
+            reason = str(refusal).removeprefix(f"{shown_path(path)}: ")
             facts.append(("usable", f"no: {reason}"))
         else:
             self.is_usable = True

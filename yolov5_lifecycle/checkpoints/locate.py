@@ -6,11 +6,13 @@ import contextlib
 import functools
 import hashlib
 import os
+import re
 import shlex
 import stat
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import unquote
 
 from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
@@ -25,6 +27,8 @@ _READERS: dict[str, Callable[[bytes], Model]] = {
     ".pth": read_checkpoint,
     ".onnx": read_onnx,
 }
+_URL = re.compile(r"(?!package:)([a-z][a-z0-9+.-]+):/+(.*)", re.DOTALL | re.IGNORECASE)
+_OFFICIAL = re.compile(r".*/yolov5([nsmlx]6?|[nsmlx]-seg)\.pt", re.DOTALL | re.IGNORECASE)
 _EXPORTS = {
     ".torchscript": "a TorchScript export, which holds a program",
     ".engine": "a TensorRT export",
@@ -79,6 +83,8 @@ def confined(path: Path, folders: Sequence[Path]) -> Path:
         real = Path(os.path.realpath(os.path.abspath(path.expanduser())))  # noqa: PTH100
         if any(real.is_relative_to(os.path.realpath(folder.expanduser())) for folder in folders):
             return real
+    if advice := _url_advice(path):
+        raise WeightsError(f"{shown_path(path)}: {advice}.")
     raise WeightsError(
         f"{path}: it does not lie in a folder that weights may come from: {', '.join(map(str, folders))}. "
         "Move it there, or start the process with another `weights_dirs`."
@@ -105,7 +111,7 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
         else:
             raise
     # The memory of the failed attempt is only released here.
-    raise type(refusal)(f"{path}: {refusal}.")
+    raise type(refusal)(f"{shown_path(path)}: {refusal}.")
 
 
 def weights_digest(path: Path, *, sha256: str = "") -> str:
@@ -114,11 +120,37 @@ def weights_digest(path: Path, *, sha256: str = "") -> str:
         data = read_once(path)
         return _checked_digest(data, sha256) if sha256 else hashlib.sha256(data).hexdigest()
     except WeightsError as error:
-        raise type(error)(f"{path}: {error}.") from None
+        raise type(error)(f"{shown_path(path)}: {error}.") from None
+
+
+def shown_path(path: Path) -> str:
+    """`path` as the user wrote it: of a URL, Path drops slashes, by which secrets in it are recognised."""
+    url = _URL.fullmatch(str(path))
+    return f"{url[1]}://{'/' if _is_local(url) else ''}{url[2]}" if url else str(path)
+
+
+def _url_advice(path: Path) -> str:
+    """What to do with a path that is a URL; "" for a path."""
+    url = _URL.fullmatch(str(path))
+    if url is None or os.path.lexists(path):
+        return ""
+    remedy = "download it, and write the path of the file; `fetch_weights n` downloads an official model"
+    if official := _OFFICIAL.fullmatch(url[2]):
+        remedy = f"`fetch_weights {official[1].lower()}` downloads this model, with --url from a mirror"
+    if _is_local(url):
+        local = f"/{unquote(url[2]).removeprefix('localhost/')}"
+        remedy = f"write {local[1:] if local.startswith('/~') else shlex.quote(local)}"
+    return f"this is a URL, and a path is expected: {remedy}"
+
+
+def _is_local(url: re.Match[str]) -> bool:
+    return url[1].lower() == "file"
 
 
 def expanded(path: Path) -> Path:
-    """`path` with a leading ~ expanded; raises WeightsError if there is no such home folder."""
+    """`path` with a leading ~ expanded; raises WeightsError if there is no such home folder, or for a URL."""
+    if advice := _url_advice(path):
+        raise WeightsError(f"{shown_path(path)}: {advice}.")
     try:
         return path.expanduser()
     except RuntimeError:
@@ -138,9 +170,15 @@ def is_out_of_memory(error: BaseException | None) -> bool:
     return False
 
 
-def _reader(path: Path) -> Callable[[bytes], Model]:
+def _check_path(path: Path) -> None:
     if "\0" in str(path):
         raise WeightsError("a path cannot contain a NUL character: correct it")
+    if advice := _url_advice(path):
+        raise WeightsError(advice)
+
+
+def _reader(path: Path) -> Callable[[bytes], Model]:
+    _check_path(path)
     if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises if a parent folder cannot be read
         raise WeightsError(f"{_IRREGULAR}: name the file itself")
     suffix = path.suffix.lower()
@@ -157,6 +195,7 @@ def _reader(path: Path) -> Callable[[bytes], Model]:
 
 def read_once(path: Path) -> bytes:
     """All bytes of a regular file, read once: the bytes checked are the bytes used. Raises WeightsError."""
+    _check_path(path)
     try:
         with open(path, "rb", opener=_open_without_waiting) as file:
             status = os.fstat(file.fileno())

@@ -4,16 +4,32 @@ from __future__ import annotations
 
 import io
 import pickle
+import re
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from yolov5_lifecycle.checkpoints.pickled_names import ENCODE, GET_ATTRIBUTE, ORDERED_DICT, SETS, STORAGES
+import numpy as np
+
+from yolov5_lifecycle.checkpoints.archive import PICKLE, Archive
+from yolov5_lifecycle.checkpoints.pickle_safety import MAX_PICKLE_BYTES, check_program
+from yolov5_lifecycle.checkpoints.pickled_names import (
+    ENCODE,
+    GET_ATTRIBUTE,
+    NUMPY_SCALARS,
+    ORDERED_DICT,
+    SETS,
+    STORAGES,
+)
 from yolov5_lifecycle.checkpoints.stored_tensor import Storage, StoredTensor
 from yolov5_lifecycle.models.model import WeightsError, first_line, shown
 
 MAX_MODULES = 10_000
 MAX_PATH_LENGTH = 200
+_COUNTS = ("total_ops", "total_params")
+"""Buffers that thop adds to every module to count its multiply-adds and parameters."""
+_SCALARS = re.compile(r"b1|[iu][1248]|f[248]|U[1-9]\d?")
+"""Types of scalars of numpy: truth values, numbers, and texts of up to 99 characters."""
 
 
 class Stub:
@@ -23,10 +39,12 @@ class Stub:
 
     def __new__(cls, *arguments: object) -> Stub:
         stub = object.__new__(cls)
+        stub.arguments = arguments
         stub.state = {}
         return stub
 
     def __init__(self, *arguments: object) -> None:
+        self.arguments: tuple[object, ...]
         self.state: Any
 
     def __setstate__(self, state: object) -> None:
@@ -47,6 +65,12 @@ class Stub:
         if not isinstance(found, dict | None):
             raise WeightsError(f"expected a dict as {key} of a {self.kind}, found {shown(found)}")
         return found or {}
+
+
+def unpickled(archive: Archive) -> object:
+    """The object in data.pkl, with stubs and tensors not yet read; raises WeightsError unless it is data."""
+    program = archive.record(PICKLE, MAX_PICKLE_BYTES + 1)
+    return load_pickled(program, check_program(program))
 
 
 def load_pickled(program: bytes, names: Iterable[str]) -> object:
@@ -81,6 +105,17 @@ class _Unpickler(pickle._Unpickler):
         return Storage(key, dtype, elements)
 
 
+def _scalar(dtype: object, content: object) -> object:
+    """The number or text that a scalar of numpy is; a stub for one of another type."""
+    if not isinstance(dtype, Stub) or not isinstance(dtype.state, tuple) or not isinstance(content, bytes):
+        return Stub()
+    kind, order = dtype.arguments[0], dtype.state[1]
+    if not isinstance(kind, str) or not _SCALARS.fullmatch(kind) or order not in ("<", ">", "|"):
+        return Stub()
+    (scalar,) = np.frombuffer(content, f"{order}{kind}").tolist()
+    return scalar
+
+
 def _tensor(storage: Storage, offset: int, shape: Any, strides: Any, *_: object) -> StoredTensor:
     return StoredTensor(storage, offset, tuple(shape), tuple(strides))
 
@@ -96,6 +131,7 @@ _TABLE: Mapping[str, object] = {
     "torch._utils._rebuild_tensor_v2": _tensor,
     "torch._utils._rebuild_parameter": lambda data, *_: data,
     ORDERED_DICT: _Dict,
+    **dict.fromkeys(NUMPY_SCALARS, _scalar),
     **dict.fromkeys(GET_ATTRIBUTE, lambda owner, name: None),
     ENCODE: lambda text, _: text.encode("latin1"),
     **dict.fromkeys(SETS, set),
@@ -124,11 +160,15 @@ def modules_of(root: Stub) -> dict[str, Stub]:
 
 
 def tensors_of(modules: Mapping[str, Stub]) -> Iterator[tuple[str, StoredTensor]]:
-    """Keys and tensors of a module tree, like its state_dict."""
+    """Keys and tensors of a module tree, like its state_dict, without what thop counted."""
     for path, module in modules.items():
         transient = module.get("_non_persistent_buffers_set")
         for name, tensor in (module.group("_parameters") | module.group("_buffers")).items():
-            if tensor is None or (isinstance(transient, (set, list, tuple)) and name in transient):
+            if (
+                tensor is None
+                or name in _COUNTS
+                or (isinstance(transient, (set, list, tuple)) and name in transient)
+            ):
                 continue
             if not isinstance(name, str) or not isinstance(tensor, StoredTensor):
                 raise WeightsError(f"expected tensors in {shown(path)}, found {shown(tensor)}")

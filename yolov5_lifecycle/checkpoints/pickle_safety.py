@@ -13,6 +13,7 @@ from yolov5_lifecycle.checkpoints.pickle_opcodes import Operation, operations
 from yolov5_lifecycle.checkpoints.pickled_names import (
     ENCODE,
     GET_ATTRIBUTE,
+    NUMPY_SCALARS,
     ORDERED_DICT,
     SETS,
     STORAGES,
@@ -22,6 +23,8 @@ from yolov5_lifecycle.checkpoints.pickled_names import (
 )
 from yolov5_lifecycle.models.model import WeightsError, first_line, shown
 
+MAX_PICKLE_BYTES = 4 << 20
+"""data.pkl of yolov5n has 83 kB, that of an x6 training checkpoint with optimizer about 1 MB."""
 MAX_CALLS = 100_000
 """yolov5n makes 4,000 calls, an x6 with its EMA and its optimizer about ten times as many."""
 MAX_NAME = 500
@@ -46,7 +49,8 @@ _TUPLES = {"EMPTY_TUPLE": 0, "TUPLE1": 1, "TUPLE2": 2, "TUPLE3": 3}
 def check_program(pickle: bytes) -> list[str]:
     """The classes that `pickle` names besides those of torch; raises WeightsError unless it only holds data.
 
-    Names are told first: a foreign one is what its user must know.
+    Names are told first: a foreign one is what its user must know. Of a pickle that is too large, the first
+    `MAX_PICKLE_BYTES + 1` suffice.
     """
     program = _Program()
     failure: WeightsError | None = None
@@ -58,6 +62,8 @@ def check_program(pickle: bytes) -> list[str]:
     except WeightsError as error:
         failure = error
     stubs = stubs_among(program.names)
+    if len(pickle) > MAX_PICKLE_BYTES:
+        raise WeightsError(f"its pickle is too large: at most {MAX_PICKLE_BYTES} bytes are read")
     if failure is not None:
         raise failure from None
     return stubs
@@ -83,7 +89,8 @@ _SCALAR = _Thing("number")
 
 
 def _is_plain(value: _Value) -> bool:
-    return value is _SCALAR or isinstance(value, str)
+    """Whether it takes no time to hash."""
+    return isinstance(value, str) or (isinstance(value, _Thing) and value.kind == _SCALAR.kind)
 
 
 class _Program:
@@ -221,6 +228,8 @@ class _Program:
             return "object"
         if name in TENSOR_MAKERS and len(arguments) <= 8:
             return "tensor"
+        if name in NUMPY_SCALARS and len(arguments) == 2:
+            return _SCALAR.kind
         if name == ORDERED_DICT and not arguments:
             return "dict"
         if name == ENCODE and len(arguments) == 2 and isinstance(arguments[0], str):

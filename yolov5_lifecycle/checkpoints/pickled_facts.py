@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from yolov5_lifecycle.checkpoints.archive import PICKLE, Archive, read_archive
-from yolov5_lifecycle.checkpoints.module_tree import Stub, load_pickled, modules_of, tensors_of
-from yolov5_lifecycle.checkpoints.pickle_safety import check_program
+from yolov5_lifecycle.checkpoints.archive import Archive, read_archive
+from yolov5_lifecycle.checkpoints.module_tree import Stub, modules_of, tensors_of, unpickled
 from yolov5_lifecycle.checkpoints.pickled_model import model_root
 from yolov5_lifecycle.checkpoints.stored_tensor import StoredTensor
 from yolov5_lifecycle.models.model import WeightsError, shown
@@ -33,9 +32,7 @@ class PickledFacts(NamedTuple):
 def pickled_facts(data: bytes) -> PickledFacts:
     """The facts in the bytes of a `.pt` file; raises WeightsError if its objects cannot be read safely."""
     archive = read_archive(data)
-    pickle = archive.record(PICKLE)
-    names = check_program(pickle)
-    checkpoint = load_pickled(pickle, names)
+    checkpoint = unpickled(archive)
     modules = modules_of(model_root(checkpoint))
     tensors = dict(tensors_of(modules))
     return PickledFacts(

@@ -16,6 +16,8 @@ ORDERED_DICT = "collections.OrderedDict"
 ENCODE = "_codecs.encode"
 GET_ATTRIBUTE = frozenset({"__builtin__.getattr", "builtins.getattr"})
 """Pickles methods. Segmentation models hold one of a class, fused models one of each Conv."""
+NUMPY_SCALARS = frozenset({"numpy.core.multiarray.scalar", "numpy._core.multiarray.scalar"})
+"""Called with a type and the bytes of one number or text."""
 STORAGES: Mapping[str, torch.dtype] = MappingProxyType(
     {
         "torch.FloatStorage": torch.float32,
@@ -31,19 +33,41 @@ STORAGES: Mapping[str, torch.dtype] = MappingProxyType(
     }
 )
 # torch.load allows more names, but its bytearray and torch.FloatTensor allocate whatever the file claims.
-TORCH_NAMES = TENSOR_MAKERS | frozenset(STORAGES) | SETS | GET_ATTRIBUTE | {ORDERED_DICT, ENCODE}
+TORCH_NAMES = (
+    TENSOR_MAKERS | frozenset(STORAGES) | SETS | GET_ATTRIBUTE | NUMPY_SCALARS | {ORDERED_DICT, ENCODE}
+)
 _STUB_PREFIXES = (
     *("models.", "utils.", "yolov5.models.", "yolov5.utils.", "torch.nn.modules."),
     *("torch.nn.parallel.", "torch.distributed."),  # around a model that was trained on several GPUs
+    *("torch.nn.utils.prune.", "thop."),  # hooks of pruning, and of counting multiply-adds
 )
-_OF_COMPILER = ("torch._dynamo.", "torch._inductor.", "torch._TorchCompile", "contextlib.nullcontext")
+_REMEDIES: Mapping[tuple[str, ...], str] = MappingProxyType(
+    {
+        ("torch._dynamo.", "torch._inductor.", "torch._TorchCompile", "contextlib.nullcontext"): (
+            "it was saved after torch.compile and names {}, a part of the compiler, which is never run here: "
+            "where the model was compiled, save `model._orig_mod` instead"
+        ),
+        (
+            *("torch._utils._rebuild_device_tensor_from_", "torch._utils._rebuild_xla_tensor"),
+            *("torch._utils._rebuild_hpu_tensor", "torch._utils._rebuild_ort_tensor"),
+            "torch._utils._rebuild_mlc_tensor",
+        ): (
+            "it was saved while the model was on a device, such as an Apple GPU or DirectML, whose tensors "
+            "torch saves as arrays: load it on the machine that wrote it, and save it again with "
+            "`torch.save({{'model': model.cpu()}}, 'cpu.pt')`"
+        ),
+        ("torch.nn.utils.weight_norm.", "torch.nn.utils.spectral_norm."): (
+            "it names {}, which computes weights from others: call torch.nn.utils.remove_weight_norm or "
+            "remove_spectral_norm for each such layer, and save the model again"
+        ),
+    }
+)
+"""What else may be named by the model of an honest user, by the beginnings of the names, and what to do."""
 # Contents of training checkpoints besides the model (optimizer, date, paths); never used.
 _STUB_NAMES = frozenset(
     {
         "numpy.core.multiarray._reconstruct",
-        "numpy.core.multiarray.scalar",
         "numpy._core.multiarray._reconstruct",
-        "numpy._core.multiarray.scalar",
         "numpy.core.numeric._frombuffer",  # an array in protocol 5
         "numpy._core.numeric._frombuffer",
         "numpy.ndarray",
@@ -57,6 +81,7 @@ _STUB_NAMES = frozenset(
         "datetime.date",  # a class name such as 2024-01-02 in a data.yaml
         "argparse.Namespace",
         "torch.device",
+        *map(str, STORAGES.values()),
     }
 )
 
@@ -73,11 +98,9 @@ def stubs_among(names: Collection[str]) -> list[str]:
             "one with `fetch_weights n`"
         )
     foreign = sorted(name for name in names if not _is_known(name))
-    if foreign and all(name.startswith(_OF_COMPILER) for name in foreign):
-        raise WeightsError(
-            f"it was saved after torch.compile and names {shown(foreign[-1])}, a part of the compiler, "
-            "which is never run here: where the model was compiled, save `model._orig_mod` instead"
-        )
+    for beginnings, remedy in _REMEDIES.items():
+        if foreign and all(name.startswith(beginnings) for name in foreign):
+            raise WeightsError(remedy.format(shown(foreign[-1])))
     if foreign:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
         named = ", ".join(shown(name) for name in foreign[:3])

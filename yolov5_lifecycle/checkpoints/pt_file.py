@@ -8,10 +8,9 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from yolov5_lifecycle.checkpoints.archive import PICKLE, Archive, read_archive
+from yolov5_lifecycle.checkpoints.archive import Archive, read_archive
 from yolov5_lifecycle.checkpoints.layer_settings import check_settings
-from yolov5_lifecycle.checkpoints.module_tree import Stub, load_pickled, modules_of, tensors_of
-from yolov5_lifecycle.checkpoints.pickle_safety import check_program
+from yolov5_lifecycle.checkpoints.module_tree import Stub, modules_of, tensors_of, unpickled
 from yolov5_lifecycle.checkpoints.pickled_activations import as_pickled
 from yolov5_lifecycle.checkpoints.pickled_model import (
     anchors_of,
@@ -38,6 +37,8 @@ from yolov5_lifecycle.models.model import (
 
 _DTYPES = frozenset({torch.float32, torch.float16, torch.bfloat16, torch.float64, torch.int64, torch.int32})
 
+_ORIGINAL, _MASK = "_orig", "_mask"
+"""What the names of a weight before pruning, and of the ones and zeros to multiply it by, end in."""
 MAX_SURPLUS_BYTES = 64 << 20
 MAX_SURPLUS = 8
 """Max ratio of other bytes in a file to the bytes of its layers, beyond `MAX_SURPLUS_BYTES`.
@@ -55,13 +56,19 @@ def read_checkpoint(data: bytes) -> Model:
     Raises WeightsError.
     """
     archive = read_archive(data)
-    pickle = archive.record(PICKLE)
-    names = check_program(pickle)
-    modules = without_nms(modules_of(model_root(load_pickled(pickle, names))))
-    tensors = dict(tensors_of(modules))
+    modules = without_nms(modules_of(model_root(unpickled(archive))))
+    tensors = _named_like_layers(dict(tensors_of(modules)))
     _check_storages(tensors, archive)
     _check_sizes(tensors, len(data))
     return _model(modules, tensors, archive)
+
+
+def _named_like_layers(tensors: Mapping[str, StoredTensor]) -> dict[str, StoredTensor]:
+    """`tensors` with the weights that torch.nn.utils.prune renamed by their own names, beside their masks."""
+    return {
+        key.removesuffix(_ORIGINAL) if f"{key.removesuffix(_ORIGINAL)}{_MASK}" in tensors else key: tensor
+        for key, tensor in tensors.items()
+    }
 
 
 def _check_storages(tensors: Mapping[str, StoredTensor], archive: Archive) -> None:
@@ -114,9 +121,14 @@ def _model(modules: Mapping[str, Stub], stored: Mapping[str, StoredTensor], arch
     check_settings(modules, network)
     names = check_class_names(root.get("names"), classes)
     layers = {key: tensor for key, tensor in stored.items() if key != f"{head}.anchor_grid"}
-    check_fit(network.state_dict(), {key: tensor.on_meta() for key, tensor in layers.items()})
+    expected = network.state_dict()
+    masks = {f"{key}{_MASK}": key for key in expected if f"{key}{_MASK}" in layers}
+    expected |= {mask: expected[key] for mask, key in masks.items()}
+    check_fit(expected, {key: tensor.on_meta() for key, tensor in layers.items()})
     _check_byte_order(archive)
     tensors = {key: read(tensor) for key, tensor in layers.items()}
+    for mask, key in masks.items():
+        tensors[key] = tensors[key] * tensors.pop(mask)
     if grid is not None:  # up to rounding the same; the official network computes boxes with these
         tensors[f"{head}.anchors"] = _in_cells(anchors_px, strides)
     return checked_model(architecture, names, tensors)
