@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import random
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +14,7 @@ from pathlib import Path
 import pytest
 import rclpy
 from rclpy.node import Node
+from support.colcon_workspace import REPOSITORY
 
 from yolov5_lifecycle.ros.start_arguments import initialize, start_arguments
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError, names_node, read_parameter_file
@@ -75,6 +79,14 @@ def test_scalars_are_read_as_ros_reads_them(ros_domain: int, path: Path) -> None
         pytest.param("/**:\n ros__parameters:\n  a: |\n   5\n  b: >-\n   5", id="blocks"),
         pytest.param("/b: {ros__parameters: {x: 1}}", id="another node"),
         pytest.param("/**: {}\nb: {c: {}}", id="nothing"),
+        pytest.param(
+            "/**: {yolov5: {ros__parameters: {a: 2}}, ros__parameters: {a: 1, b: 1}}",
+            id="a node before parameters",
+        ),
+        pytest.param(
+            "/**: {ros__parameters: {a: 1, b: 1}}\n/**/yolov5: {ros__parameters: {a: 2}}",
+            id="a node on its own",
+        ),
         pytest.param("", id="empty"),
     ],
 )
@@ -89,6 +101,22 @@ def test_a_file_is_read_as_ros_reads_it(ros_domain: int, path: Path, text: str) 
 @pytest.mark.parametrize(
     "text",
     [
+        pytest.param("/**: {ros__parameters: {a: 1}, yolov5: {ros__parameters: {a: 2}}}", id="a node"),
+        pytest.param("/**: {ros__parameters: {a: 1}, ros__parameters: {b: 2}}", id="parameters"),
+        pytest.param("/**: {ros__parameters: {a: {b: {}}, c: 1}}", id="an empty mapping"),
+    ],
+)
+def test_what_ros_refuses_is_refused_first(ros_domain: int, path: Path, text: str) -> None:
+    path.write_text(text)
+    with pytest.raises(RuntimeError, match="parse params file"), overrides(path):
+        pass
+    assert start_arguments(["detector", "--ros-args", "--params-file", str(path)]).files == ()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param("/**: {ros__parameters: {a: {b: {}, c: 1}}}", id="a name below an empty mapping"),
         pytest.param("/**: {ros__parameters: {a: 1, a: x}}", id="twice, of two types"),
         pytest.param("/**: {ros__parameters: {a: 1, a: {b: 2}, a.b: x}}", id="twice below a name"),
         pytest.param("/**: {ros__parameters: {a: [[1, 2]]}}", id="a list in a list"),
@@ -189,6 +217,37 @@ def test_other_words_that_ros_refuses_are_an_error(ros_domain: int, path: Path) 
     words = ["detector", "--ros-args", "--params-file", str(path), "--no-such-word"]
     with pytest.raises(RuntimeError, match="no-such-word"):
         initialize(start_arguments(words))
+
+
+def test_an_argument_that_is_no_utf8_is_an_error() -> None:
+    words = ["detector", "--ros-args", "-p", "weights:=\udcff.pt"]
+    with pytest.raises(RuntimeError, match=r"argument 3, weights:=.\.pt: expected UTF-8"):
+        start_arguments(words)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        pytest.param("HOME", "", id="no home"),
+        pytest.param("ROS_LOG_DIR", "/proc/sys", id="a folder that cannot be written"),
+    ],
+)
+def test_without_a_folder_for_its_log_a_node_names_the_variables(name: str, value: str) -> None:
+    """In a process of its own: a failure of ROS's log is not the last one."""
+    program = (
+        "from yolov5_lifecycle.ros.start_arguments import initialize, start_arguments\n"
+        "initialize(start_arguments(['detector']))"
+    )
+    known = {variable: found for variable, found in os.environ.items() if not variable.startswith("ROS_")}
+    run = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=REPOSITORY, env=known | {name: value}, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert run.returncode == 1
+    assert re.search(
+        r"RuntimeError: .*log.*Set ROS_LOG_DIR to a folder .* in the folder HOME\.$", run.stderr.strip()
+    )
 
 
 def test_a_number_of_thousands_of_digits_is_no_integer() -> None:

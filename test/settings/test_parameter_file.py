@@ -68,6 +68,21 @@ def test_a_file_speaks_to_the_nodes_it_names(
         pytest.param("a", "line 1: expected names of nodes", id="word"),
         pytest.param("a: &a {ros__parameters: *a}", r"line 1: an alias \(\*a\)", id="alias"),
         pytest.param("a: {ros__parameters: }", "line 1: a name without a value", id="nothing"),
+        pytest.param(
+            "/**:\n  ros__parameters: {a: 1}\n  b: {ros__parameters: {a: 2}}",
+            r"line 3: 'b' follows the ros__parameters of '/\*\*'.* to the left margin, as '/\*\*/b:'",
+            id="a node after parameters",
+        ),
+        pytest.param(
+            "a: {ros__parameters: {b: 1}, ros__parameters: {c: 1}}",
+            "a second .* join it",
+            id="parameters twice",
+        ),
+        pytest.param(
+            "a: {ros__parameters: {b: {c: {}}, d: 1}}",
+            r"expected a value of 'b\.c', found {}: an empty list is \[\]",
+            id="mapping for a value",
+        ),
         pytest.param("a: {ros__parameters: 5}", "line 1: expected names and values", id="value"),
         pytest.param("ros__parameters: {a: 1}", "above ros__parameters is no name", id="no name"),
         pytest.param("yolo-v5: {ros__parameters: {a: 1}}", "'yolo-v5' above", id="bad name"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from yolov5_lifecycle.settings.value_text import shown_value, value_text
 _FLAG = "--params-file"
 _ASSIGNMENT_FLAGS = ("-p", "--param")
 _MAX_NAMES = 5
+_NO_LOG = re.compile(r"log(ging)? directory|\.log for writing")
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,12 @@ class StartArguments:
 
 
 def start_arguments(arguments: Sequence[str]) -> StartArguments:
-    """Read the parameter files in `arguments`; the first argument is the program."""
+    """Read the parameter files in `arguments`; the first argument is the program.
+
+    Raises RuntimeError for an argument that ROS cannot take.
+    """
+    for number, word in enumerate(arguments):
+        _check_utf8(number, word)
     words, files, problems = list(arguments), list[ParameterFile](), list[str]()
     for flag, path in reversed([*_file_positions(arguments)]):
         file = _read(path)
@@ -79,7 +86,7 @@ def initialize(arguments: StartArguments) -> StartArguments:
     """Initialize rclpy without its signal handlers, which would shut the context down before nodes clean up.
 
     Returns the accepted arguments: without any parameter file if ROS rejects a file that this package could
-    read. Raises RuntimeError for other invalid ROS arguments.
+    read. Raises RuntimeError for other invalid ROS arguments, and without a folder for the log.
     """
     try:
         _initialize(arguments.words)
@@ -168,14 +175,37 @@ def _assignments(
                 yield f"/{node.removeprefix('/') or '**'}", name, parameter_value(text), place
 
 
+def _check_utf8(number: int, word: str) -> None:
+    try:
+        word.encode()
+    except UnicodeEncodeError:
+        raise RuntimeError(
+            f"argument {number}, {in_one_line(word)}: expected UTF-8, found other bytes. Rename what it "
+            "names, or type it in a terminal that writes UTF-8."
+        ) from None
+
+
 def _initialize(words: Sequence[str]) -> None:
-    rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        if not _NO_LOG.search(str(error)):
+            raise
+        raise RuntimeError(
+            f"{_without_source(str(error))}. Set ROS_LOG_DIR to a folder that this user can write to; "
+            "without it, ROS logs to .ros/log in the folder HOME."
+        ) from error
 
 
 def _refusal(error: str) -> str:
     """Problem text from rcl's error message about an unreadable parameter file."""
     path, _, reason = error.partition(f"'{_FLAG} ")[2].partition("'. Error: ")
-    return _unreadable(f"{in_one_line(path)}: {in_one_line(reason.partition(', at /')[0])}.")
+    return _unreadable(f"{in_one_line(path)}: {_without_source(reason)}.")
+
+
+def _without_source(error: str) -> str:
+    """An error message of rcl in one line, without the lines of C where it arose."""
+    return in_one_line(error.partition(", at /")[0])
 
 
 def _file_positions(words: Sequence[str]) -> Iterator[tuple[int, str]]:

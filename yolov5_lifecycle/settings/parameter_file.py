@@ -10,6 +10,7 @@ from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.parameter_yaml import (
     MAX_FILE_BYTES,
+    PARAMETERS,
     Entry,
     ParameterYamlError,
     Value,
@@ -22,7 +23,6 @@ from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
 MAX_DOUBLE_WILDCARDS = 3
 """`**` in a node name pattern; rclpy's matching time grows exponentially with their number."""
 
-_PARAMETERS = "ros__parameters"
 _NODE_NAME = re.compile(r"\*\*?|[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -56,7 +56,7 @@ def file_values(path: Path, node: str) -> dict[str, object]:
     meant = [values for pattern, values in nodes.items() if names_node(pattern, node)]
     if not meant:
         raise ParameterFileError(
-            f"{path}: expected parameters ({_PARAMETERS}) of the node {node}, found those of: "
+            f"{path}: expected parameters ({PARAMETERS}) of the node {node}, found those of: "
             f"{', '.join(nodes) or 'none'}."
         )
     return {
@@ -112,21 +112,24 @@ def _coerced(name: str, value: object) -> object:
 
 def _add(nodes: dict[str, dict[str, Value]], entry: Entry) -> None:
     """Add `entry` to `nodes`; raises ParameterYamlError."""
-    if _PARAMETERS not in entry.names:
+    if PARAMETERS not in entry.names:
         if entry.value is None:
             return
         raise ParameterYamlError(
             f"line {entry.line}: '{in_one_line(entry.names[-1])}' has a value, but there is no "
-            f"{_PARAMETERS}: above it"
+            f"{PARAMETERS}: above it"
         )
-    depth = entry.names.index(_PARAMETERS)
+    depth = entry.names.index(PARAMETERS)
     values = nodes.setdefault(_node_pattern(entry, depth), {})
-    name = ".".join(entry.names[depth + 1 :])
-    value = [] if entry.value is None else entry.value
-    if not name:
-        if entry.value is not None:
-            raise ParameterYamlError(f"line {entry.line}: expected names and values below {_PARAMETERS}")
+    name, value = ".".join(entry.names[depth + 1 :]), entry.value
+    if not name and value is None:
         return
+    if not name:
+        raise ParameterYamlError(f"line {entry.line}: expected names and values below {PARAMETERS}")
+    if value is None:  # rcl takes the names that follow for names below this one
+        raise ParameterYamlError(
+            f"line {entry.line}: expected a value of '{in_one_line(name)}', found {{}}: an empty list is []"
+        )
     # If one name has values of two types, rcl uses the first of: boolean, integer, double, string.
     if name in values and kind(values[name]) != kind(value):
         raise ParameterYamlError(
@@ -144,7 +147,7 @@ def _node_pattern(entry: Entry, depth: int) -> str:
     parts = pattern[1:].split("/")
     if not all(_NODE_NAME.fullmatch(part) for part in parts):
         raise ParameterYamlError(
-            f"line {entry.line}: '{in_one_line(name)}' above {_PARAMETERS} is no name of a node"
+            f"line {entry.line}: '{in_one_line(name)}' above {PARAMETERS} is no name of a node"
         )
     if parts.count("**") > MAX_DOUBLE_WILDCARDS:
         raise ParameterYamlError(

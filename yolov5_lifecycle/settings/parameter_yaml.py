@@ -16,6 +16,8 @@ import yaml
 
 from yolov5_lifecycle.printable import in_one_line
 
+PARAMETERS = "ros__parameters"
+"""The name below a node above its parameters."""
 MAX_FILE_BYTES = 1 << 20
 MAX_SCALARS = 20_000
 """Names and values together; rcl's time grows with the square of their number, 1 s for 10,000 parameters."""
@@ -118,11 +120,15 @@ def _parsed(text: bytes | str) -> Iterator[yaml.Event]:
 
 def _entries(events: BoundedEvents, names: tuple[str, ...]) -> Iterator[Entry]:
     """The entries of the mapping at the path `names`, up to its end; its start event is consumed."""
+    is_complete = False  # for rcl, ros__parameters ends the mapping of a node
     for key in events:
         if isinstance(key, yaml.MappingEndEvent):
             return
         if not isinstance(key, yaml.ScalarEvent) or not key.value:
             raise events.error("expected a name", key)
+        if is_complete:
+            raise events.error(_after_parameters(names, key.value), key)
+        is_complete = key.value == PARAMETERS and PARAMETERS not in names
         below = (*names, key.value)
         if sum(map(len, below)) + len(below) > MAX_NAME_LENGTH:
             raise events.error(f"a name of more than {MAX_NAME_LENGTH} characters", key)
@@ -138,6 +144,17 @@ def _entries(events: BoundedEvents, names: tuple[str, ...]) -> Iterator[Entry]:
             yield entry
         if is_empty:
             yield Entry(below, None, line)
+
+
+def _after_parameters(node: tuple[str, ...], name: str) -> str:
+    """The problem of `name` below `node`, after its ros__parameters, and what to write."""
+    above = "/".join(node).rstrip("/")
+    if name == PARAMETERS:
+        return f"a second {PARAMETERS} of '{above}', which ROS does not read: join it with the first"
+    return (
+        f"'{name}' follows the {PARAMETERS} of '{above}', where ROS reads no further node: move it to the "
+        f"left margin, as '{above}/{name}:'"
+    )
 
 
 def _value(events: BoundedEvents, first: yaml.Event) -> Value:

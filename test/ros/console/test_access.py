@@ -169,6 +169,12 @@ def test_the_usual_file_is_in_the_state_folder() -> None:
     assert usual_path({}) == Path.home() / ".ros/yolov5_console/token"
 
 
+def test_a_user_without_a_home_is_told_to_set_it_or_choose_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "~")  # as Python leaves it for a user whom the machine does not know
+    with pytest.raises(TokenFileError, match=r"no home folder\. Set HOME, or .* --token-file"):
+        usual_path({})
+
+
 def test_a_session_has_a_random_id_and_ends() -> None:
     clock = Clock()
     sessions = Sessions(TOKEN, clock=clock)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
@@ -20,6 +22,32 @@ pytestmark = pytest.mark.long
 
 MAX_BAR_PX = 100
 CHIP = '[data-name="class 70"]'
+HOSTILE = "\"'><img src=x onerror=hit=1><script>hit=1</script><a href=javascript:hit=1>"
+TAINT = """
+    const hostile = arguments[0], fixed = ["type", "change"];
+    const tainted = (found) => typeof found === "string" ? `${hostile}.${found}`
+      : Array.isArray(found) ? found.map(tainted)
+      : found && typeof found === "object" ? Object.fromEntries(Object.entries(found).map(taintedEntry))
+      : found;
+    const taintedEntry = ([key, found]) => fixed.includes(key) ? [key, found]
+      : key === "values" ? [key, Object.fromEntries(Object.entries(found).map((pair) => pair.map(tainted)))]
+      : [key, tainted(found)];
+    window.WebSocket = class extends WebSocket {
+      addEventListener(type, heard) {
+        super.addEventListener(type, type !== "message" || !this.url.endsWith("/ws") ? heard : ({ data }) => {
+          heard({ data: JSON.stringify(tainted(JSON.parse(data))) });
+          heard({ data: JSON.stringify({ type: "omitted", count: 1, names: [hostile] }) });
+        });
+      }
+    };
+    """
+"""Makes every text that the console sends a page hostile, except those that choose what is shown."""
+PLACES = (
+    "title", "nav a", "main h2", ".state", "[data-transition]", ".camera h3", ".camera .message",
+    ".reason .text", ".parameter .name", ".parameter > .hint", ".chip", "option",
+    ".diagnostics .subject", ".diagnostics p", ".diagnostics dt", ".diagnostics dd", ".log .text",
+    "#omitted", "#missing",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -160,3 +188,20 @@ def test_the_classes_have_no_scroll_area_of_their_own(
         page.widget("classes", CHIP),
     )
     assert areas == ([] if size_wh == PHONE else ["panel parameters"])
+
+
+def test_foreign_text_is_text_wherever_it_is_shown(screen: Chrome, console_url: str) -> None:
+    source = f"((...arguments) => {{{TAINT}}})({json.dumps(HOSTILE)})"
+    screen.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": source})
+    screen.get(f"{console_url}#{quote(HOSTILE, safe='')}")
+    page = ConsolePage(screen, console_url)
+    script = "return Array.from(document.querySelectorAll(arguments[0]), (part) => part.textContent).join()"
+
+    def is_shown(css: str) -> bool:
+        return HOSTILE in screen.execute_script(script, css)
+
+    for css in PLACES:
+        page.wait_for(partial(is_shown, css), f"the text in {css}")
+    foreign = "img, iframe, script:not([src]), [onerror], [href^=javascript]"
+    assert screen.find_elements(By.CSS_SELECTOR, foreign) == []
+    assert screen.execute_script("return window.hit") is None

@@ -21,9 +21,18 @@ class TokenFileError(Exception):
 
 
 def usual_path(environment: Mapping[str, str]) -> Path:
-    """`yolov5_console/token` in $XDG_STATE_HOME, or in ~/.ros without that variable."""
+    """`yolov5_console/token` in $XDG_STATE_HOME, or in ~/.ros without that variable.
+
+    Raises TokenFileError for a user without a home folder.
+    """
     state = Path(environment.get("XDG_STATE_HOME", ""))
-    return (state if state.is_absolute() else Path.home() / ".ros") / _FOLDER / "token"
+    try:
+        return (state if state.is_absolute() else Path.home() / ".ros") / _FOLDER / "token"
+    except RuntimeError:
+        raise TokenFileError(
+            "the token cannot be stored: this user has no home folder. Set HOME, or choose a file with "
+            "--token-file."
+        ) from None
 
 
 def kept_token(path: Path) -> tuple[str, bool]:

@@ -16,6 +16,7 @@ import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import CloseCode, Frame
 
 from yolov5_lifecycle.ros.console.bounded_listener import BoundedListener
 from yolov5_lifecycle.ros.console.cookies import of_consoles
@@ -39,6 +40,10 @@ FIRST_REQUEST_S = 5.0
 """A connection that has finished no TLS handshake, or sent no complete request, by then is closed."""
 MAX_MESSAGE_BYTES = 256 * 1024
 """Of a page to the console; the longest list of class names fits."""
+MAX_FRAGMENTS = 1024
+"""Of a message; one without data costs memory, too."""
+_MAX_UNREAD_BYTES = 1 << 20
+"""With more to send to a client, its pings are not answered."""
 _UNREADABLE = b"\r\n".join(
     [
         b"HTTP/1.1 400 Bad Request",
@@ -69,7 +74,7 @@ class WebServer(uvicorn.Server):
         config = uvicorn.Config(
             application,
             http=_PromptProtocol,
-            ws=_AnsweringWebSocket,
+            ws=_BoundedWebSocket,
             lifespan="off",
             log_config=None,
             # Errors of clients are answered, not logged; the application logs its own errors.
@@ -150,17 +155,34 @@ class _PromptProtocol(H11Protocol):
             self.transport.close()
 
 
-class _AnsweringWebSocket(WebSocketsSansIOProtocol):
-    """Answers an upgrade that websockets cannot read, such as one with a very long header.
+class _BoundedWebSocket(WebSocketsSansIOProtocol):
+    """Bounds what uvicorn keeps for a client: fragments of a message, and pongs that it does not read.
 
-    uvicorn waits for the event of such a request, which does not come, and leaves the connection open.
+    Answers an upgrade that websockets cannot read, such as one with a very long header: uvicorn waits for the
+    event of such a request, which does not come, and leaves the connection open.
     """
+
+    _fragments = 1  # of the message that has not ended
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
         if self.conn.handshake_exc is not None and not self.handshake_initiated:
             self.transport.write(_UNREADABLE)
             self.transport.close()
+
+    def handle_cont(self, event: Frame) -> None:
+        self._fragments = 1 if event.fin else self._fragments + 1
+        if self._fragments <= MAX_FRAGMENTS:
+            super().handle_cont(event)
+        elif not self.close_sent:
+            self.conn.fail(CloseCode.MESSAGE_TOO_BIG, f"more than {MAX_FRAGMENTS} fragments of a message")
+            self.handle_parser_exception()
+
+    def handle_ping(self) -> None:
+        if self.transport.get_write_buffer_size() <= _MAX_UNREAD_BYTES:
+            super().handle_ping()
+        else:
+            self.conn.data_to_send()  # the pong, which is not sent
 
 
 def listening_socket(options: ConsoleOptions) -> BoundedListener:

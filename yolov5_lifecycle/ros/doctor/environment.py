@@ -182,6 +182,8 @@ def _log(_: Machine) -> Iterator[Finding]:
     home = os.environ.get("ROS_HOME") or "~/.ros"
     folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log")
     try:
+        if folder.parts[0] == "~" and not os.environ.get("HOME"):  # which Python replaces, but not ROS
+            raise OSError("HOME is not set")
         folder = folder.expanduser()
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -189,8 +191,8 @@ def _log(_: Machine) -> Iterator[Finding]:
     except (OSError, RuntimeError) as problem:
         yield error(
             f"the folder of ROS's log cannot be written: {problem}",
-            remedy="Give this user the right to write it, or set ROS_LOG_DIR to another folder: without a "
-            "log, no node starts.",
+            remedy="Give this user the right to write it, set HOME, or set ROS_LOG_DIR to another folder: "
+            "without a log, no node starts.",
         )
     else:
         yield ok(f"{folder} can be written")
