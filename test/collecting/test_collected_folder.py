@@ -14,9 +14,11 @@ import pytest
 from support.candidates import CLASS_NAMES, candidate, keep, look_of
 from support.started import started
 
-from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, CollectingError, Drive, Quota
+from yolov5_lifecycle.collecting import collected_folder, frame_list
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Drive, Quota
 from yolov5_lifecycle.collecting.frame_list import FRAMES, read_frame_list
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
+from yolov5_lifecycle.collecting.own_files import CollectingError
 from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
@@ -256,6 +258,73 @@ def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
     CollectedFolder(tmp_path, LARGE).close()
     assert (tmp_path / "images" / "mine" / "1.jpg").exists()
     assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "linked",
+    ["images", "images/{drive}", "{image}", "labels", "labels/{drive}", "{labels}", "data.yaml", FRAMES],
+)
+def test_a_link_in_the_folder_is_refused_and_nothing_behind_it_removed(tmp_path: Path, linked: str) -> None:
+    path = foreign(tmp_path / "foreign")
+    (line, _) = read_frame_list(path).frames
+    inner = path / linked.format(drive=line.drive, image=line.image, labels=line.labels)
+    inner.rename(tmp_path / "outside")
+    inner.symlink_to(tmp_path / "outside")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(CollectingError, match="found a link; replace it by a copy"):
+        CollectedFolder(path, replace(LARGE, max_frames=1))
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def foreign(path: Path) -> Path:
+    """A folder of two images that another process has collected."""
+    folder = CollectedFolder(path, LARGE)
+    keep(folder, 0)
+    keep(folder, 1)
+    folder.close()
+    return path
+
+
+@pytest.mark.parametrize("linked", ["images", "labels"])
+def test_nothing_is_written_through_a_link(tmp_path: Path, linked: str) -> None:
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / linked).symlink_to(tmp_path / "outside")
+    folder = CollectedFolder(tmp_path / "foreign", LARGE)
+    with pytest.raises(CollectingError, match="expected a folder, found a link"):
+        keep(folder)
+    folder.close()
+    assert [*(tmp_path / "outside").iterdir()] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "max_bytes"),
+    [("{image}", 256 << 20), ("{labels}", 4 << 20), ("data.yaml", 1 << 20), (FRAMES, 512 << 20)],
+)
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(
+    tmp_path: Path, name: str, max_bytes: int
+) -> None:
+    (line, _) = read_frame_list(foreign(tmp_path)).frames
+    os.truncate(tmp_path / name.format(image=line.image, labels=line.labels), max_bytes + 1)
+    with pytest.raises(CollectingError, match=f"expected at most {max_bytes:,} bytes"):
+        CollectedFolder(tmp_path, LARGE)
+
+
+def test_too_many_lines_are_refused_and_not_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frame_list, "MAX_IMAGES", 1, raising=False)
+    with pytest.raises(CollectingError, match="expected at most 1 lines"):
+        CollectedFolder(foreign(tmp_path), LARGE)
+
+
+def test_the_list_never_grows_beyond_what_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(collected_folder, "_MAX_LINES_BYTES", 3000, raising=False)
+    folder = CollectedFolder(tmp_path, LARGE)
+    assert all(keep(folder, seed) for seed in range(12))
+    folder.close()
+    assert check(tmp_path) > 1
+    assert (tmp_path / FRAMES).stat().st_size <= 3000
 
 
 WRITER = """

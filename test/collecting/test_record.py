@@ -56,6 +56,13 @@ def test_what_is_no_record_is_refused(line: bytes) -> None:
         CollectedFrame.of_line(line)
 
 
+@pytest.mark.parametrize("value", [b"0", b"[]", b"{}"])
+def test_a_line_is_refused_before_its_many_values_are_built(value: bytes) -> None:
+    line = RECORD.line()[:-2] + b', "objects": [' + b",".join([value] * 300_001) + b"]}\n"
+    with pytest.raises(RecordError, match="at most 300000 values, lists and objects"):
+        CollectedFrame.of_line(line)
+
+
 def test_an_embedding_keeps_its_direction() -> None:
     wanted = look_of(1) * 1000
     stored = embedding_of(embedding_text(wanted))

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import base64
+import os
 import re
 import shutil
+import time
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.candidates import CLASS_NAMES, RECORD, candidate, found, keep
+from support.candidates import CLASS_NAMES, candidate, found, keep
 
+from yolov5_lifecycle.collecting import merging
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.drive_split import validation_drives
-from yolov5_lifecycle.collecting.frame_list import append_frame, read_frame_list
+from yolov5_lifecycle.collecting.frame_list import FRAMES, append_line, read_frame_list
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
 from yolov5_lifecycle.collecting.reason import Reason, Why
+from yolov5_lifecycle.collecting.record import FrameLine
 from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 from yolov5_lifecycle.offline.collected.command import main
@@ -123,7 +128,8 @@ def test_a_box_from_elsewhere_does_not_end_the_sheet(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 1)
     (frame,) = read_frame_list(folder).frames
     strange = frame.objects[0].model_copy(update={"box_xyxy": (1e308, -1e308, -5.0, 7.0)})
-    append_frame(folder, frame.model_copy(update={"objects": (strange, *frame.objects)}))
+    changed = frame.model_copy(update={"objects": (strange, *frame.objects)})
+    append_line(folder, FrameLine.of(changed.line()))
     assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
 
 
@@ -159,7 +165,7 @@ def labelled(data: Path, split: str) -> tuple[LabelledPath, ...]:
 )
 def test_validation_has_about_its_share(counts: list[int], share: float, validation: list[int]) -> None:
     frames = [
-        RECORD.model_copy(update={"image": f"images/{drive:02d}/{number:06d}.jpg"})
+        FrameLine(f"images/{drive:02d}/{number:06d}.jpg", 1.0, b"")
         for drive, count in enumerate(counts)
         for number in range(count)
     ]
@@ -207,6 +213,94 @@ def test_labels_that_cannot_be_read_are_not_merged(
     next((one / "labels").rglob("*.txt")).write_text("9 0.5 0.5 0.5 0.5\n")
     assert run("merge", one, "--output", tmp_path / "all") == 1
     assert "expected a class from 0 to 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("blank", ["\v", "\f", "\x1c", "\x85", "\u2028"])
+@pytest.mark.parametrize("line", ["0{}0.5 0.5 0.2 0.2", "0 0.5{}0.5 0.2 0.2", "0 0.5 0.5 0.2 0.2{}"])
+def test_a_line_of_labels_stays_one_line(tmp_path: Path, line: str, blank: str) -> None:
+    robot = collected(tmp_path / "robot", 1)
+    next((robot / "labels").rglob("*.txt")).write_text(line.format(blank))
+    assert run("merge", robot, "--output", tmp_path / "all") == 0
+    (merged,) = (tmp_path / "all" / "labels").rglob("*.txt")
+    assert merged.read_text() == "0 0.5 0.5 0.2 0.2\n"
+
+
+@pytest.mark.parametrize("linked", ["{image}", "{labels}", FRAMES])
+@pytest.mark.parametrize(
+    "words",
+    [
+        pytest.param(["show"], id="show"),
+        pytest.param(["sheet", "--output", "new"], id="sheet"),
+        pytest.param(["split"], id="split"),
+        pytest.param(["merge", "--output", "new"], id="merge"),
+        pytest.param(["remove", "--drive", "nothing"], id="remove"),
+    ],
+)
+def test_a_folder_with_a_link_is_refused_and_nothing_behind_it_read(
+    tmp_path: Path, words: list[str], linked: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = collected(tmp_path / "robot", 1, 1)
+    frame = read_frame_list(robot).frames[0]
+    inner = robot / linked.format(image=frame.image, labels=frame.labels)
+    inner.rename(tmp_path / "outside")
+    inner.symlink_to(tmp_path / "outside")
+    before = sorted(tmp_path.rglob("*"))
+    action, *options = [str(tmp_path / word) if word == "new" else word for word in words]
+    assert run(action, robot, *options) == 1
+    assert "found a link; replace it by a copy" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_images_without_the_names_of_their_classes_are_not_merged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = collected(tmp_path / "robot", 1)
+    (robot / "data.yaml").unlink()
+    assert run("merge", robot, "--output", tmp_path / "all") == 1
+    assert "data.yaml is missing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("what", ["images", "classes"])
+def test_folders_that_are_no_data_set_together_are_not_merged(
+    tmp_path: Path, what: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = collected(tmp_path / "one", 1), collected(tmp_path / "other", 1, names=("bird",))
+    monkeypatch.setattr(merging, f"MAX_{what.upper()}", 1 if what == "images" else 2, raising=False)
+    assert run("merge", *folders, "--output", tmp_path / "all") == 1
+    assert f"{what}, found" in capsys.readouterr().err
+
+
+def test_more_than_the_disk_can_take_is_not_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = collected(tmp_path / "robot", 1)
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1000))
+    assert run("merge", robot, "--output", tmp_path / "all") == 1
+    assert "expected at most 1,000 bytes, which are free on the disk, found" in capsys.readouterr().err
+
+
+def test_a_folder_whose_name_is_no_text_has_a_sheet(tmp_path: Path) -> None:
+    folder = collected(tmp_path / os.fsdecode(b"robot\xff"), 1)
+    assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
+    assert "robot?" in (tmp_path / "sheet.html").read_text()
+
+
+@pytest.mark.long
+def test_thirty_thousand_names_cost_no_more_than_their_number(tmp_path: Path) -> None:
+    folder = collected(tmp_path / "robot", 1)
+    (frame,) = read_frame_list(folder).frames
+    objects = [frame.objects[0].model_copy(update={"class_name": f"{number:05}"}) for number in range(30_000)]
+    append_line(folder, FrameLine.of(frame.model_copy(update={"objects": tuple(objects)}).line()))
+    begin_s = time.process_time()
+    assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
+    assert time.process_time() - begin_s < 2
+
+
+def test_twenty_thousand_drives_cost_no_more_than_their_number() -> None:
+    lines = [FrameLine(f"images/{drive}/000001.jpg", 1.0, b"") for drive in range(20_000)]
+    begin_s = time.process_time()
+    assert len(validation_drives(lines, 0.2)) == 5000
+    assert time.process_time() - begin_s < 1
 
 
 def test_images_of_a_drive_or_of_a_reason_are_removed(tmp_path: Path) -> None:

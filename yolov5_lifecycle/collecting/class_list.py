@@ -7,15 +7,31 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.collecting.own_files import CollectingError, own_bytes
 from yolov5_lifecycle.evaluation.data_description import read_description
+from yolov5_lifecycle.evaluation.ground_truth import DataError
+from yolov5_lifecycle.settings.parameter_yaml import MAX_FILE_BYTES
 
 DATA = "data.yaml"
 
 
-def read_class_names(folder: Path) -> tuple[str, ...]:
-    """The class names in `folder`, none if it has no `data.yaml`. Raises DataError."""
-    path = folder / DATA
-    return (read_description(path).class_names or ()) if path.exists() else ()
+def read_class_names(folder: Path, *, is_used: bool) -> tuple[str, ...]:
+    """The class names in `folder`, none if it has no `data.yaml`.
+
+    Raises CollectingError if they are broken or too large or, if images use them, missing, and OSError.
+    """
+    names: tuple[str, ...] = ()
+    if own_bytes(folder, DATA, MAX_FILE_BYTES) is not None:
+        try:
+            names = read_description(folder / DATA).class_names or ()
+        except DataError as error:
+            raise CollectingError(f"{error} Correct it, or use another folder") from None
+    if is_used and not names:
+        raise CollectingError(
+            f"{folder}: {DATA} is missing, so nobody knows the classes of the labels; bring it back, or use "
+            "another folder"
+        )
+    return names
 
 
 def write_class_names(folder: Path, class_names: Sequence[str]) -> None:

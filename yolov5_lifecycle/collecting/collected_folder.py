@@ -10,24 +10,28 @@ import shutil
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, write_whole
 from yolov5_lifecycle.collecting.class_list import read_class_names, with_names, write_class_names
-from yolov5_lifecycle.collecting.frame_list import append_frame, read_frame_list, write_frame_list
+from yolov5_lifecycle.collecting.frame_list import (
+    MAX_LIST_BYTES,
+    append_line,
+    read_frame_list,
+    write_frame_list,
+)
 from yolov5_lifecycle.collecting.kept_looks import KeptLooks
-from yolov5_lifecycle.collecting.record import CollectedFrame, embedding_of, shades_of_text
-from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
+from yolov5_lifecycle.collecting.own_files import CollectingError, own_bytes
+from yolov5_lifecycle.collecting.record import CollectedFrame, FrameLine, embedding_of, shades_of_text
+from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
 from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned
 
 _MAX_REMOVED, _MAX_REMOVED_SHARE = 100, 0.05
 """Lines without an image in the list of frames, and their share of the quota, before it is written again."""
+_MAX_LINES_BYTES = int(0.8 * MAX_LIST_BYTES)
+"""Of lines with an image: the list, with others, stays one that can be read."""
 IMAGES, LABELS = "images", "labels"
-
-
-class CollectingError(ValueError):
-    """Nothing can be kept now; the message has the cause and a remedy."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,9 +84,9 @@ class CollectedFolder:
         self._path = path
         self._quota = quota
         self._removed = self._removed_bytes = 0
+        self.class_names: tuple[str, ...] = ()
         self.looks = KeptLooks()
-        self._sizes: dict[str, int] = {}
-        self._frames: dict[str, CollectedFrame] = {}
+        self._lines: dict[str, FrameLine] = {}
         """By path of the image, in the order in which they were kept."""
         self._descriptor = open_itself(path, os.O_RDONLY | os.O_DIRECTORY)
         try:
@@ -90,7 +94,6 @@ class CollectedFolder:
                 raise CollectingError(
                     f"{path}: another process collects into it; give each detector a collect_dir of its own"
                 )
-            self.class_names = _known_class_names(path)
             self._read()
             self.drive.begin(path)
         except BaseException:
@@ -99,12 +102,17 @@ class CollectedFolder:
 
     @property
     def frames(self) -> int:
-        return len(self._frames)
+        return len(self._lines)
+
+    @property
+    def lines(self) -> tuple[FrameLine, ...]:
+        """Of the kept frames, in the order in which they were kept."""
+        return tuple(self._lines.values())
 
     @property
     def size_bytes(self) -> int:
         """Of images, labels and lines of the list."""
-        return sum(self._sizes.values()) + self._removed_bytes
+        return sum(line.size for line in self._lines.values()) + self._removed_bytes
 
     def new_path(self, camera: str) -> str:
         """A new path for an image of `camera`, "" without a name, below the folder."""
@@ -137,27 +145,28 @@ class CollectedFolder:
         Raises CollectingError if the disk has too little space or is another one, and OSError.
         """
         self._check_disk(len(jpeg))
-        size = len(jpeg) + len(labels) + len(frame.line())
-        if not self._make_room(1, size, frame.value):
+        line = FrameLine.of(frame.line())
+        line = replace(line, size=len(jpeg) + len(labels) + len(line.text))
+        if not self._make_room(line.value, line):
             return False
-        image = self._path / frame.image
-        for path in (image, self._path / frame.labels):
-            path.parent.mkdir(parents=True, exist_ok=True)
+        for kind in (IMAGES, LABELS):
+            if own_bytes(self._path, f"{kind}/{line.drive}") is None:
+                (self._path / kind / line.drive).mkdir(parents=True)
         try:
-            append_frame(self._path, frame)
-            write_whole(self._path / frame.labels, labels.encode())
-            write_whole(image, jpeg)
+            append_line(self._path, line)
+            write_whole(self._path / line.labels, labels.encode())
+            write_whole(self._path / line.image, jpeg)
         except OSError:
-            self._unlink(frame)
+            self._unlink(line)
             raise
-        self._remember(frame, size)
+        self._remember(line, frame)
         return True
 
-    def remove(self, frame: CollectedFrame) -> None:
+    def remove(self, line: FrameLine) -> None:
         """Remove a kept frame. Raises KeyError if it is not there."""
-        del self._frames[frame.image], self._sizes[frame.image]
-        self.looks.remove(frame.image)
-        self._unlink(frame)
+        del self._lines[line.image]
+        self.looks.remove(line.image)
+        self._unlink(line)
 
     def close(self) -> None:
         """Let other processes have the folder. Idempotent."""
@@ -185,70 +194,70 @@ class CollectedFolder:
                 f"{least / 1e6:.0f}; remove something, or lower collect_max_mb"
             )
 
-    def _make_room(self, count: int, size: int, value: float) -> bool:
-        """Remove the least valuable frames, the oldest first, until `count` more of `size` bytes fit.
+    def _make_room(self, value: float, *new: FrameLine) -> bool:
+        """Remove the least valuable frames, the oldest first, until those that are `new` fit.
 
         Returns False, and removes nothing, if one that is worth more than `value` would have to go.
         """
-        if self._removed_bytes > self._quota.max_bytes * _MAX_REMOVED_SHARE:
-            self._rewrite(if_removed=1)
-        excess = self.frames + count - self._quota.max_frames
-        excess_bytes = self.size_bytes + size - self._quota.max_bytes
-        if max(excess, excess_bytes) <= 0:
-            return True
-        leaving: list[CollectedFrame] = []
-        for frame in sorted(self._frames.values(), key=lambda kept: kept.value):
-            if max(excess - len(leaving), excess_bytes) <= 0 or frame.value > value:
-                break
-            leaving.append(frame)
-            excess_bytes -= self._sizes[frame.image] - len(frame.line())
-        if max(excess - len(leaving), excess_bytes) > 0:
-            return False
-        for frame in leaving:
-            self.remove(frame)
-        self._rewrite(if_removed=_MAX_REMOVED)
+        self._rewrite_if_wasteful()
+        wanted = (*self._lines.values(), *new)
+        images = len(wanted) - self._quota.max_frames
+        size = sum(line.size for line in wanted) + self._removed_bytes - self._quota.max_bytes
+        listed = sum(len(line.text) for line in wanted) - _MAX_LINES_BYTES if new else 0
+        leaving: list[FrameLine] = []
+        remaining = iter(sorted(self._lines.values(), key=lambda kept: kept.value))
+        while max(images, size, listed) > 0:
+            line = next(remaining, None)
+            if line is None or line.value > value:
+                return False
+            leaving.append(line)
+            images -= 1
+            size -= line.size - len(line.text)
+            listed -= len(line.text)
+        for line in leaving:
+            self.remove(line)
+        self._rewrite_if_wasteful()
         return True
 
-    def _unlink(self, frame: CollectedFrame) -> None:
+    def _unlink(self, line: FrameLine) -> None:
         """Remove the image, then its labels; a disk that fails keeps them, and they are removed later.
 
         Its line stays until the list is written again.
         """
         self._removed += 1
-        self._removed_bytes += len(frame.line())
-        for path in (frame.image, frame.labels):
+        self._removed_bytes += len(line.text)
+        for path in (line.image, line.labels):
             with suppress(OSError):
                 (self._path / path).unlink(missing_ok=True)
+
+    def _rewrite_if_wasteful(self) -> None:
+        """Leave removed frames out of the list if they are many, or much of it."""
+        share = self._removed_bytes / min(self._quota.max_bytes, MAX_LIST_BYTES)
+        self._rewrite(if_removed=1 if share > _MAX_REMOVED_SHARE else _MAX_REMOVED)
 
     def _rewrite(self, *, if_removed: int) -> None:
         """Leave removed frames out of the list if they are at least that many."""
         if self._removed >= if_removed:
-            write_frame_list(self._path, self._frames.values())
+            write_frame_list(self._path, self._lines.values())
             self._removed = self._removed_bytes = 0
 
-    def _remember(self, frame: CollectedFrame, size: int) -> None:
-        self._frames[frame.image] = frame
-        self._sizes[frame.image] = size
-        self.looks.add(frame.image, embedding_of(frame.embedding), shades_of_text(frame.shades))
+    def _remember(self, line: FrameLine, frame: CollectedFrame) -> None:
+        self._lines[line.image] = line
+        self.looks.add(line.image, embedding_of(frame.embedding), shades_of_text(frame.shades))
 
     def _read(self) -> None:
         """Remember what is there, remove what a killed process did not finish and what exceeds the quota."""
         listed = read_frame_list(self._path)
-        if listed.frames and not self.class_names:
-            raise CollectingError(
-                f"{self._path}: data.yaml is missing, so nobody knows the classes of the labels; bring it "
-                "back, or use another collect_dir"
-            )
-        for frame in listed.frames:
-            files = (self._path / frame.image, self._path / frame.labels)
-            self._remember(frame, sum(map(_size, files)) + len(frame.line()))
+        self.class_names = read_class_names(self._path, is_used=bool(listed.lines))
+        for line in listed.lines:
+            self._remember(line, line.frame)
         self._removed = listed.broken
-        for frame in listed.without_image:
-            self._unlink(frame)
+        for line in listed.without_image:
+            self._unlink(line)
         self._removed_bytes = 0  # the list is written again below
-        self._make_room(0, 0, math.inf)
+        self._make_room(math.inf)
         self._rewrite(if_removed=1)
-        drives = {frame.drive for frame in (*listed.frames, *listed.without_image)}
+        drives = {line.drive for line in (*listed.lines, *listed.without_image)}
         folders = [self._path, *(self._path / kind / drive for kind in (IMAGES, LABELS) for drive in drives)]
         for folder in folders:
             with suppress(OSError):
@@ -257,17 +266,3 @@ class CollectedFolder:
 
 def _missing(path: Path) -> CollectingError:
     return CollectingError(f"{path}: the folder was removed, or its disk unmounted; mount it again")
-
-
-def _known_class_names(path: Path) -> tuple[str, ...]:
-    try:
-        return read_class_names(path)
-    except DataError as error:
-        raise CollectingError(f"{error} Correct it, or use another collect_dir") from None
-
-
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError:
-        return 0

@@ -11,9 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from yolov5_lifecycle.collecting.candidate import Candidate
-from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, CollectingError
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.kept_frame import kept_frame
 from yolov5_lifecycle.collecting.kept_looks import KeptLooks
+from yolov5_lifecycle.collecting.own_files import CollectingError
 from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.printable import in_one_line

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from yolov5_lifecycle.collecting.class_list import with_names
+from yolov5_lifecycle.collecting.frame_list import MAX_IMAGE_BYTES
 from yolov5_lifecycle.collecting.reason import Reason
-from yolov5_lifecycle.collecting.record import CollectedFrame
+from yolov5_lifecycle.collecting.record import CollectedFrame, FrameLine
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.images.compressed import decode_image_file, encode_jpeg
@@ -19,7 +22,6 @@ from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.printable import in_one_line
 
-MAX_IMAGE_BYTES = 256 << 20
 THUMBNAIL_PX = 320
 """Longer side of an image on the page."""
 _QUALITY = 70
@@ -35,20 +37,22 @@ figure {{ margin: 0; overflow-wrap: anywhere }} img {{ width: 100% }}
 """
 
 
-def contact_sheet(folder: Path, frames: Sequence[CollectedFrame], *, title: str) -> Iterator[str]:
-    """The page in parts: `frames` by their most valuable reason, with what the model found drawn in them.
+def contact_sheet(
+    folder: Path, lines: Iterable[FrameLine], class_names: Sequence[str], *, title: str
+) -> Iterator[str]:
+    """The page in parts: frames by their most valuable reason, with what the model found drawn in them.
 
-    An image that cannot be read is told in its place.
+    `class_names` decide on the colours. An image that cannot be read is told in its place.
     """
-    names = sorted({found.class_name for frame in frames for found in frame.objects})
-    yield _PAGE.format(title=html.escape(title))
-    for reason in Reason:
-        of_reason = [frame for frame in frames if _first_reason(frame) is reason]
-        if of_reason:
-            yield f"<h2>{reason.value}: {len(of_reason)}</h2>\n<section>\n"
-            for frame in sorted(of_reason, key=lambda frame: -frame.value):
-                yield _figure(folder, frame, names)
-            yield "</section>\n"
+    yield _PAGE.format(title=html.escape(in_one_line(title)))
+    by_reason = defaultdict[Reason, list[FrameLine]](list)
+    for line in lines:
+        by_reason[_first_reason(line.frame)].append(line)
+    for reason in filter(by_reason.get, Reason):
+        yield f"<h2>{reason.value}: {len(by_reason[reason])}</h2>\n<section>\n"
+        for line in sorted(by_reason[reason], key=lambda line: -line.value):
+            yield _figure(folder, line.frame, class_names)
+        yield "</section>\n"
     yield "</html>\n"
 
 
@@ -58,9 +62,9 @@ def _first_reason(frame: CollectedFrame) -> Reason:
     return known[0] if known else Reason.SAMPLE
 
 
-def _figure(folder: Path, frame: CollectedFrame, names: Sequence[str]) -> str:
+def _figure(folder: Path, frame: CollectedFrame, class_names: Sequence[str]) -> str:
     try:
-        jpeg = base64.b64encode(_thumbnail(folder, frame, names)).decode()
+        jpeg = base64.b64encode(_thumbnail(folder, frame, class_names)).decode()
         picture = f'<img loading="lazy" alt="" src="data:image/jpeg;base64,{jpeg}">'
     except (ImageError, RegularFileError, OSError) as error:
         picture = f"<p>{html.escape(in_one_line(str(error)))}</p>"
@@ -69,7 +73,7 @@ def _figure(folder: Path, frame: CollectedFrame, names: Sequence[str]) -> str:
     return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>\n"
 
 
-def _thumbnail(folder: Path, frame: CollectedFrame, names: Sequence[str]) -> bytes:
+def _thumbnail(folder: Path, frame: CollectedFrame, class_names: Sequence[str]) -> bytes:
     """A small JPEG file of the image with the objects that the model found."""
     data = np.frombuffer(read_regular_file(folder / frame.image, MAX_IMAGE_BYTES), np.uint8)
     image = decode_image_file(data)
@@ -77,18 +81,20 @@ def _thumbnail(folder: Path, frame: CollectedFrame, names: Sequence[str]) -> byt
     scale = min(THUMBNAIL_PX / max(height, width), 1.0)
     size_wh = max(round(width * scale), 1), max(round(height * scale), 1)
     pixels = np.asarray(cv2.resize(image.pixels, size_wh, interpolation=cv2.INTER_AREA), np.uint8)
+    names = with_names(class_names, [found.class_name for found in frame.objects])
     drawn = annotate(ColourImage(pixels, image.order), _detections(frame, names, scale), names)
     return encode_jpeg(ColourImage(drawn, image.order), quality=_QUALITY).tobytes()
 
 
 def _detections(frame: CollectedFrame, names: Sequence[str], scale: float) -> Detections:
     """The objects of `frame`, whose boxes may come from anywhere, in an image that is `scale` as large."""
+    class_ids = {name: index for index, name in enumerate(names)}
     found = sorted(frame.objects, key=lambda one: -one.score)
     corners = np.array([one.box_xyxy for one in found], np.float64).reshape(-1, 2, 2)
     corners = np.sort(np.clip(corners, -1e6, 1e6), axis=1) * scale
     return Detections(
         corners.reshape(-1, 4).astype(np.float32),
         np.array([one.score for one in found], np.float32),
-        np.array([names.index(one.class_name) for one in found], np.int64),
+        np.array([class_ids[one.class_name] for one in found], np.int64),
         track_ids=tuple(one.track_id for one in found),
     )

@@ -4,65 +4,77 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
 
 from yolov5_lifecycle.atomic_file import write_whole
-from yolov5_lifecycle.collecting.record import MAX_RECORD_BYTES, CollectedFrame, RecordError
+from yolov5_lifecycle.collecting.own_files import CollectingError, own_bytes
+from yolov5_lifecycle.collecting.record import CollectedFrame, FrameLine, RecordError
+from yolov5_lifecycle.evaluation.ground_truth import MAX_IMAGES
+from yolov5_lifecycle.evaluation.yolo_labels import MAX_BYTES as MAX_LABEL_BYTES
 from yolov5_lifecycle.unfinished import open_itself
 
 FRAMES = "frames.jsonl"
-MAX_FRAMES = 1_000_000
-"""Lines that are read."""
+MAX_LIST_BYTES = 512 << 20
+"""Of the list, which is held in memory; 100,000 usual lines."""
+MAX_IMAGE_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
 class FrameList:
     """The records in a folder, and how many lines are none: a killed process leaves at most one."""
 
-    frames: tuple[CollectedFrame, ...]
+    lines: tuple[FrameLine, ...]
     """Those whose images are there."""
-    without_image: tuple[CollectedFrame, ...]
+    without_image: tuple[FrameLine, ...]
     broken: int
+
+    @property
+    def frames(self) -> tuple[CollectedFrame, ...]:
+        """The records in `lines`, which take ten times as much memory as these."""
+        return tuple(line.frame for line in self.lines)
 
 
 def read_frame_list(folder: Path) -> FrameList:
     """The list in `folder`, empty if there is none; of several lines for one image the last counts.
 
-    Raises OSError.
+    Raises CollectingError if the list, an image or labels are too large or no regular files, and OSError.
     """
-    listed: dict[str, CollectedFrame] = {}
+    listed: dict[str, FrameLine] = {}
     broken = 0
-    for line in _lines(folder / FRAMES):
+    for text in _lines(folder):
         try:
-            frame = CollectedFrame.of_line(line)
+            line = FrameLine.of(text)
         except RecordError:
             broken += 1
             continue
-        listed.pop(frame.image, None)
-        listed[frame.image] = frame
-    present = {image for image in listed if os.path.isfile(folder / image)}  # noqa: PTH113 - Path's raises
-    return FrameList(
-        tuple(frame for image, frame in listed.items() if image in present),
-        tuple(frame for image, frame in listed.items() if image not in present),
-        broken,
-    )
+        line = replace(line, size=_size(folder, line))
+        listed.pop(line.image, None)
+        listed[line.image] = line
+    present = tuple(line for line in listed.values() if line.size)
+    return FrameList(present, tuple(line for line in listed.values() if not line.size), broken)
 
 
-def write_frame_list(folder: Path, frames: Iterable[CollectedFrame]) -> None:
+def _size(folder: Path, line: FrameLine) -> int:
+    """Of image, labels and line; 0 without an image."""
+    labels_bytes = own_bytes(folder, line.labels, MAX_LABEL_BYTES) or 0
+    image_bytes = own_bytes(folder, line.image, MAX_IMAGE_BYTES)
+    return 0 if image_bytes is None else image_bytes + labels_bytes + len(line.text)
+
+
+def write_frame_list(folder: Path, lines: Iterable[FrameLine]) -> None:
     """Replace the list in `folder`. Raises OSError."""
-    write_whole(folder / FRAMES, *(frame.line() for frame in frames))
+    write_whole(folder / FRAMES, *(line.text for line in lines))
 
 
-def append_frame(folder: Path, frame: CollectedFrame) -> None:
+def append_line(folder: Path, line: FrameLine) -> None:
     """Add a line to the list in `folder`: the whole line or, if that fails with OSError, nothing."""
     descriptor = open_itself(folder / FRAMES, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     try:
-        size, line = os.fstat(descriptor).st_size, frame.line()
+        size = os.fstat(descriptor).st_size
         try:
-            if (written := os.write(descriptor, line)) < len(line):
-                raise OSError(f"{folder / FRAMES}: {written} of {len(line)} bytes written")
+            if (written := os.write(descriptor, line.text)) < len(line.text):
+                raise OSError(f"{folder / FRAMES}: {written} of {len(line.text)} bytes written")
             os.fsync(descriptor)
         except OSError:
             os.truncate(descriptor, size)
@@ -71,17 +83,15 @@ def append_frame(folder: Path, frame: CollectedFrame) -> None:
         os.close(descriptor)
 
 
-def _lines(path: Path) -> Iterator[bytes]:
-    """The lines of the file, each at most one byte longer than a record may be."""
-    try:
-        file: BinaryIO = open(path, "rb", opener=open_itself)  # noqa: SIM115 - closed below
-    except FileNotFoundError:
+def _lines(folder: Path) -> Iterator[bytes]:
+    """The lines of the list in `folder`."""
+    if own_bytes(folder, FRAMES, MAX_LIST_BYTES) is None:
         return
-    with file:
-        for _ in range(MAX_FRAMES):
-            line = file.readline(MAX_RECORD_BYTES + 1)
-            if not line:
-                return
+    with open(folder / FRAMES, "rb", opener=open_itself) as file:
+        for number, line in enumerate(file, start=1):
+            if number > MAX_IMAGES:
+                raise CollectingError(
+                    f"{folder / FRAMES}: expected at most {MAX_IMAGES:,} lines, found more; "
+                    "use another folder"
+                )
             yield line
-            while not line.endswith(b"\n") and (line := file.readline(MAX_RECORD_BYTES)):
-                pass  # the rest of a line that is too long, or nothing after the last one

@@ -7,46 +7,65 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from yolov5_lifecycle.collecting.class_list import read_class_names, with_names, write_class_names
-from yolov5_lifecycle.collecting.collected_folder import CollectingError
-from yolov5_lifecycle.collecting.frame_list import read_frame_list, write_frame_list
-from yolov5_lifecycle.collecting.record import CollectedFrame
-from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, LabelError
-from yolov5_lifecycle.evaluation.yolo_labels import label_text, parsed_labels
+from yolov5_lifecycle.collecting.frame_list import (
+    FRAMES,
+    MAX_LIST_BYTES,
+    read_frame_list,
+    write_frame_list,
+)
+from yolov5_lifecycle.collecting.own_files import CollectingError
+from yolov5_lifecycle.collecting.record import FrameLine
+from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, MAX_IMAGES, LabelError, check_count
+from yolov5_lifecycle.evaluation.yolo_labels import label_text, objects_in
 
 
 def merge(folders: Sequence[Path], output: Path) -> tuple[int, int]:
     """Copy the images of `folders` and their labels, as they are now, to the new folder `output`.
 
     Of an image that several folders have, the first folder's counts. Returns the number of images, and how
-    many were left out for that. Classes are matched by name. Raises CollectingError if labels cannot be read,
-    DataError and OSError.
+    many were left out for that. Classes are matched by name. Raises CollectingError if labels cannot be
+    read, DataError beyond the limits of a data set or of the disk, and OSError.
     """
-    frames: dict[str, CollectedFrame] = {}
+    sources: dict[str, tuple[Path, FrameLine, Sequence[int]]] = {}
     names: tuple[str, ...] = ()
     listed = 0
-    output.mkdir()
     for folder in folders:
-        own_names = read_class_names(folder)
+        lines = read_frame_list(folder).lines
+        own_names = read_class_names(folder, is_used=bool(lines))
         names = with_names(names, own_names)
-        class_ids = [names.index(name) for name in own_names]
-        for frame in read_frame_list(folder).frames:
-            listed += 1
-            if frames.setdefault(frame.image, frame) is frame:
-                _copy(folder, output, frame, class_ids)
+        ids = {name: index for index, name in enumerate(names)}
+        class_ids = [ids[name] for name in own_names]
+        listed += len(lines)
+        for line in lines:
+            sources.setdefault(line.image, (folder, line, class_ids))
+    merged = [line for _, line, _ in sources.values()]
+    _check_limits(merged, len(names), shutil.disk_usage(output.parent).free)
+    output.mkdir()
+    for folder, line, ids_in_output in sources.values():
+        _copy(folder, output, line, ids_in_output)
     write_class_names(output, names)
-    write_frame_list(output, frames.values())
-    return len(frames), listed - len(frames)
+    write_frame_list(output, merged)
+    return len(merged), listed - len(merged)
 
 
-def _copy(folder: Path, output: Path, frame: CollectedFrame, class_ids: Sequence[int]) -> None:
-    for path in (output / frame.image, output / frame.labels):
+def _check_limits(lines: Sequence[FrameLine], class_count: int, free_bytes: int) -> None:
+    limits = {
+        "images": (len(lines), MAX_IMAGES),
+        "classes": (class_count, MAX_CLASSES),
+        f"bytes in {FRAMES}": (sum(len(line.text) for line in lines), MAX_LIST_BYTES),
+        "bytes, which are free on the disk": (sum(line.size for line in lines), free_bytes),
+    }
+    for what, (count, limit) in limits.items():
+        check_count("all folders", what, count, limit, remedy="merge fewer")
+
+
+def _copy(folder: Path, output: Path, line: FrameLine, class_ids: Sequence[int]) -> None:
+    for path in (output / line.image, output / line.labels):
         path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        text = label_text(folder / frame.labels) or ""
-        parsed_labels(text, len(class_ids) or MAX_CLASSES)  # so that each line begins with one of the classes
+        objects = objects_in(label_text(folder / line.labels) or "", len(class_ids))
     except LabelError as error:
-        raise CollectingError(f"{folder / frame.labels}: {error}; correct it") from None
-    lines = (line.split(maxsplit=1) for line in text.splitlines() if line.strip())
-    renumbered = [f"{class_ids[int(float(class_id))]} {rest}\n" for class_id, rest in lines]
-    (output / frame.labels).write_text("".join(renumbered))
-    shutil.copyfile(folder / frame.image, output / frame.image)
+        raise CollectingError(f"{folder / line.labels}: {error}; correct it") from None
+    rows = ((class_ids[class_id], *values) for class_id, values in objects)
+    (output / line.labels).write_text("".join(f"{' '.join(map(str, row))}\n" for row in rows))
+    shutil.copyfile(folder / line.image, output / line.image, follow_symlinks=False)

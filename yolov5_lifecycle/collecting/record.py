@@ -5,23 +5,43 @@ from __future__ import annotations
 import base64
 import binascii
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from yolov5_lifecycle.collecting.own_files import CollectingError
 from yolov5_lifecycle.collecting.shades import SHADES, Shades
 from yolov5_lifecycle.printable import in_one_line
 
 MAX_RECORD_BYTES = 32 << 20
 """Of a line; one of 30,000 objects with the longest names has 30 MB, one of 1,000 usual ones 150 kB."""
+_MAX_VALUES = 300_000
+"""Of a line, and lists and objects in it: one of 30,000 objects has 240,000. Each takes up to 300 bytes."""
 MAX_EMBEDDING = 8192
 _IMAGE = re.compile(r"images/[0-9A-Za-z-]{1,64}/[0-9]{6,9}(_[0-9A-Za-z_]{1,64})?\.jpg")
 
 
-class RecordError(ValueError):
+class RecordError(CollectingError):
     """A line that is no record; the message says why."""
+
+
+class _Placed:
+    """The files that belong to the path `image` below the folder."""
+
+    image: str
+
+    @property
+    def drive(self) -> str:
+        """The name of the subfolder: of one process."""
+        return self.image.split("/")[1]
+
+    @property
+    def labels(self) -> str:
+        """Path of the labels below the folder."""
+        return "labels" + self.image.removeprefix("images").removesuffix(".jpg") + ".txt"
 
 
 class CollectedObject(BaseModel):
@@ -36,7 +56,7 @@ class CollectedObject(BaseModel):
     track_id: str = Field(max_length=100)
 
 
-class CollectedFrame(BaseModel):
+class CollectedFrame(_Placed, BaseModel):
     """A kept image: where it comes from, why it was kept, and what a model saw in it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -61,16 +81,6 @@ class CollectedFrame(BaseModel):
     shades: str = Field(max_length=2 * SHADES)
     """See `shades_text`."""
 
-    @property
-    def drive(self) -> str:
-        """The name of the subfolder: of one process."""
-        return self.image.split("/")[1]
-
-    @property
-    def labels(self) -> str:
-        """Path of the labels below the folder."""
-        return "labels" + self.image.removeprefix("images").removesuffix(".jpg") + ".txt"
-
     def line(self) -> bytes:
         return self.model_dump_json().encode() + b"\n"
 
@@ -79,6 +89,8 @@ class CollectedFrame(BaseModel):
         """The record in `line`. Raises RecordError."""
         if len(line) > MAX_RECORD_BYTES or not line.endswith(b"\n"):
             raise RecordError(f"expected a whole line of at most {MAX_RECORD_BYTES} bytes, found {len(line)}")
+        if max(line.count(b","), line.count(b"[") + line.count(b"{")) > _MAX_VALUES:
+            raise RecordError(f"expected at most {_MAX_VALUES} values, lists and objects, found more")
         try:
             frame = cls.model_validate_json(line)
             embedding_of(frame.embedding)
@@ -88,6 +100,27 @@ class CollectedFrame(BaseModel):
             where = ".".join(map(str, first["loc"]))
             raise RecordError(in_one_line(f"{where}: {first['msg']}")) from None
         return frame
+
+
+@dataclass(frozen=True)
+class FrameLine(_Placed):
+    """A line that is a record, and what many lines are chosen by."""
+
+    image: str
+    value: float
+    text: bytes
+    size: int = 0
+    """Bytes of the image, its labels and the line, if known."""
+
+    @classmethod
+    def of(cls, text: bytes) -> FrameLine:
+        """The line `text`. Raises RecordError."""
+        frame = CollectedFrame.of_line(text)
+        return cls(frame.image, frame.value, text)
+
+    @property
+    def frame(self) -> CollectedFrame:
+        return CollectedFrame.of_line(self.text)
 
 
 def embedding_text(embedding: NDArray[np.float32]) -> str:

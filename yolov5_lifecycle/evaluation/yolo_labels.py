@@ -38,11 +38,19 @@ def label_text(path: Path) -> str | None:
 
 
 def parsed_labels(text: str, class_count: int) -> Labels:
-    """The labels in `text`, with class ids below `class_count`; equal lines count once.
+    """The labels in `text`, with class ids below `class_count`; equal boxes count once.
 
     Raises LabelError, with the line, if one is broken: an image with unknown objects cannot be evaluated.
     """
-    objects: dict[tuple[int, tuple[float, ...]], None] = {}
+    objects = objects_in(text, class_count)
+    boxes = dict.fromkeys((class_id, corners) for (class_id, _), corners in objects.items())
+    xyxy, class_ids = [corners for _, corners in boxes], [class_id for class_id, _ in boxes]
+    return Labels(Boxes.of(xyxy, class_ids), in_fractions=True)
+
+
+def objects_in(text: str, class_count: int) -> dict[tuple[int, tuple[float, ...]], tuple[float, ...]]:
+    """Corners x1, y1, x2, y2 within the image by class id and numbers of a line, see `parsed_labels`."""
+    objects: dict[tuple[int, tuple[float, ...]], tuple[float, ...]] = {}
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         if number > MAX_LINES:
             raise LabelError(f"more than {MAX_LINES} lines")
@@ -51,15 +59,15 @@ def parsed_labels(text: str, class_count: int) -> Labels:
         if len(objects) == MAX_BOXES_PER_IMAGE:
             raise LabelError(f"more than {MAX_BOXES_PER_IMAGE} objects")
         try:
-            objects[_object(line.split(), class_count)] = None
+            class_id, values, corners = _object(line.split(), class_count)
+            objects[class_id, values] = corners
         except LabelError as error:
             raise LabelError(f"line {number}: {error}") from None
-    boxes = Boxes.of([box for _, box in objects], [class_id for class_id, _ in objects])
-    return Labels(boxes, in_fractions=True)
+    return objects
 
 
-def _object(fields: list[str], class_count: int) -> tuple[int, tuple[float, ...]]:
-    """Class id and corners x1, y1, x2, y2 of one line."""
+def _object(fields: list[str], class_count: int) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
+    """Class id, numbers and corners of one line."""
     if len(fields) != 5 and (len(fields) < _MIN_POLYGON_FIELDS or len(fields) % 2 == 0):
         raise LabelError(
             "expected a class and 4 numbers (centre and size of a box) or at least 3 points of a polygon, "
@@ -75,7 +83,7 @@ def _object(fields: list[str], class_count: int) -> tuple[int, tuple[float, ...]
     x1, y1, x2, y2 = (min(max(corner, 0.0), 1.0) for corner in corners)
     if not (x1 < x2 and y1 < y2):
         raise LabelError("the object has no area")
-    return int(class_id), (x1, y1, x2, y2)
+    return int(class_id), tuple(values), (x1, y1, x2, y2)
 
 
 def _number(field: str) -> float:
