@@ -9,7 +9,7 @@ from pathlib import Path
 import yaml
 
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
-from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.input_file import RegularFileError, read_text_file
 from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, ClassNamesError, class_names_of
 from yolov5_lifecycle.settings.parameter_yaml import (
     MAX_DEPTH,
@@ -54,7 +54,7 @@ class DataDescription:
 def read_description(path: Path) -> DataDescription:
     """Read the `data.yaml` at `path`, with the limits of parameter files. Raises DataError."""
     try:
-        events = BoundedEvents(read_regular_file(path, MAX_FILE_BYTES))
+        events = BoundedEvents(read_text_file(path, MAX_FILE_BYTES))
         content = next((_node(events, event, 0) for event in events if _begins(event)), {})
     except (ParameterYamlError, RegularFileError, OSError) as error:
         problem = error.strerror if isinstance(error, OSError) else str(error)
