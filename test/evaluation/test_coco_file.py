@@ -154,7 +154,7 @@ def test_a_broken_image_record_is_listed_and_the_rest_is_read(record: object, tm
     [
         pytest.param("", "expected JSON", id="empty"),
         pytest.param("{", "expected JSON", id="cut off"),
-        pytest.param("[" * 100_000, "expected JSON|nested too deeply", id="deep"),
+        pytest.param("[" * 100_000, "expected JSON", id="deep"),
         pytest.param('{"images": ' + "9" * 5000 + "}", "expected JSON", id="long number"),
         pytest.param("[]", "COCO's lists images, annotations, categories", id="list"),
         pytest.param({"images": [], "annotations": []}, "COCO's lists", id="no categories"),

@@ -14,6 +14,7 @@ from yolov5_lifecycle.sources.source import (
     IMAGE_SUFFIXES,
     image_paths,
     open_source,
+    read_image,
 )
 
 
@@ -45,8 +46,7 @@ class ImageFile:
         if not os.path.lexists(self.path):
             raise ImageError("file not found")
         try:
-            # An absolute path is never mistaken for a camera index.
-            return next(open_source(str(self.path.absolute()), loop=False).frames).image
+            return read_image(self.path)
         except SourceError as error:
             raise ImageError(str(error)) from None
 

@@ -253,7 +253,7 @@ def _images(
     skipped: dict[Path, str] = {}
     for number, path in enumerate(itertools.cycle(paths) if loop else paths, start=1):
         try:
-            frame = _frame(_file_pixels(path), size_hw)
+            frame = _frame(read_image(path).pixels, size_hw)
         except (SourceError, ImageError) as error:
             if path not in skipped:
                 skipped[path] = str(error)
@@ -275,11 +275,11 @@ def _report_skipped(count: int, total: int, problem: str, report: Report) -> Non
         report(f"skipped: {problem}{further}")
 
 
-def _file_pixels(path: Path) -> NDArray[np.uint8]:
-    """The pixels (H, W, 3) of an image file, upright, as BGR; raises SourceError."""
+def read_image(path: Path) -> ColourImage:
+    """The image of a regular file, upright; raises SourceError."""
     try:
         data = np.frombuffer(read_regular_file(path, _MAX_FILE_BYTES), np.uint8)
-        return decode_image_file(data).pixels
+        return decode_image_file(data)
     except (OSError, RegularFileError, ImageError) as error:
         raise SourceError(f"{path} cannot be read as an image: replace or remove it. {error}") from None
 
