@@ -108,7 +108,7 @@ setup(
         "torch>=2.10",
     ],
     extras_require={
-        "bag": ["rosbags>=0.11"],
+        "bag": ["apsw", "backports.zstd", "lz4", "rosbags>=0.11"],
         "console": [
             "h11>=0.14",
             "prometheus-client>=0.20",

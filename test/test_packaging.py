@@ -25,7 +25,7 @@ SHARED_FOLDERS = ("config", "launch", "weights")
 TYPED_COMMANDS = {"ros2launch"}
 """Nobody imports it: it is where `ros2` has the word from that starts the launch files."""
 MODULE_OF_APT = {"python3-numpy": "numpy", "python3-opencv": "cv2", "python3-yaml": "yaml"}
-MODULE_OF_PIP = {"opencv-python-headless": "cv2", "pyyaml": "yaml"}
+MODULE_OF_PIP = {"opencv-python-headless": "cv2", "pyyaml": "yaml", "backports.zstd": "backports"}
 SETS = {
     "tested": "constraints.txt",
     "apt": "constraints-apt.txt",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import stat
 import sys
@@ -44,11 +45,31 @@ def read_regular_file(path: Path, max_bytes: int) -> bytes:
     """
     if "\0" in str(path):
         raise RegularFileError("expected a path without null characters")
+    _check_regular(path.stat())  # opening some devices acts
     # Without O_NONBLOCK, opening a pipe without a writer blocks forever.
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise RegularFileError("expected a regular file, found a pipe or device")
-        content = file.read(max_bytes + 1)
-    if len(content) > max_bytes:
-        raise RegularFileError(f"found more than {max_bytes} bytes, the limit")
-    return content
+        status = os.fstat(file.fileno())
+        _check_regular(status)
+        if status.st_size > max_bytes:
+            raise RegularFileError(f"found more than {max_bytes} bytes, the limit")
+        return file.read(status.st_size)
+
+
+def _check_regular(status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        found = "folder" if stat.S_ISDIR(status.st_mode) else "pipe or device"
+        raise RegularFileError(f"expected a regular file, found a {found}")
+
+
+def read_text_file(path: Path, max_bytes: int) -> bytes:
+    """The content of a text file in UTF-8, without byte-order marks, also if it was saved as UTF-16.
+
+    Raises RegularFileError and OSError, like `read_regular_file`.
+    """
+    content = read_regular_file(path, max_bytes)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        try:
+            content = content.decode("utf-16").encode()
+        except UnicodeDecodeError:
+            raise RegularFileError("expected a text, found other bytes") from None
+    return content.replace(codecs.BOM_UTF8, b"")

@@ -26,7 +26,7 @@ class PlainText(str):
     __slots__ = ()
 
 
-def texts_of(data: bytes) -> object:
+def texts_of(data: bytes | str) -> object:
     """The first document in `data` as text, list or mapping; {} if there is none.
 
     Texts are not interpreted. Keys that are no texts are "", and of equal keys the last one counts. Raises
@@ -39,7 +39,7 @@ def texts_of(data: bytes) -> object:
         raise OutsideYamlError(in_one_line(str(error)).removesuffix(".")) from None
 
 
-def _bounded(data: bytes) -> Iterator[yaml.Event]:
+def _bounded(data: bytes | str) -> Iterator[yaml.Event]:
     count = 0
     for event in yaml.parse(data, Loader=_LOADER):
         count += _begins(event)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -152,12 +154,19 @@ def test_a_broken_image_record_is_listed_and_the_rest_is_read(record: object, tm
     [
         pytest.param("", "expected JSON", id="empty"),
         pytest.param("{", "expected JSON", id="cut off"),
-        pytest.param("[" * 100_000, "expected JSON|nested too deeply", id="deep"),
+        pytest.param("[" * 100_000, "expected JSON", id="deep"),
         pytest.param('{"images": ' + "9" * 5000 + "}", "expected JSON", id="long number"),
         pytest.param("[]", "COCO's lists images, annotations, categories", id="list"),
         pytest.param({"images": [], "annotations": []}, "COCO's lists", id="no categories"),
         pytest.param({"images": {}, "annotations": [], "categories": []}, "COCO's lists", id="mapping"),
-        pytest.param(coco([], []), "its images are not next to it", id="no images"),
+        pytest.param(coco([], []), r"no image that can be used\.$", id="no images"),
+        pytest.param(coco([image(1, file_name="1.gif")], []), "can be used. 1 unusable entries", id="a GIF"),
+        pytest.param(
+            coco([image(1, file_name=r"val\1.jpg")], []),
+            r"'val.1.jpg' is a path of Windows; type sed -i 's\|\\\\\\\\\|/\|g' FILE\.$",
+            id="of Windows",
+        ),
+        pytest.param(coco([image(1, file_name="../there/1.jpg")], []), r"lies outside of [^;]*$", id="above"),
         pytest.param(coco([image(1)], []), "no image has labels that can be used", id="no objects"),
         pytest.param(coco([image(1)], [annotation(1)], []), "no image has labels", id="no classes"),
     ],
@@ -178,12 +187,44 @@ def test_names_of_categories_are_those_that_a_model_has(tmp_path: Path) -> None:
     assert all(problem.startswith("unusable entries: categories: ") for problem in problems)
 
 
-def test_a_file_with_too_many_records_is_refused_before_it_is_parsed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path, "\ufeff" + json.dumps(coco([image(1)], [annotation(1)])))
+    assert len(read(path)[0].images) == 1
+
+
+def test_numbers_that_python_takes_for_equal_are_no_ids(tmp_path: Path) -> None:
+    images = [image(1), *(image(number << 61) for number in range(1, 4))]
+    assert len(read(write(tmp_path, coco(images, [annotation(1)])))[0].images) == 1
+
+
+@pytest.mark.parametrize(
+    ("value", "count"),
+    [
+        pytest.param(lambda n: {str(n): n + 300}, 2_500, id="objects"),
+        pytest.param(lambda n: [n + 300], 6_500, id="lists"),
+        pytest.param(lambda n: n + 0.5, 20_000, id="numbers"),
+        pytest.param(str, 9_000, id="texts"),
+        pytest.param(lambda n: f"{n}\U0001f600" * 40, 700, id="wide texts"),
+    ],
+)
+def test_the_memory_of_a_file_is_bounded_before_it_is_parsed(
+    value: Callable[[int], object], count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(coco_file, "MAX_CONTAINERS", 100)
-    with pytest.raises(DataError, match="more than 100 objects and lists"):
-        read(write(tmp_path, "[" * 101))
+    monkeypatch.setattr(coco_file, "MAX_PARSED_BYTES", 1_000_000)
+    write(tmp_path, json.dumps([value(number) for number in range(count)], ensure_ascii=False))
+    tracemalloc.start()
+    try:
+        with pytest.raises(DataError, match="expected COCO's lists"):
+            read(tmp_path / "truth.json")
+        assert tracemalloc.get_traced_memory()[1] < 1_300_000
+    finally:
+        tracemalloc.stop()
+    write(tmp_path, json.dumps([value(number) for number in range(2 * count)], ensure_ascii=False))
+    with pytest.raises(DataError, match="at most 1,000,000 bytes of memory for its values"):
+        read(tmp_path / "truth.json")
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coco_file, "MAX_BYTES", 50)
     with pytest.raises(DataError, match="more than 50 bytes"):
         read(write(tmp_path, "[" * 51))

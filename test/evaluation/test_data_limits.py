@@ -100,7 +100,6 @@ def test_a_label_file_that_is_too_large_is_broken(tmp_path: Path) -> None:
         ("MAX_IMAGES", "images", "expected at most 4 images, found 5"),
         ("MAX_OBJECTS", "annotations", "expected at most 4 annotations, found 5"),
         ("MAX_CLASSES", "categories", "expected at most 4 categories, found 5"),
-        ("MAX_VALUES", "images", "expected at most 4 values, found 6"),
     ],
 )
 def test_a_coco_file_with_more_than_a_limit_is_refused(

@@ -162,6 +162,44 @@ def test_a_list_names_images_relative_to_itself(tmp_path: Path) -> None:
     assert "'../secret.jpg' lies outside of" in told.lines[0]
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_list_and_a_description_may_have_a_byte_order_mark(encoding: str, tmp_path: Path) -> None:
+    data = data_set(tmp_path / "data", None, "images/1")
+    (data / "data.yaml").write_text(f"val: val.txt\n{NAMES}", encoding=encoding)
+    (data / "val.txt").write_text("images/1.jpg\n", encoding=encoding)
+    told = Told()
+    assert (told.names(data), told.lines) == (["images/1.jpg"], [])
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        pytest.param(r"images\1.jpg", r"a path of Windows; type sed -i 's|\\|/|g' FILE", id="backslash"),
+        pytest.param("C:/a/images/1.jpg", "a path of Windows; make it relative to ", id="drive"),
+        pytest.param(r"C:\a\1.jpg", r"sed -i 's|\\|/|g' FILE; make it relative to ", id="both"),
+        pytest.param("../there.jpg", "; --root names the folder that may be read", id="outside"),
+    ],
+)
+def test_a_line_of_a_list_that_names_nothing_here_says_what_helps(
+    line: str, told: str, tmp_path: Path
+) -> None:
+    data = data_set(tmp_path / "data", f"val: [val.txt, images]\n{NAMES}", "images/1", "../there")
+    (data / "val.txt").write_text(f"{line}\n")
+    reader = Told()
+    assert reader.names(data) == ["images/1.jpg"]
+    assert told in reader.lines[0]
+
+
+@pytest.mark.parametrize("line", ["../missing.jpg", "/home/them/images/1.jpg"])
+def test_the_root_is_not_advised_for_a_file_that_does_not_exist(line: str, tmp_path: Path) -> None:
+    data = data_set(tmp_path / "data", f"val: [val.txt, images]\n{NAMES}", "images/1")
+    (data / "val.txt").write_text(f"{line}\n")
+    reader = Told()
+    reader.read(data)
+    assert "lies outside of" in reader.lines[0]
+    assert "--root" not in reader.lines[0]
+
+
 @pytest.mark.parametrize(
     ("names", "expected"),
     [

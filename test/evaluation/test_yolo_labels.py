@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 from pathlib import Path
 
@@ -79,3 +80,17 @@ def test_a_file_that_is_no_text_is_refused_and_a_missing_one_has_no_labels(tmp_p
     for name in ("bytes.txt", "pipe.txt", "folder.txt"):
         with pytest.raises(LabelError):
             label_text(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(codecs.BOM_UTF8 + b"1 0.5", id="UTF-8"),
+        pytest.param(b"1 " + codecs.BOM_UTF8 + b"0.5", id="joined files"),
+        pytest.param(codecs.BOM_UTF16_LE + "1 0.5".encode("utf-16-le"), id="UTF-16"),
+        pytest.param(codecs.BOM_UTF16_BE + "1 0.5".encode("utf-16-be"), id="big-endian UTF-16"),
+    ],
+)
+def test_a_byte_order_mark_is_no_part_of_a_label(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "1.txt").write_bytes(content)
+    assert label_text(tmp_path / "1.txt") == "1 0.5"

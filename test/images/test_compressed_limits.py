@@ -18,6 +18,7 @@ from support import png_builder
 from support.colcon_workspace import REPOSITORY, SUPPORT_PATH
 from support.compressed_files import smooth_file
 from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
+from support.tiff_builder import HOSTILE_TIFFS, tiff
 
 from yolov5_lifecycle.images.compressed import decode_compressed, decode_image_file
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError
@@ -222,3 +223,45 @@ def test_a_damaged_file_gives_an_image_or_an_image_error(data: bytes, position: 
     except ImageError:
         return
     assert max(image.size_hw) <= MAX_SIDE_PX
+
+
+@pytest.mark.parametrize(("data", "reason"), HOSTILE_TIFFS.values(), ids=HOSTILE_TIFFS)
+def test_a_tiff_that_costs_more_than_its_pixels_is_refused_before_it_is_decoded(
+    data: bytes, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(cv2, "imdecode")
+    with pytest.raises(ImageError, match=reason):
+        decode_image_file(np.frombuffer(data, np.uint8))
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_tiff_is_decoded_in_both_byte_orders(order: str) -> None:
+    assert decode_image_file(np.frombuffer(tiff(order=order), np.uint8)).size_hw == (2, 64)
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".webp", ".bmp"])
+def test_a_file_of_another_usual_format_is_decoded(suffix: str) -> None:
+    assert decode_image_file(np.frombuffer(smooth_file(suffix), np.uint8)).size_hw == (40, 60)
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        pytest.param(b"P6\n8192 8192\n255\n", id="PNM"),
+        pytest.param(b"PF\n8192 8192\n-1.0\n", id="PFM"),
+        pytest.param(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8192 +X 8192\n", id="HDR"),
+        pytest.param(b"GIF89a\0\x20\0\x20\xf0\0\0", id="GIF"),
+        pytest.param(b"\x59\xa6\x6a\x95", id="Sun raster"),
+        pytest.param(b"\0\0\0\x0cjP  \r\n\x87\n", id="JPEG 2000"),
+        pytest.param(b"\0\0\0\x1cftypavif", id="AVIF"),
+        pytest.param(b"v/1\x01", id="OpenEXR"),
+        pytest.param(b"II+\0\x08\0\0\0", id="BigTIFF"),
+        pytest.param(b"RIFF0000AVI ", id="a video"),
+    ],
+)
+def test_a_file_whose_cost_nobody_counted_is_not_decoded(
+    start: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(cv2, "imdecode")
+    with pytest.raises(ImageError, match=f"begin with {start[:4].hex()}.*Convert it to PNG"):
+        decode_image_file(np.frombuffer(start.ljust(100, b"\0"), np.uint8))

@@ -21,7 +21,7 @@ from yolov5_lifecycle.images.image import MAX_FRAME_ID, ColourImage, ImageError
 from yolov5_lifecycle.offline import recording_files, sqlite_file
 from yolov5_lifecycle.offline.annotated_files import VideoOutput
 from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.image_files import VideoFile
+from yolov5_lifecycle.offline.image_files import ImageFile, VideoFile
 from yolov5_lifecycle.offline.recording import TYPES, RecordedImage, RecordingError, open_recording
 from yolov5_lifecycle.offline.recordings import is_recording
 from yolov5_lifecycle.sources.frames import SourceError
@@ -199,6 +199,12 @@ def test_a_recorded_image_with_a_long_frame_id_is_rejected(make: Callable[[int],
     data = bytes(TYPES.serialize_cdr(message, message.__msgtype__))
     with pytest.raises(ImageError, match="frame_id of at most 256 characters, found 257"):
         RecordedImage(0, message.__msgtype__, data).load()
+
+
+def test_a_link_to_a_device_is_no_image(tmp_path: Path) -> None:
+    (tmp_path / "1.jpg").symlink_to("/dev/zero")
+    with pytest.raises(ImageError, match="expected a regular file, found a pipe or device"):
+        ImageFile(tmp_path / "1.jpg").load()
 
 
 def test_a_pipe_is_no_video(tmp_path: Path) -> None:

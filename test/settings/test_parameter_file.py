@@ -147,7 +147,7 @@ def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
     for path, told in (
         (pipe, "expected a regular file"),
         (Path("/dev/zero"), "expected a regular file"),
-        (tmp_path, "Is a directory"),
+        (tmp_path, "found a folder"),
         (tmp_path / "none.yaml", "No such file"),
         (Path("a\0b"), "null character"),
         (tmp_path / ("x" * 300), "File name too long"),

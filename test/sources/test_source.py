@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
+from support import png_builder
 from support.damaged_images import claiming_too_much
 from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
 from support.hostile_images import HOSTILE_JPEGS
@@ -87,6 +88,34 @@ def test_a_file_that_is_no_video_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("this is no video")
     with pytest.raises(SourceError, match="neither as an image nor as a video"):
         open_source(str(tmp_path / name))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param("ffconcat version 1.0\nfile video.avi\n", id="concat"),
+        pytest.param("#EXTM3U\n#EXTINF:1,\nvideo.avi\n#EXT-X-ENDLIST\n", id="HLS"),
+        pytest.param("v=0\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 9 RTP/AVP 26\n", id="SDP"),
+        pytest.param(png_builder.image(24, 32), id="an image"),
+    ],
+)
+@pytest.mark.parametrize("name", ["text1.mp4", "text1"])
+def test_a_list_of_other_files_or_an_image_is_no_video(
+    video: Path, name: str, content: str | bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENCV_FFMPEG_CAPTURE_OPTIONS", "threads;1")
+    path = video.with_name(name)
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(SourceError, match="neither as an image nor as a video"):
+        open_source(str(path))
+    assert os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] == "threads;1"
+
+
+def test_a_sparse_file_among_the_images_is_not_read(folder: Path) -> None:
+    os.truncate(folder / "9.png", 1 << 30)
+    reports: list[str] = []
+    assert len(list(open_source(str(folder), loop=False, report=reports.append).frames)) == len(GREYS) - 1
+    assert "found more than 536870912 bytes, the limit" in reports[0]
 
 
 def test_a_video_whose_path_is_not_utf8_is_refused(video: Path) -> None:
@@ -178,7 +207,7 @@ def test_what_is_called_like_an_image_and_is_none_is_skipped(
     make(folder / "7.png")
     reports: list[str] = []
     assert len(list(open_source(str(folder), loop=False, report=reports.append).frames)) == len(GREYS)
-    assert "7.png is not a regular file" in reports[0]
+    assert re.search(r"7\.png cannot be read .* expected a regular file, found a (pipe|folder)", reports[0])
 
 
 def test_a_pipe_among_the_images_is_not_waited_for(folder: Path) -> None:
@@ -186,7 +215,7 @@ def test_a_pipe_among_the_images_is_not_waited_for(folder: Path) -> None:
     os.mkfifo(folder / "9.png")
     reports: list[str] = []
     assert len(list(islice(open_source(str(folder), report=reports.append).frames, 3))) == 3
-    assert "9.png is not a regular file" in reports[0]
+    assert "expected a regular file, found a pipe" in reports[0]
 
 
 def test_a_video_that_goes_away_ends_with_the_reason(video: Path) -> None:

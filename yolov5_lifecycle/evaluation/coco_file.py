@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic_core import from_json
 
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_BOXES_PER_IMAGE,
@@ -30,16 +30,19 @@ from yolov5_lifecycle.evaluation.ground_truth import (
 )
 from yolov5_lifecycle.evaluation.yolo_folder import absolute
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
-from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.input_file import RegularFileError, read_text_file
 from yolov5_lifecycle.models.class_names import ClassNamesError, class_names_of
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 MAX_BYTES = 256 << 20
-MAX_CONTAINERS = 8_000_000
-"""Objects and lists in a file, each 60 bytes or more in Python. COCO's file of 5,000 images has 200,000."""
-MAX_VALUES = 32_000_000
-"""Commas in a file: values of 32 bytes or more in Python."""
+MAX_PARSED_BYTES = 2_000_000_000
+"""Of memory for what the file holds, by _BYTES_OF; a file of 256 MiB with polygons has about as many."""
+_BYTES_OF = {b"{": 232, b"[": 96, b",": 41, b":": 41, b'"': 28}
+"""Memory in Python: an object with a pair, a list, a place in one of them and its number, half a text."""
 _MAX_PX = 1e6
+_MAX_ID = 1 << 60
+"""Python takes larger ones for equal in part, so that many of them would take hours."""
 
 
 def read_coco_file(
@@ -59,7 +62,7 @@ def read_coco_file(
     except ClassNamesError as error:
         raise DataError(f"{path}: {error}.") from None
     images = _images(content["images"], problems)
-    folder = absolute(root) if root else _folder(path, images)
+    folder = absolute(root) if root else _folder(path, images, problems)
     broken: set[int] = set()
     objects = _objects(content["annotations"], images.keys(), categories, problems, broken)
     found = []
@@ -67,7 +70,7 @@ def read_coco_file(
         if image_id in broken:
             continue
         try:
-            image_path = confined_path(folder, folder, name)
+            image_path = confined_path(folder, name)
         except LabelError as error:
             problems.add("unusable entries", f"image {image_id}", error)
             continue
@@ -79,18 +82,13 @@ def read_coco_file(
 
 def _content(path: Path) -> Mapping[str, list[Any]]:
     try:
-        text = read_regular_file(path, MAX_BYTES)
-        if text.count(b"{") + text.count(b"[") > MAX_CONTAINERS:
-            raise DataError(f"{path}: found more than {MAX_CONTAINERS} objects and lists, the limit.")
-        check_count(path, "values", text.count(b","), MAX_VALUES)
-        content = json.loads(text)
+        text = read_text_file(path, MAX_BYTES)
     except (OSError, RegularFileError) as error:
         problem = error.strerror if isinstance(error, OSError) else str(error)
         raise DataError(f"{path}: {problem}.") from None
-    except RecursionError:
-        raise DataError(f"{path}: the JSON is nested too deeply.") from None
-    except DataError:
-        raise
+    check_count(path, "bytes of memory for its values", _parsed_bytes(text), MAX_PARSED_BYTES)
+    try:
+        content = from_json(text)
     except ValueError as error:
         raise DataError(f"{path}: expected JSON: {error}.") from None
     keys = ("images", "annotations", "categories")
@@ -99,6 +97,12 @@ def _content(path: Path) -> Mapping[str, list[Any]]:
     for key, limit in zip(keys, (MAX_IMAGES, MAX_OBJECTS, MAX_CLASSES), strict=True):
         check_count(path, key, len(content[key]), limit)
     return content
+
+
+def _parsed_bytes(text: bytes) -> int:
+    """Upper bound of the memory that parsing takes beside `text`."""
+    values = sum(text.count(mark) * size for mark, size in _BYTES_OF.items())
+    return values + len(text) * (1 if text.isascii() else 4)
 
 
 class _Categories(NamedTuple):
@@ -138,7 +142,7 @@ def _images(records: Sequence[Any], problems: Problems) -> dict[int, tuple[str, 
     for record in records:
         match record:
             case {"id": int(number), "file_name": str(name)} if number not in images:
-                if Path(name[:4096]).suffix.lower() in IMAGE_SUFFIXES:
+                if abs(number) < _MAX_ID and Path(name[:4096]).suffix.lower() in IMAGE_SUFFIXES:
                     images[number] = (name, _size_hw(record))
                     continue
         problems.add(
@@ -158,7 +162,7 @@ def _size_hw(record: Mapping[str, Any]) -> tuple[int, int] | None:
     return None
 
 
-def _folder(path: Path, images: Mapping[int, tuple[str, object]]) -> Path:
+def _folder(path: Path, images: Mapping[int, tuple[str, object]], problems: Problems) -> Path:
     """The folder of the images: the first one that has any of the first 100."""
     parent = absolute(path).parent
     split = path.stem.rpartition("_")[2]
@@ -167,13 +171,21 @@ def _folder(path: Path, images: Mapping[int, tuple[str, object]]) -> Path:
     for folder in near:
         if any(_is_there(folder, name) for name in names):
             return folder
-    shown = f", such as {names[0][:200]!r}," if names else ""
-    raise DataError(f"{path}: its images{shown} are not next to it: give their folder with --root.")
+    if not names:
+        raise DataError(f"{path}: found no image that can be used. {problems.summary}".strip())
+    try:
+        confined_path(parent, names[0])
+    except LabelError as error:  # in no folder
+        raise DataError(f"{path}: {error}.") from None
+    shown = in_one_line(names[0], 200)
+    raise DataError(
+        f"{path}: its images, such as '{shown}', are not next to it: give their folder with --root."
+    )
 
 
 def _is_there(folder: Path, name: str) -> bool:
     try:
-        return confined_path(folder, folder, name).exists()
+        return confined_path(folder, name).exists()
     except (LabelError, OSError):
         return False
 
@@ -183,7 +195,7 @@ _Object = tuple[int, tuple[float, float, float, float], bool]
 
 
 def _objects(
-    records: Sequence[Any],
+    records: list[Any],
     image_ids: Any,
     categories: _Categories,
     problems: Problems,
@@ -191,7 +203,7 @@ def _objects(
 ) -> Mapping[int, list[_Object]]:
     """The objects of each image id; images with a record that cannot be used are added to `broken`."""
     objects: defaultdict[int, list[_Object]] = defaultdict(list)
-    for number, record in enumerate(records):
+    for number, record in enumerate(_consumed(records)):
         image_id = record.get("image_id") if isinstance(record, dict) else None
         try:
             if not isinstance(image_id, int) or image_id not in image_ids:
@@ -204,6 +216,13 @@ def _objects(
             if isinstance(image_id, int):
                 broken.add(image_id)
     return objects
+
+
+def _consumed(records: list[Any]) -> Iterator[Any]:
+    """The records in order; each is forgotten, as together they may take most of the memory."""
+    records.reverse()
+    while records:
+        yield records.pop()
 
 
 def _object(record: Mapping[str, Any], categories: _Categories) -> _Object:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ MAX_CLASSES = 10_000
 MAX_LISTED = 10
 """Number of problems that are reported one by one; further ones are only counted."""
 _MAX_SHOWN = 300
+_MAX_PATH = 100
+_OF_WINDOWS = re.compile(r"\\|^[A-Za-z]:/")
 
 Kind = Literal[
     "broken labels", "unusable images", "failed images", "images without labels", "unusable entries"
@@ -139,14 +142,28 @@ class LabelledFolder:
     images: tuple[LabelledPath, ...]
 
 
-def confined_path(root: Path, base: Path, text: str) -> Path:
+def confined_path(root: Path, text: str, *, base: Path | None = None) -> Path:
     """The path `text`, relative to `base`; raises LabelError if it is outside of the folder `root`.
 
-    `root` is absolute. Links are followed, `..` is not looked up.
+    `root` is absolute; without `base` it is also what `text` is relative to. Links are followed, `..` is not
+    looked up.
     """
     if not text or "\0" in text or len(text) > 4096:
         raise LabelError("expected the path of a file or folder")
-    path = Path(os.path.normpath(base / text))
+    path = Path(os.path.normpath((base or root) / text))
+    shown = in_one_line(text, _MAX_PATH)
+    if _OF_WINDOWS.search(text) and not _exists(path):
+        backslash = r"\\" if base else r"\\\\"  # JSON has each twice
+        slashes = f"; type sed -i 's|{backslash}|/|g' FILE" if "\\" in text else ""
+        drive = f"; make it relative to {base or root}" if text[1:2] == ":" else ""
+        raise LabelError(f"'{shown}' is a path of Windows{slashes}{drive}")
     if not path.is_relative_to(root):
-        raise LabelError(f"{text!r} lies outside of {root}; --root names the folder that may be read")
+        # What is relative to the root leaves every root.
+        is_helped = (base is not None or Path(text).is_absolute()) and _exists(path)
+        remedy = "; --root names the folder that may be read" if is_helped else ""
+        raise LabelError(f"'{shown}' lies outside of {root}{remedy}")
     return path
+
+
+def _exists(path: Path) -> bool:
+    return os.path.exists(path)  # noqa: PTH110 - Path.exists raises if a name is too long

@@ -28,7 +28,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
 )
 from yolov5_lifecycle.evaluation.yolo_labels import label_text, parsed_labels
 from yolov5_lifecycle.folder_listing import FolderTree, entries
-from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.input_file import RegularFileError, read_text_file
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 YAML_SUFFIXES = (".yaml", ".yml")
@@ -180,7 +180,7 @@ class _Reader:
         for text in dict.fromkeys((entry, entry.removeprefix("../"))):
             for start in dict.fromkeys((below, self._folder)):
                 try:
-                    path = confined_path(self.root, start, text)
+                    path = confined_path(self.root, text, base=start)
                 except LabelError as error:
                     problem = problem or error
                     continue
@@ -195,7 +195,7 @@ class _Reader:
         if not base:
             return self._folder
         try:
-            return confined_path(self.root, self._folder, base)
+            return confined_path(self.root, base, base=self._folder)
         except LabelError as error:
             self._problems.add("unusable entries", "'path' in data.yaml", error)
             return self._folder
@@ -203,7 +203,7 @@ class _Reader:
     def _listed(self, path: Path) -> Iterator[Path]:
         """The images of a list, one path a line, relative to the list."""
         try:
-            text = read_regular_file(path, MAX_LIST_BYTES).decode()
+            text = read_text_file(path, MAX_LIST_BYTES).decode()
         except (OSError, RegularFileError, UnicodeDecodeError) as error:
             self._problems.add("unusable entries", path, error)
             return
@@ -216,7 +216,7 @@ class _Reader:
 
     def _listed_image(self, path: Path, line: str) -> Path | None:
         try:
-            image = confined_path(self.root, path.parent, line)
+            image = confined_path(self.root, line, base=path.parent)
             if not _is_image(image):
                 raise LabelError(f"expected a file that ends in {', '.join(IMAGE_SUFFIXES)}")
         except LabelError as error:

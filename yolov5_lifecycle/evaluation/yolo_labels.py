@@ -12,7 +12,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     LabelError,
     Labels,
 )
-from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.input_file import RegularFileError, read_text_file
 
 MAX_BYTES = 4 << 20
 """Of a label file; the largest of COCO, with polygons, has 60 kB."""
@@ -28,7 +28,7 @@ def label_text(path: Path) -> str | None:
     Raises LabelError.
     """
     try:
-        return read_regular_file(path, MAX_BYTES).decode()
+        return read_text_file(path, MAX_BYTES).decode()
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, RegularFileError) as error:

@@ -15,6 +15,7 @@ from yolov5_lifecycle.images.encodings import decode_raw, encoded, layout_of
 from yolov5_lifecycle.images.image import ColourImage, ImageError, bytes_of, check_frame_id, check_size
 from yolov5_lifecycle.images.jpeg_structure import is_jpeg, jpeg_shape_hwc
 from yolov5_lifecycle.images.png_structure import is_png, png_structure
+from yolov5_lifecycle.images.tiff_structure import is_tiff, tiff_size_hw
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 
 JPEG_QUALITY = 80
@@ -22,6 +23,9 @@ JPEG_QUALITY = 80
 
 _VALUES = re.compile("bayer_|mono16|8SC|(16|32|64)[USF]C")
 """Beginnings of the encodings whose file holds values to convert like those of a raw image."""
+
+_BOUNDED_BY_OPENCV = re.compile(rb"BM|RIFF....WEBP", re.DOTALL)
+"""Beginnings of BMP and WebP files. OpenCV reads more, whose cost nobody has counted."""
 
 _SET_PNG = "Set the parameter `compressed.format` of the publisher to png if it is image_transport's"
 
@@ -65,14 +69,23 @@ def decode_compressed(data: Any, *, format_text: str = "") -> ColourImage:
 
 
 def decode_image_file(data: NDArray[np.uint8]) -> ColourImage:
-    """Decode an image file (N,) of any format that OpenCV supports, rotated as its EXIF data specify.
+    """Decode an image file (N,), a JPEG, PNG, TIFF, WebP or BMP, rotated as its EXIF data specify.
 
-    JPEG and PNG are checked as in `decode_compressed`; for other formats OpenCV's own pixel limit applies,
-    which `prepare_environment` sets. Raises ImageError when it is larger or cannot be decoded.
+    JPEG and PNG are checked as in `decode_compressed`, TIFF by `tiff_size_hw`; what WebP and BMP cost depends
+    on their pixels alone, for which `prepare_environment` sets OpenCV's own limit. Raises ImageError when it
+    is larger or cannot be decoded, and for any other format.
     """
-    if is_jpeg(data) or is_png(data):
-        return ColourImage(_decoded(_checked(data), cv2.IMREAD_COLOR), "bgr")
-    return ColourImage(_opencv_pixels(data, cv2.IMREAD_COLOR), "bgr")
+    if is_tiff(data):
+        file = _CheckedFile(data, tiff_size_hw(data, MAX_COMPRESSED_PX), None)
+    elif _BOUNDED_BY_OPENCV.match(data[:12].tobytes()):
+        return ColourImage(_opencv_pixels(data, cv2.IMREAD_COLOR), "bgr")
+    elif is_jpeg(data) or is_png(data):
+        file = _checked(data)
+    else:
+        raise ImageError(
+            f"Expected a JPEG, PNG, TIFF, WebP or BMP, found {_beginning(data)}. Convert it to PNG."
+        )
+    return ColourImage(_decoded(file, cv2.IMREAD_COLOR), "bgr")
 
 
 def encode_jpeg(
@@ -110,10 +123,9 @@ def _checked(buffer: NDArray[np.uint8]) -> _CheckedFile:
         height, width, components = jpeg_shape_hwc(buffer)
         file = _CheckedFile(buffer, (height, width), 8 if components == 1 else None)
     else:
-        start = buffer[:8].tobytes().hex() or "nothing"
         raise ImageError(
-            f"Expected a JPEG or PNG, found {buffer.size} bytes that begin with {start}. {_SET_PNG}, which "
-            "sends nothing where it cannot make a JPEG."
+            f"Expected a JPEG or PNG, found {_beginning(buffer)}. {_SET_PNG}, which sends nothing where it "
+            "cannot make a JPEG."
         )
     height, width = file.size_hw
     check_size(height, width)
@@ -122,6 +134,10 @@ def _checked(buffer: NDArray[np.uint8]) -> _CheckedFile:
             f"A compressed image may have {MAX_COMPRESSED_PX} pixels, this one claims {height} x {width}."
         )
     return file
+
+
+def _beginning(buffer: NDArray[np.uint8]) -> str:
+    return f"{buffer.size} bytes that begin with {buffer[:8].tobytes().hex() or 'nothing'}"
 
 
 def _decode_values(file: _CheckedFile, encoding: str) -> ColourImage:

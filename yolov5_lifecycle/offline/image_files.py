@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.sources.source import (
@@ -16,6 +14,7 @@ from yolov5_lifecycle.sources.source import (
     IMAGE_SUFFIXES,
     image_paths,
     open_source,
+    read_image,
 )
 
 
@@ -47,8 +46,7 @@ class ImageFile:
         if not os.path.lexists(self.path):
             raise ImageError("file not found")
         try:
-            # An absolute path is never mistaken for a camera index.
-            return next(open_source(str(self.path.absolute()), loop=False).frames).image
+            return read_image(self.path)
         except SourceError as error:
             raise ImageError(str(error)) from None
 
@@ -108,11 +106,8 @@ class VideoFile:
         if not path.is_file():
             raise SourceError(f"{path} is not a regular file: detect_bag reads videos from files only.")
         source = open_source(str(path.absolute()), loop=False)
-        capture = cv2.VideoCapture(str(path))
-        claimed_frames = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
-        capture.release()
         rate_hz = source.rate_hz or IMAGE_RATE_HZ
         frames = (
             VideoFrame(number, number / rate_hz, frame.image) for number, frame in enumerate(source.frames)
         )
-        return cls(frames, rate_hz, claimed_frames)
+        return cls(frames, rate_hz, source.claimed_frames)

@@ -6,7 +6,6 @@ Read as a stream, because libraries unpack a whole chunk: 33 kB may become a gig
 from __future__ import annotations
 
 import io
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -16,14 +15,10 @@ from typing import Any, BinaryIO
 from zlib import crc32
 
 import lz4.frame  # type: ignore[import-untyped]
+from backports import zstd
 
 from yolov5_lifecycle.offline.stored_topics import MAX_MESSAGE_BYTES, DamageError, StorageError, StoredTopic
 from yolov5_lifecycle.printable import in_one_line
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 MAX_CHANNELS = 10_000
 MAX_NAME_BYTES = 4096

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -11,17 +10,14 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
+from backports import zstd
+
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.offline.mcap_file import McapFile
 from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG
 from yolov5_lifecycle.offline.sqlite_file import SqliteFile
 from yolov5_lifecycle.offline.stored_topics import MAX_MESSAGE_BYTES, Storage, StorageError
 from yolov5_lifecycle.outside_yaml import OutsideYamlError, texts_of
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 MAX_METADATA_BYTES = 16 << 20
 _FREE_SHARE = 0.9

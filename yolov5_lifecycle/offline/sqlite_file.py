@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import apsw  # unlike sqlite3, limits the size of values in Python 3.10, too
+
 from yolov5_lifecycle.offline.stored_topics import MAX_MESSAGE_BYTES, StorageError, StoredTopic
 
-_APSW: Any = import_module("apsw")  # of rosbags; unlike sqlite3, limits the size of values in Python 3.10
 MAX_TOPICS = 10_000
 _FUNCTIONS = {"count", "length"}
 _TOPICS = f"SELECT id, name, type, serialization_format FROM topics LIMIT {MAX_TOPICS + 1}"
@@ -25,9 +25,9 @@ class SqliteFile:
     """An open file; owns its connection until `close`. Raises StorageError and APSW's errors, also later."""
 
     def __init__(self, path: Path) -> None:
-        flags = _APSW.SQLITE_OPEN_READONLY | _APSW.SQLITE_OPEN_URI
+        flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
         # As a URI, in which the characters # ? % of a path mean themselves: https://sqlite.org/uri.html
-        self._database = _APSW.Connection(f"{path.absolute().as_uri()}?immutable=1", flags=flags)
+        self._database = apsw.Connection(f"{path.absolute().as_uri()}?immutable=1", flags=flags)
         try:
             _restrict(self._database)
             counts = dict(self._database.execute(_COUNTS))
@@ -38,7 +38,7 @@ class SqliteFile:
         if len(rows) > MAX_TOPICS:
             raise StorageError(f"more than {MAX_TOPICS} topics")
         self.topics = [
-            StoredTopic(name, type_name, encoding, counts.get(number, 0))
+            StoredTopic(name, type_name, str(encoding), counts.get(number, 0))
             for number, name, type_name, encoding in rows
             if isinstance(name, str) and isinstance(type_name, str)
         ]
@@ -58,7 +58,7 @@ class SqliteFile:
 
 def _restrict(database: Any) -> None:
     """Only tables, and only what the queries need of SQL: views could run forever or return any size."""
-    database.limit(_APSW.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
+    database.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
     columns = "SELECT 1 FROM sqlite_master, pragma_table_xinfo(sqlite_master.name) WHERE hidden > 1"
     unusual = "SELECT 1 FROM sqlite_master WHERE type IN ('view', 'trigger') OR sql LIKE 'CREATE VIRTUAL%'"
     for query in (unusual, columns):
@@ -70,7 +70,7 @@ def _restrict(database: Any) -> None:
 
 
 def _authorized(action: int, _: str | None, name: str | None, __: str | None, view: str | None) -> int:
-    is_foreign_function = action == _APSW.SQLITE_FUNCTION and (name or "").lower() not in _FUNCTIONS
-    if view is not None or is_foreign_function or action == _APSW.SQLITE_RECURSIVE:
-        return int(_APSW.SQLITE_DENY)
-    return int(_APSW.SQLITE_OK)
+    is_foreign_function = action == apsw.SQLITE_FUNCTION and (name or "").lower() not in _FUNCTIONS
+    if view is not None or is_foreign_function or action == apsw.SQLITE_RECURSIVE:
+        return int(apsw.SQLITE_DENY)
+    return int(apsw.SQLITE_OK)

@@ -13,8 +13,11 @@ from yolov5_lifecycle.printable import in_one_line
 PIP_PACKAGES: Mapping[str, str] = MappingProxyType(
     {
         "annotated_types": "annotated-types",
+        "apsw": "apsw",
+        "backports": "backports.zstd",
         "cv2": "opencv-python-headless",
         "h11": "h11",
+        "lz4": "lz4",
         "matplotlib": "matplotlib",
         "numpy": "numpy",
         "onnx": "onnx",

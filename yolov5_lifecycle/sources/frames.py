@@ -34,3 +34,5 @@ class ImageSource:
 
     frames: Iterator[SourceFrame]
     rate_hz: float | None
+    claimed_frames: int = 0
+    """What a video says of itself; 0 if unknown."""

@@ -62,7 +62,7 @@ def open_capture(source: str) -> Capture:
     """OpenCV capture of a URL or pipeline, opened or not; SourceError when the backend is not built in."""
     scheme = _SCHEME.match(source)
     if scheme is None:
-        _check_backend(cv2.CAP_GSTREAMER, "GStreamer pipelines", "GStreamer")
+        check_backend(cv2.CAP_GSTREAMER, "GStreamer pipelines", "GStreamer")
         return _capture(source, cv2.CAP_GSTREAMER, [])
     if scheme[1].lower() not in SCHEMES:
         raise SourceError(
@@ -70,7 +70,7 @@ def open_capture(source: str) -> Capture:
             f"{', '.join(SCHEMES)}, or the path of a file without file://."
         )
     _check_host(source)
-    _check_backend(cv2.CAP_FFMPEG, "URLs", "FFmpeg")
+    check_backend(cv2.CAP_FFMPEG, "URLs", "FFmpeg")
     timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT_MS]
     return _capture(source, cv2.CAP_FFMPEG, timeouts)
 
@@ -169,7 +169,8 @@ def _read(capture: Capture) -> Iterator[NDArray[np.uint8]]:
         capture.release()
 
 
-def _check_backend(backend: int, what: str, library: str) -> None:
+def check_backend(backend: int, what: str, library: str) -> None:
+    """Raise SourceError where OpenCV was built without `backend`, called `library`, which opens `what`."""
     if not cv2.videoio_registry.hasBackend(backend):
         raise SourceError(
             f"This OpenCV ({cv2.__version__}) was built without {library} and cannot open {what}. "

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import os
 import re
+import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -14,11 +16,14 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.folder_listing import FolderSizeError, entries
 from yolov5_lifecycle.images.compressed import decode_image_file
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError
+from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.printable import in_one_line, is_utf8
+from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 from yolov5_lifecycle.sources.frames import ImageSource, SourceError, SourceFrame
 from yolov5_lifecycle.sources.network_stream import (
     Report,
     Wait,
+    check_backend,
     is_stream,
     open_stream,
     sleep,
@@ -32,7 +37,13 @@ IMAGE_RATE_HZ = 30.0
 """Default rate for sources without their own."""
 _MAX_DEVICE_DIGITS = 9
 _MAX_VIDEO_RATE_HZ = 1000.0
-_MAX_FILE_BYTES = 1 << 30
+_MAX_FILE_BYTES = 8 * MAX_COMPRESSED_PX
+"""No image has more: 16 bits in four channels, not compressed."""
+_DEMUXERS = "mov,avi,matroska,flv,mpegts,mpeg,ogg,asf,gif"
+"""FFmpeg's formats of one video in one file. Others, which it finds in a file of any name, are lists of other
+files and addresses, patterns of names, images and scripts."""
+_FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+_environment = threading.Lock()
 _DEFAULT_SCENE_HW = (480, 640)
 _MAX_REPORTED = 10
 """Number of skipped images that are reported by name; further ones are only counted."""
@@ -150,11 +161,11 @@ def _device(number: int, size_hw: tuple[int, int] | None) -> ImageSource:
 def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> ImageSource:
     if not is_utf8(str(path)):  # OpenCV 5.0 crashes
         raise SourceError(f"{in_one_line(str(path))}: the path of a video must be UTF-8; rename it.")
-    capture = cv2.VideoCapture(str(path))
+    capture = _opened(path)
     if not capture.isOpened():
         raise SourceError(
-            f"{path} can be read neither as an image nor as a video: "
-            "copy it again, or convert it to .mp4, .jpg or .png."
+            f"{path} can be read neither as an image nor as a video, for which a list of other files is not "
+            "taken: copy it again, or convert it to .mp4, .jpg or .png."
         )
     sides = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
     if max(sides) > MAX_SIDE_PX:
@@ -162,6 +173,7 @@ def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> ImageSour
         raise SourceError(
             f"{path}: expected at most {MAX_SIDE_PX} pixels a side, found {sides[0]:g} x {sides[1]:g}."
         )
+    claimed_frames = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
     told_hz = capture.get(cv2.CAP_PROP_FPS)
     rate_hz = told_hz if 0 < told_hz <= _MAX_VIDEO_RATE_HZ else IMAGE_RATE_HZ
     captured = _captured(capture, size_hw)
@@ -169,14 +181,30 @@ def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> ImageSour
     if first is None:
         raise SourceError(f"{path} is a video without a readable image.")
     repeated = _repeated(path, size_hw) if loop else ()
-    return ImageSource(itertools.chain([first], captured, repeated), rate_hz)
+    return ImageSource(itertools.chain([first], captured, repeated), rate_hz, claimed_frames)
+
+
+def _opened(path: Path) -> cv2.VideoCapture:
+    """The video of one file, opened or not."""
+    check_backend(cv2.CAP_FFMPEG, "videos", "FFmpeg")
+    with _environment:  # OpenCV has no other way, and reads it only while it opens
+        given = os.environ.get(_FFMPEG_OPTIONS)
+        own = f"format_whitelist;{_DEMUXERS}|protocol_whitelist;file"
+        os.environ[_FFMPEG_OPTIONS] = "|".join(filter(None, (given, own)))
+        try:
+            return cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
+        finally:
+            if given is None:
+                del os.environ[_FFMPEG_OPTIONS]
+            else:
+                os.environ[_FFMPEG_OPTIONS] = given
 
 
 def _repeated(path: Path, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
     """The video from its beginning, repeated endlessly."""
     while True:
         # Many formats cannot seek to the beginning, all can be reopened.
-        captured = _captured(cv2.VideoCapture(str(path)), size_hw)
+        captured = _captured(_opened(path), size_hw)
         first = next(captured, None)
         if first is None:
             raise SourceError(f"{path} can no longer be read: was it moved or unplugged?")
@@ -225,7 +253,7 @@ def _images(
     skipped: dict[Path, str] = {}
     for number, path in enumerate(itertools.cycle(paths) if loop else paths, start=1):
         try:
-            frame = _frame(_file_pixels(path), size_hw)
+            frame = _frame(read_image(path).pixels, size_hw)
         except (SourceError, ImageError) as error:
             if path not in skipped:
                 skipped[path] = str(error)
@@ -247,14 +275,12 @@ def _report_skipped(count: int, total: int, problem: str, report: Report) -> Non
         report(f"skipped: {problem}{further}")
 
 
-def _file_pixels(path: Path) -> NDArray[np.uint8]:
-    """The pixels (H, W, 3) of an image file, upright, as BGR; raises SourceError."""
+def read_image(path: Path) -> ColourImage:
+    """The image of a regular file, upright; raises SourceError."""
     try:
-        # Reading a pipe would block, a device file may never end.
-        if not path.is_file() or path.stat().st_size > _MAX_FILE_BYTES:
-            raise SourceError(f"{path} is not a regular file of at most {_MAX_FILE_BYTES >> 20} MiB.")
-        return decode_image_file(np.fromfile(path, np.uint8)).pixels
-    except (OSError, ImageError) as error:
+        data = np.frombuffer(read_regular_file(path, _MAX_FILE_BYTES), np.uint8)
+        return decode_image_file(data)
+    except (OSError, RegularFileError, ImageError) as error:
         raise SourceError(f"{path} cannot be read as an image: replace or remove it. {error}") from None
 
 

@@ -172,7 +172,7 @@ def damaged(folder: Path) -> Path:
         pytest.param(ids_beyond_the_model, [], "images has an object of the classes", id="unknown ids"),
         pytest.param(crowds_only, [], "images has an object of the classes", id="crowds only"),
         pytest.param(absent_image, [], "val/absent.jpg: file not found", id="absent image"),
-        pytest.param(json_bomb, [], "nested too deeply", id="JSON bomb"),
+        pytest.param(json_bomb, [], "recursion limit exceeded", id="JSON bomb"),
         pytest.param(without_detections, [], "there are no detections (", id="no detections"),
         pytest.param(
             two_truths, [], "choose one of its detection topics with --truth-topic", id="two truths"

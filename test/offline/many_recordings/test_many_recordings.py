@@ -236,8 +236,8 @@ def test_a_recording_that_kills_its_workers_is_set_aside(tmp_path: Path) -> None
         "deadly": "set aside",
         "harmless": "done",
     }
-    (result,) = notes.aside
-    assert result.reason == ("the worker died (signal 9) 2 times while reading this recording")
+    (remark,) = notes.aside
+    assert remark == "deadly: set aside: the worker died (signal 9) 2 times while reading this recording"
     assert not (output / "deadly").exists()
     assert not has_unfinished_outputs(output)
 
