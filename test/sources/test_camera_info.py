@@ -91,7 +91,7 @@ def test_wrong_values_are_refused_with_the_reason(path: Path, old: str, new: str
         pytest.param("package://no_such/lens.yaml", "no package 'no_such'", id="package"),
         pytest.param("file:///no/such.yaml", "No such file", id="no file"),
         pytest.param("file:///dev/zero", "expected a regular file", id="device"),
-        pytest.param("file:///", "irectory", id="folder"),
+        pytest.param("file:///", "found a folder", id="folder"),
         pytest.param("file:///a%00b", "null", id="null character"),
     ],
 )
