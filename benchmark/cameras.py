@@ -1,6 +1,6 @@
 """Several cameras on one node compared with one node per camera, and how cameras share a node.
 
-python -m benchmark.cameras [--counts 1 2 4 8] [--rate 10] [--max-batch 1] [--quick]
+python -m benchmark.cameras [--counts 1 2 4 8] [--rate 10] [--quick]
 """
 
 from __future__ import annotations
@@ -44,14 +44,13 @@ QUICK = Plan(rounds=1, passage_s=4.0, shares_s=10.0)
 class CameraBench:
     """One run: measurements are collected in `rows`, comparisons in `goals`."""
 
-    def __init__(self, weights: Path, image: Path, folder: Path, plan: Plan, *, max_batch: int = 1) -> None:
+    def __init__(self, weights: Path, image: Path, folder: Path, plan: Plan) -> None:
         self.rows: list[Row] = []
         self.goals: list[Goal] = []
         self._weights = weights
         self._image = image
         self._folder = folder
         self._plan = plan
-        self._max_batch = max_batch
 
     def choose_runtime(self) -> None:
         """Let one detector measure the runtimes, alone; the others use its choice."""
@@ -92,8 +91,7 @@ class CameraBench:
             self._add(*others_rates(fleet, names, self._image, rate_hz=rate_hz, passages=passages))
 
     def _shared(self, names: Sequence[str], **parameters: object) -> AbstractContextManager[Fleet]:
-        given = {"max_batch": self._max_batch} | parameters
-        return active_fleet("one node", names, weights=self._weights, cache=self._folder, **given)
+        return active_fleet("one node", names, weights=self._weights, cache=self._folder, **parameters)
 
     def _add(self, rows: Sequence[Row], goals: Sequence[Goal]) -> None:
         self.rows += rows
@@ -102,8 +100,7 @@ class CameraBench:
     def _passage(self, layout: Layout, count: int, rate_hz: float) -> Passage:
         """Measure with new processes, so that nothing but this layout is in memory."""
         names = _names(count)
-        given = {"max_batch": self._max_batch} if layout == "one node" else {}
-        fleet_of = active_fleet(layout, names, weights=self._weights, cache=self._folder, **given)
+        fleet_of = active_fleet(layout, names, weights=self._weights, cache=self._folder)
         with fleet_of as fleet, ExitStack() as stack:
             for name in names:
                 stack.enter_context(fleet.camera(name, self._image, rate_hz=rate_hz))
@@ -158,7 +155,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     counts = options.counts or ((1, FOLLOWED) if options.quick else (1, 2, FOLLOWED, 8))
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
-        bench = CameraBench(*materials(IMAGE_HW, folder), folder, plan, max_batch=options.max_batch)
+        bench = CameraBench(*materials(IMAGE_HW, folder), folder, plan)
         bench.choose_runtime()
         for count in counts:
             _say(f"measuring: {_cameras(count)}, one node and a node each")
@@ -183,13 +180,6 @@ def parser() -> argparse.ArgumentParser:
         default=10.0,
         metavar="HZ",
         help="images per second of each camera; default: %(default)g",
-    )
-    parser.add_argument(
-        "--max-batch",
-        type=int,
-        default=1,
-        metavar="N",
-        help="max_batch of the node with all cameras; default: %(default)s",
     )
     parser.add_argument("--quick", action="store_true", help="1 and 4 cameras, one round, shorter")
     return parser

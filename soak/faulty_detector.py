@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from yolov5_lifecycle.process.environment import prepare_environment
@@ -94,17 +94,6 @@ class FaultyRuntime:
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         return _with_fault(frame, self._runtime(frame, order, min_objectness))
-
-    def run_batch(
-        self,
-        frames: Sequence[NDArray[np.uint8]],
-        orders: Sequence[Order],
-        min_objectness: Sequence[float],
-    ) -> list[Predictions]:
-        return list(map(_with_fault, frames, self._runtime.run_batch(frames, orders, min_objectness)))
-
-    def keep_batches(self, sizes: Collection[int]) -> None:
-        self._runtime.keep_batches(sizes)
 
     def twin(self) -> FaultyRuntime:
         return FaultyRuntime(self._runtime.twin())

@@ -45,7 +45,6 @@ _SETTINGS: dict[str, tuple[Any, ...]] = {
     "cameras": ([], ["front", "rear"], ["rear", "left"], ["front", "front"]),
     "front.max_rate": (5.0, -1.0),
     "rear.tracker": ("bytetrack", "none"),
-    "max_batch": (1, 4, 0),
     "weights": ("/nowhere.pt",),
 }
 _FAULTS = ("raise", "out of memory", "NaN", "wrong shape", "slow")

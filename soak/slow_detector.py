@@ -32,7 +32,7 @@ from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 
 STEPS: dict[str, tuple[Any, str]] = {
     "decoding": (messages, "image_of_message"),
-    "inference": (CompiledRuntime, "run_batch"),
+    "inference": (CompiledRuntime, "__call__"),
     "NMS": (detector, "select"),
     "tracking": (ByteTracker, "update"),
     "placing": (DepthPlacing, "place"),

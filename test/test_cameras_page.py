@@ -6,11 +6,10 @@ import re
 from pathlib import Path
 
 import pytest
-from support.pages import CAMERAS_PAGE, PERFORMANCE, REFERENCE, TROUBLESHOOTING
+from support.pages import CAMERAS_PAGE, REFERENCE, TROUBLESHOOTING
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.detection.batch_choice import MIN_GAIN_PERCENT
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.ros.detector.camera_status import SLOW_S
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, abandoned
@@ -44,10 +43,6 @@ HEIGHT, WIDTH = USUAL_SOURCE_HW
             id="networks",
         ),
         pytest.param(CAMERAS_PAGE, f"for {WIDTH}x{HEIGHT} if there was none", id="usual-size"),
-        pytest.param(CAMERAS_PAGE, f"at least {MIN_GAIN_PERCENT} % less time per image", id="batches"),
-        pytest.param(
-            PERFORMANCE, f"at least {MIN_GAIN_PERCENT} % less time per frame", id="batches-measured"
-        ),
     ],
 )
 def test_a_page_has_the_limit_of_the_code(page: Path, words: str) -> None:

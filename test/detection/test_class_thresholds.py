@@ -79,17 +79,3 @@ def test_what_scores_below_all_that_is_looked_for_otherwise_is_found(
     faint = found.scores < WORTH_TELLING
     assert faint.any()
     assert set(found.class_ids[faint]) == {CIRCLE}
-
-
-def test_each_image_of_a_batch_has_its_own_thresholds(detector: Detector, image: ColourImage) -> None:
-    selections = [
-        Selection(class_thresholds=((CIRCLE, LOW),)),
-        Selection(class_thresholds=((SQUARE, 0.92),)),
-    ]
-    alone = [detector.detect(image, selection) for selection in selections]
-    together = detector.detect_batch([image, image], selections)
-    for one, other in zip(alone, together, strict=True):
-        assert isinstance(other, Detections)
-        np.testing.assert_array_equal(one.class_ids, other.class_ids)
-        np.testing.assert_allclose(one.scores, other.scores, rtol=0, atol=1e-4)
-    assert len(alone[0]) != len(alone[1])

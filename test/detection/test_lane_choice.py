@@ -13,7 +13,7 @@ from support.runtime_names import EVERY_RUNTIME
 from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection import lane_choice, prepared_model
-from yolov5_lifecycle.detection.detector import Batches, Detector
+from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processors
 from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.prepared_model import most_lanes
@@ -136,12 +136,6 @@ def test_a_control_group_limits_the_processors(
     monkeypatch.setattr(lane_choice, "cores", lambda: quota)
     monkeypatch.setattr("torch.get_num_threads", lambda: 8)
     assert processors() == count
-
-
-def test_frames_that_run_in_batches_have_no_lanes() -> None:
-    detector = scripted()
-    detector.batches = Batches((2,), "of 2")
-    assert chosen(detector, with_cameras(6), {}).reason == "1: frames run in batches"
 
 
 class OneAtATime(ScriptedRuntime):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-import re
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,6 @@ from support.small_families import SMALL_FAMILIES
 
 from benchmark.process_memory import forget_peak, peak_resident_mb, resident_mb
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
-from yolov5_lifecycle.detection import prepared_model
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.models import cost as models_cost
 from yolov5_lifecycle.models.cost import cost_of
@@ -50,41 +48,11 @@ def tiny(tmp_path: Path) -> Settings:
     return Settings(weights=str(path), image_size=64, runtime="torch", device="cpu")
 
 
-def test_batches_are_measured_for_several_cameras_and_reported(tiny: Settings) -> None:
-    model = prepare_model(tiny.model_copy(update={"max_batch": 8}), [(64, 64)] * 3)
-    assert set(model.detector.batch_sizes) <= {2, 3}
-    told = model.facts["batches"]
-    assert re.fullmatch(r"(none|of [23]( or 3)?): single .* ms an image, .*", told)
-    assert f"batches {told}" in model.summary
-
-
-def test_one_camera_or_no_batches_are_not_measured(tiny: Settings) -> None:
-    batched = tiny.model_copy(update={"max_batch": 8})
-    assert prepare_model(batched, [(64, 64)]).facts["batches"] == "none: there is only one camera"
-    model = prepare_model(tiny, [(64, 64)] * 3)
-    assert "batches" not in model.facts
-    assert model.detector.batch_sizes == ()
-
-
 def test_the_cost_is_told(tiny: Settings) -> None:
     model = prepare_model(tiny, [(64, 64)])
     cost = cost_of(random_model().architecture, (64, 64))
     assert model.facts["cost"] == str(cost)
     assert model.facts["cost"].endswith(" MB at 64x64")
-
-
-@pytest.mark.long
-def test_batches_that_do_not_fit_into_the_memory_are_not_tried(
-    tiny: Settings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    one_bytes = cost_of(random_model().architecture, (64, 64)).activation_bytes
-    batched = tiny.model_copy(update={"max_batch": 8})
-    monkeypatch.setattr(prepared_model, "available_bytes", lambda: 3 * one_bytes)
-    model = prepare_model(batched, [(64, 64)] * 5)
-    assert set(model.detector.batch_sizes) <= {2, 3}
-    assert "; 4 images at once do not fit into the " in model.facts["batches"]
-    monkeypatch.setattr(prepared_model, "available_bytes", lambda: one_bytes)
-    assert prepare_model(batched, [(64, 64)] * 5).facts["batches"].startswith("none: 2 images at once")
 
 
 @pytest.mark.long

@@ -101,17 +101,6 @@ def test_prototypes_are_computed_where_they_are_needed(
     assert labels is None or set(np.unique(labels)) - {0} == set(range(1, len(found) + 1))
 
 
-def test_each_image_of_a_batch_is_asked_for_by_itself() -> None:
-    prototypes = CountedPrototypes()
-    detector, _ = detector_of(row(LEFT, 0.5, 1, 1, 0), prototypes=prototypes)
-    masked, plain = detector.detect_batch([IMAGE, IMAGE], [WITH_MASKS, Selection()])
-    assert not isinstance(masked, InferenceError)
-    assert not isinstance(plain, InferenceError)
-    assert masked.masks is not None
-    assert plain.masks is None
-    assert prototypes.count == 1
-
-
 @pytest.mark.parametrize(
     "prototypes",
     [

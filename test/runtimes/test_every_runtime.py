@@ -60,8 +60,6 @@ def test_a_closed_runtime_says_so_and_may_be_closed_again(runtime: Runtime) -> N
     runtime.close()
     with pytest.raises(InferenceError, match="closed"):
         runtime(random_frame(), "rgb")
-    with pytest.raises(InferenceError, match="closed"):
-        runtime.run_batch([random_frame()] * 2, ["rgb"] * 2, [0.0] * 2)
 
 
 @pytest.mark.long
@@ -197,7 +195,4 @@ def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(
     frame = np.zeros((64, 64, 3), np.uint8)
     runtime(frame, "rgb")
     assert seen == [True]
-    runtime.run_batch([frame] * 2, ["rgb"] * 2, [0.0] * 2)
-    assert len(seen) > 1
-    assert all(seen)
     assert not are_zero()

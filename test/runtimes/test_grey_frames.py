@@ -13,7 +13,7 @@ from support.runtime_names import EVERY_RUNTIME
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.encodings import GreyImage, decode_raw
-from yolov5_lifecycle.images.image import ColourImage, Order
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import Runtime
@@ -50,14 +50,6 @@ def test_a_colour_frame_is_turned_grey_for_a_grey_network(grey_runtime: Runtime)
 
 
 @pytest.mark.long
-def test_frames_of_both_kinds_may_be_in_one_batch(grey_runtime: Runtime) -> None:
-    orders: list[Order] = ["grey", "rgb"]
-    batch = grey_runtime.run_batch([GREY, random_frame()], orders, [0.0, 0.0])
-    for predictions in batch:
-        np.testing.assert_allclose(predictions.rows, grey_runtime(GREY, "grey").rows, rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.long
 def test_a_detector_sees_the_same_in_an_image_however_it_is_encoded(grey_runtime: Runtime) -> None:
     detector = Detector(grey_runtime, class_names=("cat", "dog", "cow"), image_size=96, stride=32)
     height, width = GREY.shape
@@ -69,6 +61,3 @@ def test_a_detector_sees_the_same_in_an_image_however_it_is_encoded(grey_runtime
     assert len(found.scores)
     in_colour = detector.detect(ColourImage(image.pixels, "rgb"), EVERY_CELL)
     np.testing.assert_array_equal(found.boxes_xyxy, in_colour.boxes_xyxy)
-    (batched, _) = detector.detect_batch([image, ColourImage(image.pixels, "bgr")], [EVERY_CELL] * 2)
-    assert not isinstance(batched, Exception)
-    np.testing.assert_allclose(batched.boxes_xyxy, found.boxes_xyxy, atol=0.01)

@@ -13,7 +13,7 @@ from yolov5_lifecycle.runtimes.networks_by_shape import (
 )
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 
-SHAPES = [(1, 64, 32 * place) for place in range(1, 6)]
+SHAPES = [(64, 32 * place) for place in range(1, 6)]
 
 
 class Maker:
@@ -35,9 +35,9 @@ def used(networks: NetworksByShape[str], shape: Shape) -> str:
 def test_a_shape_is_made_once() -> None:
     maker = Maker()
     networks = NetworksByShape(maker)
-    names = [used(networks, shape) for shape in ((1, 64, 96), (1, 96, 64), (2, 64, 96), (1, 64, 96))]
-    assert names == ["1x64x96", "1x96x64", "2x64x96", "1x64x96"]
-    assert maker.made == [(1, 64, 96), (1, 96, 64), (2, 64, 96)]
+    names = [used(networks, shape) for shape in ((64, 96), (96, 64), (32, 96), (64, 96))]
+    assert names == ["64x96", "96x64", "32x96", "64x96"]
+    assert maker.made == [(64, 96), (96, 64), (32, 96)]
 
 
 def test_of_five_shapes_the_one_that_was_used_longest_ago_is_evicted() -> None:
@@ -56,7 +56,7 @@ def test_a_camera_that_changes_its_size_with_every_frame_evicts_none_of_the_othe
     maker = Maker()
     networks = NetworksByShape(maker, kept=12)  # of six cameras
     for width in range(1, 40):
-        for shape in (*SHAPES, (1, 320, 32 * width)):
+        for shape in (*SHAPES, (320, 32 * width)):
             used(networks, shape)
     assert len(maker.made) == len(set(maker.made))
 
@@ -69,31 +69,18 @@ def test_no_more_are_kept_than_was_asked_for() -> None:
     assert maker.made == [*SHAPES, *SHAPES]
 
 
-def test_batches_that_are_not_to_be_kept_are_freed_and_single_frames_stay() -> None:
-    maker = Maker()
-    networks = NetworksByShape(maker, kept=6)
-    shapes = [(batch, 64, width) for batch in (1, 2, 4) for width in (64, 96)]
-    for shape in shapes:
-        used(networks, shape)
-    networks.keep_batches([4])
-    for shape in shapes:
-        used(networks, shape)
-    assert maker.made == [*shapes, (2, 64, 64), (2, 64, 96)]
-
-
 def test_after_the_close_a_frame_is_refused_and_the_one_in_progress_goes_on() -> None:
     networks = NetworksByShape(Maker())
-    with networks.running((1, 64, 96)) as name:
+    with networks.running((64, 96)) as name:
         networks.close()
         networks.close()
-        networks.keep_batches([])
-        assert name == "1x64x96"
-    with pytest.raises(InferenceError, match="closed; load the model again"), networks.running((1, 64, 96)):
+        assert name == "64x96"
+    with pytest.raises(InferenceError, match="closed; load the model again"), networks.running((64, 96)):
         pass
 
 
 def test_denormal_numbers_are_zero_while_a_network_is_made_and_runs_and_not_after() -> None:
-    with NetworksByShape(lambda _: are_zero()).running((1, 64, 64)) as was_zero:
+    with NetworksByShape(lambda _: are_zero()).running((64, 64)) as was_zero:
         assert was_zero
         assert are_zero()
     assert not are_zero()

@@ -57,14 +57,6 @@ def test_prototypes_and_coefficients_are_those_of_the_network(runtime: Runtime) 
         assert wanted.std() > 0.1
 
 
-@pytest.mark.long
-def test_each_frame_of_a_batch_has_its_own(runtime: Runtime) -> None:
-    batch = runtime.run_batch(FRAMES, ["rgb"] * 3, [0.0] * 3)
-    found = [prototypes(predictions) for predictions in batch]  # those of one outlive those of the next
-    for each, frame in zip(found, FRAMES, strict=True):
-        np.testing.assert_allclose(each, expected(frame)[1], rtol=1e-3, atol=1e-3)
-
-
 def test_prototypes_may_be_computed_twice_and_stay_as_they_are(runtime: Runtime) -> None:
     predictions = runtime(FRAMES[0], "rgb")
     first, second = prototypes(predictions), prototypes(predictions)

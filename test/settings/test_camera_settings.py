@@ -137,7 +137,7 @@ def test_what_changes_for_one_camera_leaves_the_others_equal() -> None:
         pytest.param({"front.max_rate": 1.0}, Change.LIVE, [], id="equal"),
         pytest.param({"rear.depth": True}, Change.RESUBSCRIBE, ["rear.depth"], id="resubscribed"),
         pytest.param({"cameras": ("front",)}, Change.CAMERAS, ["cameras"], id="cameras"),
-        pytest.param({"max_batch": 2}, Change.RELOAD, ["max_batch"], id="batch"),
+        pytest.param({"parallel_frames": 2}, Change.RELOAD, ["parallel_frames"], id="lanes"),
     ],
 )
 def test_differing_names_overrides(overrides: dict[str, Any], kind: Change, names: list[str]) -> None:

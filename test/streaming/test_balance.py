@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections import Counter
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from random import Random
 
@@ -14,7 +14,7 @@ from support.scripted_camera import PATIENCE_S
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Networks, Pipeline, Send
+from yolov5_lifecycle.streaming.pipeline import Networks, Send
 from yolov5_lifecycle.streaming.worker import Worker
 
 CAMERAS = 4
@@ -96,25 +96,6 @@ class RandomCamera:
         self._ended.release()
 
 
-class Together:
-    """All frames may run together; they end as they would alone."""
-
-    max_size = 3
-
-    def key(self, pipeline: Pipeline[int, int], frame: int) -> Hashable:
-        return ""
-
-    def detect(self, jobs: Sequence[tuple[Pipeline[int, int], int]]) -> Sequence[int | Exception]:
-        return [_detected(pipeline, frame) for pipeline, frame in jobs]
-
-
-def _detected(pipeline: Pipeline[int, int], frame: int) -> int | Exception:
-    try:
-        return pipeline.detect(frame, None)
-    except (ImageError, RuntimeError) as error:
-        return error
-
-
 def run_all(threads: list[threading.Thread]) -> None:
     for thread in threads:
         thread.start()
@@ -141,7 +122,6 @@ def _many_switches() -> Iterator[None]:
     "networks",
     [
         pytest.param([Networks(object()) for _ in range(CAMERAS)], id="alone"),
-        pytest.param([Networks(object(), batch=Together())] * CAMERAS, id="in batches"),
         pytest.param([Networks(object(), [object(), object(), object()])] * CAMERAS, id="in lanes"),
     ],
 )
@@ -172,4 +152,4 @@ def test_every_frame_is_counted_once(seed: int, networks: list[Networks]) -> Non
         assert sum(balance[outcome] for outcome in ENDED) == len(camera.begun)
     begun = sum(len(camera.begun) for camera in cameras)
     reported = sum(camera.reported.total() for camera in cameras)
-    assert begun - reported <= timeouts * Together.max_size, "only abandoned frames are not reported"
+    assert begun - reported <= timeouts, "only abandoned frames are not reported"

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator
 from random import Random
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Batch, Networks, Pipeline, Send
+from yolov5_lifecycle.streaming.pipeline import Networks, Send
 from yolov5_lifecycle.streaming.schedule import Job, Schedule, Slot
 
 
@@ -28,28 +27,14 @@ class Unused:
         raise AssertionError("no thread runs")
 
 
-class SameRemainder:
-    """Frames with the same remainder may run together."""
-
-    def __init__(self, max_size: int, divisor: int) -> None:
-        self.max_size = max_size
-        self._divisor = divisor
-
-    def key(self, pipeline: Pipeline[int, int], frame: int) -> Hashable:
-        return frame % self._divisor
-
-    def detect(self, jobs: Sequence[tuple[Pipeline[int, int], int]]) -> Sequence[int | Exception]:
-        raise AssertionError("no thread runs")
-
-
 class Turns:
     """A schedule without a thread; cameras are numbers, and so are their frames."""
 
-    def __init__(self, cameras: int, batch: Batch | None = None) -> None:
+    def __init__(self, cameras: int) -> None:
         self.abandoned: list[Job[int, int]] = []
         self.schedule: Schedule[int, int] = Schedule(clock=lambda: 0.0, on_abandoned=self.abandoned.append)
         self.slots = [_slot() for _ in range(cameras)]
-        networks = Networks(object(), batch=batch)
+        networks = Networks(object())
         for slot in self.slots:
             slot.start(Unused(networks), 0.0)
 
@@ -58,13 +43,13 @@ class Turns:
             self.schedule.offer(self.slots[camera], camera)
 
     def serve(self) -> list[int]:
-        """Do one job; return its cameras, [] if none waits."""
+        """Do one job; return its camera, [] if none waits."""
         with self.schedule.lock:
             job = self.schedule.begin()
             if job is None:
                 return []
             self.schedule.end(job)
-            return [self.slots.index(turn.slot) for turn in job.turns]
+            return [self.slots.index(job.slot)]
 
     def waiting(self) -> set[int]:
         return {self.slots.index(slot) for slot in self.schedule.waiting}
@@ -97,14 +82,9 @@ def test_cameras_that_always_have_a_frame_are_served_equally_often(
     assert max(served.values()) - min(served.values()) <= 1
 
 
-@pytest.mark.parametrize(
-    "batch", [None, SameRemainder(2, 2), SameRemainder(8, 3)], ids=["alone", "two", "eight"]
-)
 @given(steps=STEPS)
-def test_a_waiting_frame_is_overtaken_at_most_once_by_each_camera(
-    batch: Batch | None, steps: list[int]
-) -> None:
-    turns = Turns(MAX_CAMERAS, batch)
+def test_a_waiting_frame_is_overtaken_at_most_once_by_each_camera(steps: list[int]) -> None:
+    turns = Turns(MAX_CAMERAS)
     overtaken: dict[int, Counter[int]] = {}
     for step in steps:
         if step == SERVE:
@@ -112,7 +92,7 @@ def test_a_waiting_frame_is_overtaken_at_most_once_by_each_camera(
             for camera in served:
                 overtaken.pop(camera, None)
             for by_camera in overtaken.values():
-                by_camera.update(served[:1])
+                by_camera.update(served)
                 assert max(by_camera.values()) == 1
         else:
             turns.offer(step)
@@ -144,29 +124,6 @@ def test_cameras_without_frames_change_nothing(steps: list[int]) -> None:
             many.offer(step)
 
 
-@given(
-    served=st.permutations(range(MAX_CAMERAS)),
-    offered=st.lists(st.integers(0, MAX_CAMERAS - 1)),
-    max_size=st.integers(0, 4),
-    divisor=st.integers(1, 3),
-)
-def test_a_batch_has_the_next_frame_first_and_others_of_its_key_in_turn(
-    served: list[int], offered: list[int], max_size: int, divisor: int
-) -> None:
-    turns = Turns(MAX_CAMERAS, SameRemainder(max_size, divisor))
-    for camera in served:
-        turns.offer(camera)
-        assert turns.serve() == [camera]
-    for camera in offered:
-        turns.offer(camera)
-    in_turn = [camera for camera in served if camera in offered]
-    while cameras := turns.serve():
-        mates = [camera for camera in in_turn if camera % divisor == in_turn[0] % divisor]
-        assert cameras == mates[: max(1, max_size)]
-        in_turn = [camera for camera in in_turn if camera not in cameras]
-    assert in_turn == []
-
-
 def test_an_abandoned_job_is_no_rest_for_whoever_waits_for_it() -> None:
     turns = Turns(1)
     turns.offer(0)
@@ -194,12 +151,3 @@ def test_the_time_of_all_jobs_that_are_awaited_begins_at_once() -> None:
         assert schedule.begin() is None
         assert not schedule.wait(jobs, 0.0)
     assert [job.awaited_s for job in jobs] == [0.0, 0.0]
-
-
-def test_a_frame_with_the_networks_of_another_model_joins_no_batch() -> None:
-    """Its pipeline would publish the detections with the class names of the other model."""
-    turns = Turns(3, SameRemainder(8, 1))
-    turns.slots[1].start(Unused(Networks(object(), batch=SameRemainder(8, 1))), 0.0)
-    for camera in range(3):
-        turns.offer(camera)
-    assert [turns.serve(), turns.serve()] == [[0, 2], [1]]

@@ -41,7 +41,7 @@ def graph_of_pixels(network: Network, size_hw: tuple[int, int]) -> bytes:
 
     from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 
-    model = onnx.load_from_string(onnx_graph(network, (1, *size_hw)))
+    model = onnx.load_from_string(onnx_graph(network, size_hw))
     graph = model.graph
     as_float, scaled = graph.node[:2]
     assert (as_float.op_type, scaled.op_type) == ("Cast", "Mul")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from support.scripted_runtime import ScriptedRuntime
 from support.served_node import PATIENCE_S
-from yolov5_lifecycle.detection.detector import Batches, Detector
+from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.lane_choice import Lanes
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.settings.settings import Settings
@@ -42,7 +42,6 @@ class Preparations:
         self.begun = threading.Semaphore(0)
         self.sizes_hw: list[list[tuple[int, int]]] = []
         self.class_names = CLASS_NAMES
-        self.batches = Batches()
         self.lanes = 0
         self.run: Callable[[], NDArray[np.float32]] = lambda: prediction("cat", 0.9)
         self.compute_prototypes: Callable[[], NDArray[np.float32]] | None = None
@@ -66,7 +65,6 @@ class Preparations:
             stride=32,
             mask_coefficients=self.mask_coefficients,
         )
-        detector.batches = self.batches
         lanes = Lanes(detector.lanes(self.lanes, 1))
         return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64, lanes)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,7 @@ from yolov5_lifecycle.runtimes.runtime import Predictions
 class ScriptedRuntime:
     """Predicts what `run` says, which may be replaced at any time, and raise, wait or answer nonsense.
 
-    `calls` are the shapes of the frames, their orders of colours and the least objectness asked for;
-    `batches` the numbers of frames that were run as one. `on_batch` is called before each of these.
+    `calls` are the shapes of the frames, their orders of colours and the least objectness asked for.
     """
 
     name = "scripted"
@@ -26,29 +25,13 @@ class ScriptedRuntime:
         self.run = run
         self.compute_prototypes: Callable[[], NDArray[np.float32]] | None = None
         self.on_close: Callable[[], None] = lambda: None
-        self.on_batch: Callable[[], None] = lambda: None
         self.calls: list[tuple[tuple[int, ...], Order, float]] = []
-        self.batches: list[int] = []
-        self.kept_batches: tuple[int, ...] | None = None
         self.is_closed = False
         self.twins: list[ScriptedRuntime] = []
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         self.calls.append((frame.shape, order, min_objectness))
         return Predictions(self.run(), self.compute_prototypes)
-
-    def run_batch(
-        self,
-        frames: Sequence[NDArray[np.uint8]],
-        orders: Sequence[Order],
-        min_objectness: Sequence[float],
-    ) -> list[Predictions]:
-        self.batches.append(len(frames))
-        self.on_batch()
-        return [self(*each) for each in zip(frames, orders, min_objectness, strict=True)]
-
-    def keep_batches(self, sizes: Collection[int]) -> None:
-        self.kept_batches = tuple(sizes)
 
     def twin(self) -> ScriptedRuntime:
         self.twins.append(twin := ScriptedRuntime(self.run))

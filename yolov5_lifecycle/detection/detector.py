@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,16 +22,6 @@ if TYPE_CHECKING:  # it would import torch
 
 USUAL_SOURCE_HW = (480, 640)
 
-_log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Batches:
-    """Numbers of images, ascending, for which `Detector.detect_batch` is faster than `detect`; the reason."""
-
-    sizes: tuple[int, ...] = ()
-    reason: str = ""
-
 
 class Detector:
     """Detects objects in images. Owns `runtime`; stateless between images.
@@ -46,8 +34,7 @@ class Detector:
     runtime and its precision were selected.
     `mask_coefficients`: their number per prediction, 0 if the model does not segment. `cost`: of an image of
     `image_size` x `image_size`, None if it is unknown.
-    `selection`: the thresholds and classes of a call; may be replaced. `batches`: the batch sizes
-    worth using; may be replaced.
+    `selection`: the thresholds and classes of a call; may be replaced.
     """
 
     def __init__(
@@ -66,7 +53,6 @@ class Detector:
         self.runtime = runtime
         self.choice = choice
         self.precision_choice = precision_choice
-        self.batches = Batches()
         self.class_names = tuple(class_names)
         self.image_size = image_size
         self.stride = stride
@@ -94,62 +80,14 @@ class Detector:
             raw = self.runtime(frame, order, selection.min_objectness)
             return self._detections(raw, letterbox, selection)
 
-    def detect_batch(
-        self, images: Sequence[ColourImage], selections: Sequence[Selection]
-    ) -> list[Detections | InferenceError]:
-        """Like `detect` for each image with its selection, in one run of the network.
-
-        An image that fails has its error as its result. If the run as a whole fails, each image is run alone;
-        if that works, `batch_sizes` is empty from then on. Raises ValueError unless all images have the same
-        `network_hw` and each has a selection.
-        """
-        letterboxes = [self._letterbox(image.size_hw) for image in images]
-        sizes_hw = sorted({letterbox.network_hw for letterbox in letterboxes})
-        if len(sizes_hw) > 1 or len(images) != len(selections):
-            raise ValueError(
-                "A batch needs images of one network input size and as many selections, found "
-                f"{len(images)} images of sizes {sizes_hw} and {len(selections)} selections."
-            )
-        if len(images) < 2:
-            return self._detect_alone(images, selections)
-        try:
-            frames = [
-                letterbox.apply(image.as_sent[0])
-                for letterbox, image in zip(letterboxes, images, strict=True)
-            ]
-            with self._in_use:
-                batch = self.runtime.run_batch(
-                    frames,
-                    [image.as_sent[1] for image in images],
-                    [selection.min_objectness for selection in selections],
-                )
-                return list(map(_result_of(self._detections), batch, letterboxes, selections))
-        except InferenceError as error:
-            problem = str(error)
-        results = self._detect_alone(images, selections)
-        if any(isinstance(result, Detections) for result in results):
-            self.batches = Batches((), f"none: a batch of {len(images)} failed: {problem}")
-            _log.warning("No more batches until the model is loaded again, because one failed: %s", problem)
-        return results
-
     def network_hw(self, size_hw: tuple[int, int]) -> tuple[int, int]:
         """Height and width of the network input for images of `size_hw`, in pixels."""
         return self._letterbox(size_hw).network_hw
 
     @property
-    def batch_sizes(self) -> tuple[int, ...]:
-        """Numbers of images for which `detect_batch` is faster than `detect`, ascending; see `batches`."""
-        return self.batches.sizes
-
-    @property
     def segments(self) -> bool:
         """Whether the model computes masks."""
         return self.mask_coefficients > 0
-
-    def _detect_alone(
-        self, images: Sequence[ColourImage], selections: Sequence[Selection]
-    ) -> list[Detections | InferenceError]:
-        return list(map(_result_of(self.detect), images, selections))
 
     def _letterbox(self, size_hw: tuple[int, int]) -> Letterbox:
         return Letterbox.fit(size_hw, image_size=self.image_size, stride=self.stride)
@@ -211,7 +149,7 @@ class Detector:
             mask_coefficients=self.mask_coefficients,
             cost=self.cost,
         )
-        twin.batches, twin.selection = self.batches, self.selection
+        twin.selection = self.selection
         return twin
 
     def close(self) -> None:
@@ -260,17 +198,3 @@ def check_image_size(image_size: int, stride: int) -> None:
     """Raise ValueError unless `image_size` is a positive multiple of `stride`."""
     if problem := image_size_problem(image_size, stride, whose="this model"):
         raise ValueError(f"Image size {problem}")
-
-
-def _result_of(
-    detect: Callable[..., Detections],
-) -> Callable[..., Detections | InferenceError]:
-    """`detect`, returning an InferenceError instead of raising it."""
-
-    def result(*arguments: object) -> Detections | InferenceError:
-        try:
-            return detect(*arguments)
-        except InferenceError as error:
-            return error
-
-    return result

@@ -64,8 +64,6 @@ def choose_lanes(
         return Lanes(_warm_lanes(detector, most, sizes_hw), f"{most}: as set")
     if detector.runtime.device != "cpu":
         return Lanes(reason=f"1: {detector.runtime.device} runs one frame at a time")
-    if detector.batch_sizes:
-        return Lanes(reason="1: frames run in batches")
     return _fastest(detector, most, sizes_hw, measure, resident)
 
 

@@ -9,13 +9,12 @@ from functools import partial
 from pathlib import Path
 
 from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
-from yolov5_lifecycle.detection.batch_choice import choose_batches
-from yolov5_lifecycle.detection.detector import Batches, Detector
+from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processors
 from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.input_file import resolve_package
-from yolov5_lifecycle.models.cost import Cost, check_memory, megabytes
-from yolov5_lifecycle.process.memory import available_bytes, release_unused_memory
+from yolov5_lifecycle.models.cost import Cost, check_memory
+from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.quantization.calibration_file import (
     CalibrationError,
     find_calibration,
@@ -41,7 +40,7 @@ class PreparedModel:
 
     @property
     def facts(self) -> dict[str, str]:
-        """Resolved weights, runtime, device, precision and measured batches, for log and diagnostics."""
+        """Resolved weights, runtime, device and precision, for log and diagnostics."""
         coefficients = self.detector.mask_coefficients
         runtime = self.detector.runtime
         facts = {
@@ -55,7 +54,6 @@ class PreparedModel:
             "precision": runtime.precision,
             "precision choice": self.detector.precision_choice,
             "cost": str(self.detector.cost or ""),
-            "batches": self.detector.batches.reason,
             "parallel frames": self.lanes.reason,
         }
         return {name: value for name, value in facts.items() if value}
@@ -104,8 +102,7 @@ Prepare = Callable[[Settings, Sequence[tuple[int, int]]], PreparedModel]
 def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
     """Find, load and build the model that `settings` select, and warm it up.
 
-    `sizes_hw`: height and width of the images of each camera, equal ones repeated. With the setting
-    `max_batch` above 1 it is measured which batches are faster, see `choose_batches`.
+    `sizes_hw`: height and width of the images of each camera, equal ones repeated.
 
     Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
     """
@@ -130,8 +127,6 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
         raise CalibrationError(f"{path_beside(weights.path)}: {error}. {remedy(weights.path)}.") from None
     try:
         _warm_up(detector, sizes_hw)
-        if settings.max_batch > 1:
-            detector.batches = _batches(detector, sizes_hw, settings.max_batch)
         lanes = _lanes(detector, sizes_hw, settings)
     except BaseException:  # its traceback keeps the detector alive
         detector.close()
@@ -145,19 +140,6 @@ def _warm_up(detector: Detector, sizes_hw: Sequence[tuple[int, int]]) -> None:
         if (cost := _cost_in_memory(detector)) is not None:
             check_memory(cost, cost.activation_bytes)
         detector.warm_up([size_hw])
-
-
-def _batches(detector: Detector, sizes_hw: Sequence[tuple[int, int]], max_batch: int) -> Batches:
-    """See `choose_batches`; batches that would not fit into the memory are not tried."""
-    cost, free_bytes = _cost_in_memory(detector), available_bytes()
-    if cost is None or free_bytes is None or max_batch * cost.activation_bytes <= free_bytes:
-        return choose_batches(detector, sizes_hw, max_batch=max_batch)
-    fitting = free_bytes // cost.activation_bytes
-    problem = f"{fitting + 1} images at once do not fit into the {megabytes(free_bytes)} that are available"
-    if fitting < 2:
-        return Batches((), f"none: {problem}")
-    chosen = choose_batches(detector, sizes_hw, max_batch=fitting)
-    return replace(chosen, reason=f"{chosen.reason}; {problem}")
 
 
 def most_lanes(settings: Settings) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeVar
 from weakref import WeakValueDictionary
@@ -22,7 +22,6 @@ from yolov5_lifecycle.runtimes.networks_by_shape import (
     NetworksByShape,
     Shape,
     closed,
-    shape_of_batch,
 )
 from yolov5_lifecycle.runtimes.quantization import Quantization
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions
@@ -78,29 +77,15 @@ class CompiledRuntime:
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         """See `Runtime`; the first frame of each size waits for the compiler."""
-        (predictions,) = self.run_batch((frame,), (order,), (min_objectness,))
-        return predictions
+        shape = frame.shape[0], frame.shape[1]
 
-    def run_batch(
-        self,
-        frames: Sequence[NDArray[np.uint8]],
-        orders: Sequence[Order],
-        min_objectness: Sequence[float],
-    ) -> list[Predictions]:
-        """See `Runtime`; the first batch of each shape waits for the compiler."""
-        shape = shape_of_batch(frames, orders, min_objectness)
-
-        def predict(compiled: _Compiled) -> list[Predictions]:
-            features = compiled.features(frames, orders)
-            of_frames = [[level[index : index + 1] for level in features] for index in range(len(frames))]
-            return [
-                Predictions(
-                    compiled.rows(levels, least),
-                    self._prototypes(shape, levels[0]),
-                    partial(_mean, levels[-1]),
-                )
-                for levels, least in zip(of_frames, min_objectness, strict=True)
-            ]
+        def predict(compiled: _Compiled) -> Predictions:
+            features = compiled.features(frame, order)
+            return Predictions(
+                compiled.rows(features, min_objectness),
+                self._prototypes(shape, features[0]),
+                partial(_mean, features[-1]),
+            )
 
         return self._using(shape, predict)
 
@@ -111,7 +96,7 @@ class CompiledRuntime:
         return lambda: self._using(shape, lambda compiled: compiled.prototypes(finest))
 
     def _using(self, shape: Shape, use: Callable[[_Compiled], Result]) -> Result:
-        """The result of `use` on the network for batches of `shape`; engine errors become InferenceError."""
+        """The result of `use` on the network for frames of `shape`; engine errors become InferenceError."""
         try:
             # Denormal floats are zero in this thread; the engine sees to its own threads.
             with self._compiled.running(shape) as compiled:
@@ -121,10 +106,6 @@ class CompiledRuntime:
         except self._engine.errors as error:
             problem = str(error).partition("\n")[0]
         raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
-
-    def keep_batches(self, sizes: Collection[int]) -> None:
-        """See `Runtime`."""
-        self._compiled.keep_batches(sizes)
 
     def twin(self) -> CompiledRuntime:
         """See `Runtime`."""
@@ -160,7 +141,7 @@ class _Shared:
         self._loaded: WeakValueDictionary[str, Loaded] = WeakValueDictionary()
 
     def network(self, shape: Shape) -> Loaded:
-        """The network for batches of `shape`; raises the engine's errors."""
+        """The network for frames of `shape`; raises the engine's errors."""
         return self._one(f"{shape}", lambda: self.compiler.network(shape, self.threads))
 
     def prototypes(self, finest: Features) -> Loaded:
@@ -186,26 +167,24 @@ class _Compiled:
         self._run = self._loaded.new_run()
         self._loaded_proto: Loaded | None = None
         self._run_proto: Run | None = None
-        batch, height, width = shape
-        self._planes = np.empty((batch, shared.compiler.channels, height, width), np.uint8)
+        self._planes = np.empty((1, shared.compiler.channels, *shape), np.uint8)
 
-    def features(self, frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order]) -> Sequence[Features]:
-        """Features of all levels for all frames; the next run may overwrite them."""
-        for planes, frame, order in zip(self._planes, frames, orders, strict=True):
-            write_planes(frame, order, planes)
+    def features(self, frame: NDArray[np.uint8], order: Order) -> Sequence[Features]:
+        """Features of all levels; the next run may overwrite them."""
+        write_planes(frame, order, self._planes[0])
         return self._run(self._planes)
 
     def rows(self, features: Sequence[Features], min_objectness: float) -> NDArray[np.float32]:
-        """The predictions for one frame."""
+        """The predictions for the frame of `features`."""
         return self._shared.compiler.head(features, min_objectness)
 
     def prototypes(self, finest: Features) -> NDArray[np.float32]:
-        """Prototypes (M, h, w) from the features of the finest level, for one frame."""
+        """Prototypes (M, h, w) from the features of the finest level."""
         if self._run_proto is None:
             self._loaded_proto = self._shared.prototypes(finest)
             self._run_proto = self._loaded_proto.new_run()
-        (batch,) = self._run_proto(finest)
-        prototypes: NDArray[np.float32] = batch[0].copy()  # the next run may overwrite them
+        (found,) = self._run_proto(finest)
+        prototypes: NDArray[np.float32] = found[0].copy()  # the next run may overwrite them
         return prototypes
 
 

@@ -59,7 +59,7 @@ class Compiler:
         self.proto = detect.proto if isinstance(detect, Segment) else None
 
     def network(self, shape: Shape, threads: Threads) -> Loaded:
-        """The compiled network for batches of `shape`; raises the engine's errors."""
+        """The compiled network for frames of `shape`; raises the engine's errors."""
         return self._compiled(
             str(shape), lambda: onnx_graph(self._network, shape, self._quantization), threads
         )

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Generic, TypeVar
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 
 Made = TypeVar("Made")
-Shape = tuple[int, int, int]
-"""Number of frames in a batch, their height and their width."""
+Shape = tuple[int, int]
+"""Height and width of a frame."""
 
 KEPT_PER_CAMERA = 2
 MIN_KEPT = 4
@@ -29,25 +26,20 @@ def closed() -> InferenceError:
 
 
 class NetworksByShape(Generic[Made]):
-    """Networks created by `make`, one per batch shape; keeps the `kept` most recently used ones."""
+    """Networks created by `make`, one per shape of frames; keeps the `kept` most recently used ones."""
 
     def __init__(self, make: Callable[[Shape], Made], *, kept: int = MIN_KEPT) -> None:
         self._cache: _ShapeCache[Made] | None = _ShapeCache(make, kept)
 
     @contextmanager
     def running(self, shape: Shape) -> Iterator[Made]:
-        """The network for batches of `shape`; in the block, this thread flushes denormal floats to zero.
+        """The network for frames of `shape`; in the block, this thread flushes denormal floats to zero.
 
         Raises the errors of `make`, and InferenceError once closed.
         """
         cache = self._open()
         with denormals_as_zero():
             yield cache[shape]
-
-    def keep_batches(self, sizes: Collection[int]) -> None:
-        """Free the networks for batches of other `sizes`, except those for single frames."""
-        if self._cache is not None:
-            self._cache.keep_batches({1, *sizes})
 
     def close(self) -> None:
         """Free the networks. Idempotent."""
@@ -77,23 +69,6 @@ class _ShapeCache(Generic[Made]):
             made = self._make(shape)
         self._kept[shape] = made
         return made
-
-    def keep_batches(self, sizes: Collection[int]) -> None:
-        self._kept = {shape: made for shape, made in self._kept.items() if shape[0] in sizes}
-
-
-def shape_of_batch(
-    frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order], min_objectness: Sequence[float]
-) -> Shape:
-    """Number, height and width of `frames`; raises ValueError like `Runtime.run_batch`."""
-    shapes = {frame.shape[:2] for frame in frames}
-    if len(shapes) != 1 or not len(frames) == len(orders) == len(min_objectness):
-        raise ValueError(
-            "A batch needs frames of one shape, each with an order and an objectness, found "
-            f"{len(frames)} of shapes {sorted(shapes)}, {len(orders)} orders, {len(min_objectness)} numbers."
-        )
-    ((height, width),) = shapes
-    return len(frames), height, width
 
 
 @contextmanager

@@ -13,13 +13,11 @@ from yolov5_lifecycle.runtimes.onnx_quantized import QuantizedGraph
 from yolov5_lifecycle.runtimes.quantization import Quantization
 
 
-def onnx_graph(
-    network: Network, shape: tuple[int, int, int], quantization: Quantization | None = None
-) -> bytes:
-    """A serialized ONNX model of a fused `network` for a number of frames, their height and their width.
+def onnx_graph(network: Network, shape: tuple[int, int], quantization: Quantization | None = None) -> bytes:
+    """A serialized ONNX model of a fused `network` for frames of `shape`, their height and width.
 
-    Height and width are multiples of the network's `size_multiple`. The input is uint8 (batch, c, h, w) in
-    0..255, RGB or grey as the network has it. The outputs, float32 (batch, channels, ny, nx), are the inputs
+    Height and width are multiples of the network's `size_multiple`. The input is uint8 (1, c, h, w) in
+    0..255, RGB or grey as the network has it. The outputs, float32 (1, channels, ny, nx), are the inputs
     of the network's last layer, which is not exported. With `quantization` convolutions read and multiply
     integers; raises QuantizationError if it does not fit the network.
     """
@@ -34,9 +32,8 @@ def onnx_graph(
     return graph.serialized([(outputs or [pixels])[source] for source in head.sources])
 
 
-def _graph(network: Network, shape: tuple[int, int, int], quantization: Quantization | None) -> Graph:
-    batch, height, width = shape
-    planes = (batch, network.architecture.image_channels, height, width)
+def _graph(network: Network, shape: tuple[int, int], quantization: Quantization | None) -> Graph:
+    planes = (1, network.architecture.image_channels, *shape)
     if quantization is None:
         return Graph(planes, TensorProto.UINT8)
     activations = quantization.of_modules(network)

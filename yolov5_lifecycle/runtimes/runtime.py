@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -62,21 +62,6 @@ class Runtime(Protocol):
         Their rows, in the order of the network, are all those whose objectness is not below `min_objectness`,
         in [0, 1], up to rounding; which others are returned depends on the runtime. Raises InferenceError.
         """
-
-    def run_batch(
-        self,
-        frames: Sequence[NDArray[np.uint8]],
-        orders: Sequence[Order],
-        min_objectness: Sequence[float],
-    ) -> list[Predictions]:
-        """The predictions for each frame, as a call with it alone returns them up to rounding, in one run.
-
-        Raises ValueError unless there is at least one frame, all of one shape, each with an order
-        and an objectness; InferenceError when the run fails, for all frames together.
-        """
-
-    def keep_batches(self, sizes: Collection[int]) -> None:
-        """Free the networks for batches whose number of frames is not in `sizes`."""
 
     def twin(self) -> Runtime:
         """The same network for another thread, with buffers of its own; it shares only the weights.

@@ -1,4 +1,4 @@
-"""Speed measurement of runtimes and of batches."""
+"""Speed measurement of runtimes."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes.quantization import Quantization
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, RuntimeAbsentError, load_runtime
-from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError, Runtime
+from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 
 _ROUNDS = 9
 _WARM_UPS = 2
 _NOTHING_FOUND = 1.0  # as min_objectness: detections in a grey image must not affect the timing
 _ENOUGH_S = 2.0  # large networks are measured in fewer rounds
-_MAX_BATCHES_S = 4.0
 
 INT8_FIGURES = ("fp32", "int8", "fp32 processor", "int8 processor")
 """Milliseconds, and those of the processor, which another busy process affects less."""
@@ -83,30 +82,6 @@ def measure_int8_ms(
     return wall | {f"{name} processor": each.processor_ms for name, each in taken.items()}
 
 
-def measure_batches_ms(
-    runtime: Runtime,
-    sizes: Sequence[int],
-    *,
-    frames_hw: Sequence[tuple[int, int]],
-    max_s: float = _MAX_BATCHES_S,
-) -> dict[int, float]:
-    """Median milliseconds per frame, the mean of all `frames_hw`, by the number of frames in a batch.
-
-    Measured for single frames and for as many of the ascending `sizes` as fit into about `max_s` seconds. A
-    size that fails is skipped with a warning. Raises DeviceLostError, and InferenceError when single frames
-    fail.
-    """
-    single = _runs(runtime, 1, frames_hw)
-    single_s = min(time_taken(partial(_run_all, single)).wall_ms for _ in range(_WARM_UPS)) / 1e3
-    runs = {1: single}
-    for size in sizes:
-        expected_s = single_s * (sum(runs) + size) * (_WARM_UPS + 1)
-        if expected_s < max_s and _is_warm(batches := _runs(runtime, size, frames_hw)):
-            runs[size] = batches
-    taken = _take_turns({size: partial(_run_all, batches) for size, batches in runs.items()})
-    return {size: round(each.wall_ms / (size * len(frames_hw)), 2) for size, each in taken.items()}
-
-
 def measure_lanes_ms(
     whole: Runtime, lanes: Sequence[Runtime], *, frames_hw: Sequence[tuple[int, int]]
 ) -> tuple[float, float]:
@@ -114,8 +89,8 @@ def measure_lanes_ms(
 
     The runtimes are warm. Raises InferenceError.
     """
-    alone = partial(_run_all, _runs(whole, 1, frames_hw))
-    of_lanes = [partial(_run_all, _runs(lane, 1, frames_hw)) for lane in lanes]
+    alone = partial(_run_all, _runs(whole, frames_hw))
+    of_lanes = [partial(_run_all, _runs(lane, frames_hw)) for lane in lanes]
     with ThreadPoolExecutor(len(lanes)) as threads:
         taken = _take_turns(
             {"whole": alone, "lanes": lambda: [*threads.map(lambda run: run(), of_lanes)]},
@@ -137,25 +112,9 @@ def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uin
     return runtime
 
 
-def _runs(runtime: Runtime, size: int, frames_hw: Sequence[tuple[int, int]]) -> list[Run]:
-    """One run of a batch of `size` grey frames for each of `frames_hw`."""
-    return [
-        partial(runtime.run_batch, [_grey(frame_hw)] * size, ["rgb"] * size, [_NOTHING_FOUND] * size)
-        for frame_hw in frames_hw
-    ]
-
-
-def _is_warm(batches: Sequence[Run]) -> bool:
-    """Run `batches`; return whether that succeeded, else log a warning."""
-    try:
-        for _ in range(_WARM_UPS):
-            _run_all(batches)
-    except DeviceLostError:
-        raise
-    except InferenceError as error:
-        _log.warning("A batch size was not measured, because it failed: %s", error)
-        return False
-    return True
+def _runs(runtime: Runtime, frames_hw: Sequence[tuple[int, int]]) -> list[Run]:
+    """A run with a grey frame for each of `frames_hw`."""
+    return [partial(runtime, _grey(frame_hw), "rgb", _NOTHING_FOUND) for frame_hw in frames_hw]
 
 
 def _run_all(runs: Iterable[Run]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -22,7 +22,6 @@ from yolov5_lifecycle.runtimes.networks_by_shape import (
     NetworksByShape,
     Shape,
     closed,
-    shape_of_batch,
 )
 from yolov5_lifecycle.runtimes.recorded_network import Forward, RecordedNetwork
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError, Predictions
@@ -102,28 +101,16 @@ class TorchRuntime:
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         """See `Runtime`; DeviceLostError when CUDA no longer works in this process."""
-        (predictions,) = self.run_batch((frame,), (order,), (min_objectness,))
-        return predictions
+        shape = frame.shape[0], frame.shape[1]
 
-    def run_batch(
-        self,
-        frames: Sequence[NDArray[np.uint8]],
-        orders: Sequence[Order],
-        min_objectness: Sequence[float],
-    ) -> list[Predictions]:
-        """See `Runtime`; DeviceLostError when CUDA no longer works in this process."""
-        shape = shape_of_batch(frames, orders, min_objectness)
-
-        def predict(forward: Forward) -> list[Predictions]:
-            raw, finest, coarsest = forward(_stacked(frames, orders, self._channels))
-            return [
-                Predictions(
-                    _likely(rows, least),
-                    self._prototypes(shape, finest[index : index + 1]),
-                    self._embedding(shape, coarsest[index]),
-                )
-                for index, (rows, least) in enumerate(zip(raw, min_objectness, strict=True))
-            ]
+        def predict(forward: Forward) -> Predictions:
+            pixels = torch.from_numpy(_as_channels(frame, order, self._channels))
+            (raw,), finest, coarsest = forward(pixels.unsqueeze(0))
+            return Predictions(
+                _likely(raw, min_objectness),
+                self._prototypes(shape, finest),
+                self._embedding(shape, coarsest[0]),
+            )
 
         return self._using(shape, predict)
 
@@ -138,7 +125,7 @@ class TorchRuntime:
         return lambda: self._using(shape, lambda _: coarsest.float().mean(dim=(1, 2)).cpu().numpy())
 
     def _using(self, shape: Shape, use: Callable[[Forward], Result]) -> Result:
-        """The result of `use` on the network for batches of `shape`; torch errors become InferenceError."""
+        """The result of `use` on the network for frames of `shape`; torch errors become InferenceError."""
         try:
             with torch.inference_mode(), _threads(self._threads), self._forwards.running(shape) as forward:
                 return use(forward)
@@ -148,12 +135,8 @@ class TorchRuntime:
             problem = f"{_first_line(error)} Use a smaller image_size or model."
         except RuntimeError as error:
             problem = _first_line(error)
-        # The tensors of this batch are freed only outside the except block (pytorch/pytorch#18853).
+        # The tensors of this frame are freed only outside the except block (pytorch/pytorch#18853).
         raise self._failure(problem)
-
-    def keep_batches(self, sizes: Collection[int]) -> None:
-        """See `Runtime`."""
-        self._forwards.keep_batches(sizes)
 
     def twin(self) -> TorchRuntime:
         """See `Runtime`."""
@@ -163,8 +146,7 @@ class TorchRuntime:
         """See `Runtime`; from now on this one uses as many threads as torch does in the calling thread."""
         if self._device.type != "cpu":
             raise DeviceError(
-                f"Device '{self._device}' runs one frame at a time: set parallel_frames to 0 or 1, and "
-                "max_batch for frames of several cameras."
+                f"Device '{self._device}' runs one frame at a time: set parallel_frames to 0 or 1."
             )
         total = torch.get_num_threads()
         self._threads = (total, total)  # a thread that begins while a lane runs has the number of the lane
@@ -206,15 +188,6 @@ def _threads(of_run_and_after: tuple[int, int] | None) -> Iterator[None]:
         torch.set_num_threads(after)
 
 
-def _stacked(frames: Sequence[NDArray[np.uint8]], orders: Sequence[Order], channels: int) -> Tensor:
-    """Frames as one tensor (batch, h, w, channels); a single one that fits is not copied."""
-    fitting = [
-        torch.from_numpy(_as_channels(frame, order, channels))
-        for frame, order in zip(frames, orders, strict=True)
-    ]
-    return torch.stack(fitting) if len(fitting) > 1 else fitting[0].unsqueeze(0)
-
-
 def _as_channels(frame: NDArray[np.uint8], order: Order, channels: int) -> NDArray[np.uint8]:
     """A frame (h, w, 3), or (h, w) if it is grey, as (h, w, 3) RGB or as (h, w, 1) grey; copied if needed."""
     if channels == 1:
@@ -224,7 +197,7 @@ def _as_channels(frame: NDArray[np.uint8], order: Order, channels: int) -> NDArr
 
 
 def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: torch.dtype) -> Forward:
-    """Forward pass of `network` on uint8 frames (batch, h, w, channels), as a CUDA graph where possible."""
+    """Forward pass of `network` on uint8 frames (1, h, w, channels), as a CUDA graph where possible."""
 
     def eager(frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         # The frames are channels-last already.
@@ -235,7 +208,7 @@ def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: tor
     if device.type != "cuda":
         return eager
     try:
-        return RecordedNetwork(eager, (*shape, network.architecture.image_channels), device)
+        return RecordedNetwork(eager, (1, *shape, network.architecture.image_channels), device)
     except RuntimeError as error:
         problem = _first_line(error.__context__ or error)  # the latter may only mention an earlier error
     _log.warning("The network runs without a CUDA graph, because capturing one failed: %s", problem)

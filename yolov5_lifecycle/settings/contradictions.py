@@ -29,14 +29,6 @@ def not_above(name: str, value: float, bound: str, most: float) -> Problem:
     return Problem(name, f"{value:g} is above {bound}, {most:g}. Lower it, or raise the other.")
 
 
-def either_parallel_or_batches(parallel_frames: int) -> str:
-    """Why that number of `parallel_frames` contradicts max_batch."""
-    return (
-        f"{parallel_frames} frames at the same time leave none for batches. Set max_batch to 1, or "
-        "parallel_frames to 0 or 1."
-    )
-
-
 def without_scipy(tracker: str, absence: str) -> Problem:
     """The `tracker` needs scipy, of which `absence` says why it cannot be used and how to install it."""
     reason = f"'{tracker}' needs scipy. {absence.rstrip('.')}, or use the tracker 'none'."

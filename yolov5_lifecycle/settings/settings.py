@@ -16,7 +16,6 @@ from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.camera_overrides import OverridableSchema, overrides_of
 from yolov5_lifecycle.settings.contradictions import (
-    either_parallel_or_batches,
     not_above,
     precision_rule,
     without_folder,
@@ -175,13 +174,6 @@ class Settings(BaseModel):
         description="Names of several cameras that share the model: detections in ~/NAME/image_raw are "
         "published on ~/NAME/detections, and NAME.max_rate overrides max_rate for one camera. Empty: one "
         "camera, ~/image_raw.",
-    )
-    max_batch: Annotated[int, Change.RELOAD] = Field(
-        1,
-        ge=1,
-        le=64,
-        description="Maximum number of frames, of cameras with the same network input size, that run as one "
-        "batch if that was measured to be faster. 1: no batches.",
     )
     parallel_frames: Annotated[int, Change.RELOAD] = Field(
         0,
@@ -355,17 +347,12 @@ class Settings(BaseModel):
         return Settings.model_construct(**{**dict(self), "cameras": (), **own})
 
     def differing(self, other: Settings, change: Change) -> list[str]:
-        """Names of the settings and overrides whose `Change` is `change` and whose values differ.
-
-        With `max_batch`, a change of `cameras` is a reload: the speed of batches is measured for them.
-        """
+        """Names of the settings and overrides whose `Change` is `change` and whose values differ."""
         names = [
             setting.name
             for setting in SETTINGS
             if setting.change is change and getattr(self, setting.name) != getattr(other, setting.name)
         ]
-        if change is Change.RELOAD and other.max_batch > 1 and self.cameras != other.cameras:
-            names.append("cameras")
         if self.overrides == other.overrides:
             return names
         return names + SCHEMA.differing(self.overrides, other.overrides, change)
@@ -395,8 +382,6 @@ def _contradictions(settings: Settings) -> list[Problem]:
     if settings.image_size % stride and not settings.weights:
         whose = f"model_size '{settings.model_size}'"
         problems.append(Problem("image_size", image_size_problem(settings.image_size, stride, whose=whose)))
-    if settings.parallel_frames > 1 and settings.max_batch > 1:
-        problems.append(Problem("parallel_frames", either_parallel_or_batches(settings.parallel_frames)))
     low, high = settings.track_low_threshold, settings.track_high_threshold
     if low > high:
         problems.append(not_above("track_low_threshold", low, "track_high_threshold", high))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, Generic
 
 from yolov5_lifecycle.streaming.frame_statistics import FrameCounter, Outcome
-from yolov5_lifecycle.streaming.pipeline import Batch, Frame, Networks, Pipeline, Result
+from yolov5_lifecycle.streaming.pipeline import Frame, Networks, Pipeline, Result
 
 
 class RateLimit:
@@ -84,51 +84,30 @@ class Slot(Generic[Frame, Result]):
         """The job in progress, if any."""
         return [self.job] if self.job else []
 
-    def turn(self) -> Turn[Frame, Result]:
-        """The waiting frame with the current pipeline; for a slot that has a frame and is not stopped."""
+    def begin(self, network: Any, begun_s: float, number: int) -> Job[Frame, Result]:
+        """The job of the waiting frame in `network`, as turn `number`, see `last_turn`; not while stopped."""
         assert self.pipeline is not None, "a stopped slot has no turn"
         assert self.frame is not None, "a slot without a frame has no turn"
-        return Turn(self, self.pipeline, self.frame)
-
-    def begin(self, job: Job[Frame, Result], number: int) -> None:
-        """Hand the waiting frame over to `job`, as turn `number`; see `last_turn`."""
+        self.job = Job(self, self.pipeline, self.pipeline.networks, self.frame, network, begun_s)
         self.frame = None
-        self.job = job
         self.last_turn = number
-
-
-@dataclass(eq=False, slots=True)
-class Turn(Generic[Frame, Result]):
-    """Processing of one frame of `slot`: its pipeline and its outcome."""
-
-    slot: Slot[Frame, Result]
-    pipeline: Pipeline[Frame, Result]
-    frame: Frame
-    outcome: Outcome = Outcome.DETECTED
-    error: Exception | None = None
-    has_sent: bool = False
-    """Whether its first message, the detections, was sent or is being sent."""
-
-    def fail(self, outcome: Outcome, error: Exception) -> None:
-        self.outcome = outcome
-        self.error = error
-
-    def report(self) -> None:
-        """Call `on_success` or `on_failure`; without the lock, after the frame was counted."""
-        if self.error is None:
-            self.slot.on_success()
-        else:
-            self.slot.on_failure(self.outcome, self.error)
+        return self.job
 
 
 @dataclass(eq=False, slots=True)
 class Job(Generic[Frame, Result]):
-    """One frame or batch that a thread has processed in `network` since `begun_s` (monotonic seconds)."""
+    """A frame of `slot` that a thread has processed in `network` since `begun_s` (monotonic seconds)."""
 
-    turns: Sequence[Turn[Frame, Result]]
+    slot: Slot[Frame, Result]
+    pipeline: Pipeline[Frame, Result]
     networks: Networks
+    frame: Frame
     network: Any
     begun_s: float
+    outcome: Outcome = Outcome.DETECTED
+    error: Exception | None = None
+    has_sent: bool = False
+    """Whether its first message, the detections, was sent or is being sent."""
     awaited_s: float | None = None
     """When the first wait for its end began, None before that."""
     is_abandoned: bool = False
@@ -138,25 +117,22 @@ class Job(Generic[Frame, Result]):
         """Whether no other job may begin, because this one may use all processors."""
         return self.network is self.networks.whole
 
-    def detect(self) -> Sequence[Result | Exception]:
-        """One result for each turn; raises ValueError if the batch returns another number of them."""
-        if len(self.turns) == 1:
-            (turn,) = self.turns
-            return [turn.pipeline.detect(turn.frame, self.network)]
-        assert self.networks.batch is not None, "several frames are a batch"
-        results = self.networks.batch.detect([(turn.pipeline, turn.frame) for turn in self.turns])
-        if len(results) != len(self.turns):
-            raise ValueError(
-                f"a batch of {len(self.turns)} frames returned {len(results)} results; expected one each"
-            )
-        return results
+    def fail(self, outcome: Outcome, error: Exception) -> None:
+        self.outcome = outcome
+        self.error = error
 
     def abandon(self) -> None:
-        """Fail the frames whose detections were not sent; the others count as detected."""
+        """Fail the frame unless its detections were sent; then it counts as detected."""
         self.is_abandoned = True
-        for turn in self.turns:
-            if turn.error is None and not turn.has_sent:
-                turn.outcome = Outcome.FAILED
+        if self.error is None and not self.has_sent:
+            self.outcome = Outcome.FAILED
+
+    def report(self) -> None:
+        """Call `on_success` or `on_failure`; without the lock, after the frame was counted."""
+        if self.error is None:
+            self.slot.on_success()
+        else:
+            self.slot.on_failure(self.outcome, self.error)
 
 
 class Schedule(Generic[Frame, Result]):
@@ -200,11 +176,12 @@ class Schedule(Generic[Frame, Result]):
             return None
         ready = sorted((slot for slot in self.waiting if slot.job is None), key=attrgetter("last_turn"))
         for slot in ready:
-            networks = slot.turn().pipeline.networks
-            network = self._free_network(networks, is_only_one=len(ready) == 1 and not self.jobs)
+            assert slot.pipeline is not None, "a stopped slot waits for nothing"
+            network = self._free_network(
+                slot.pipeline.networks, is_only_one=len(ready) == 1 and not self.jobs
+            )
             if network is not None:
-                together = self._together(slot, ready) if network is networks.whole else [slot]
-                return self._begun(together, networks, network)
+                return self._begun(slot, network)
         return None
 
     def _free_network(self, networks: Networks, *, is_only_one: bool) -> Any:
@@ -221,15 +198,11 @@ class Schedule(Generic[Frame, Result]):
         used = [job.network for job in (*self.jobs, *self._abandoned)]
         return next((each for each in candidates if not any(each is other for other in used)), None)
 
-    def _begun(
-        self, slots: Sequence[Slot[Frame, Result]], networks: Networks, network: Any
-    ) -> Job[Frame, Result]:
-        job = Job([slot.turn() for slot in slots], networks, network, self.clock())
+    def _begun(self, slot: Slot[Frame, Result], network: Any) -> Job[Frame, Result]:
+        self._turns += 1
+        job = slot.begin(network, self.clock(), self._turns)
         self.jobs.append(job)
-        for slot in slots:
-            self._turns += 1
-            slot.begin(job, self._turns)
-            del self.waiting[slot]
+        del self.waiting[slot]
         return job
 
     def end(self, job: Job[Frame, Result]) -> None:
@@ -240,10 +213,9 @@ class Schedule(Generic[Frame, Result]):
             self._finish(job)
 
     def _finish(self, job: Job[Frame, Result]) -> None:
-        """Count the frames of `job` with their outcomes."""
-        for turn in job.turns:
-            turn.slot.counter.finish(turn.outcome)
-            turn.slot.job = None
+        """Count the frame of `job` with its outcome."""
+        job.slot.counter.finish(job.outcome)
+        job.slot.job = None
         self.jobs.remove(job)
         self._ended.notify_all()
 
@@ -278,28 +250,3 @@ class Schedule(Generic[Frame, Result]):
     def keeps_any(self, networks: Networks) -> bool:
         """Whether an abandoned job keeps one of `networks`."""
         return any(job.networks is networks for job in self._abandoned)
-
-    def _together(
-        self, first: Slot[Frame, Result], ready: Sequence[Slot[Frame, Result]]
-    ) -> Sequence[Slot[Frame, Result]]:
-        """`first`, and of the `ready` slots in their order those whose frames may run in a batch with it."""
-        networks = first.turn().pipeline.networks
-        batch, slots = networks.batch, [first]
-        if batch is None or len(ready) == 1 or (key := _key(batch, first)) is None:
-            return slots
-        for slot in ready:
-            if len(slots) >= batch.max_size:
-                break
-            has_same_networks = slot.turn().pipeline.networks is networks
-            if slot is not first and has_same_networks and _key(batch, slot) == key:
-                slots.append(slot)
-        return slots
-
-
-def _key(batch: Batch, slot: Slot[Frame, Result]) -> Hashable | None:
-    """The key of the waiting frame in `slot`, None if it has none."""
-    turn = slot.turn()
-    try:
-        return batch.key(turn.pipeline, turn.frame)
-    except Exception:  # noqa: BLE001 - `detect` reports the problem of the frame
-        return None

@@ -11,7 +11,7 @@ from typing import Generic
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, Outcome
 from yolov5_lifecycle.streaming.pipeline import Frame, Networks, Pipeline, Result
-from yolov5_lifecycle.streaming.schedule import Job, Schedule, Slot, Turn
+from yolov5_lifecycle.streaming.schedule import Job, Schedule, Slot
 
 MAX_ABANDONED_THREADS = 3
 """Each holds the memory of its model and image; beyond this limit, restart the process."""
@@ -137,13 +137,12 @@ class Worker(Generic[Frame, Result]):
             self.begin_jobs()
 
     def _end(self, lane: Lane[Frame, Result], job: Job[Frame, Result]) -> None:
-        """Count and report the frames of `job`, in the thread of `lane`, which is idle then."""
+        """Count and report the frame of `job`, in the thread of `lane`, which is idle then."""
         with self._lock:
             self._schedule.end(job)
             lane.job = None
         if not job.is_abandoned:
-            for turn in job.turns:
-                turn.report()
+            job.report()
         with self._lock:
             if lane in self._lanes:
                 self._idle.append(lane)
@@ -194,34 +193,21 @@ class Lane(Generic[Frame, Result]):
             return self.job
 
     def _work(self, job: Job[Frame, Result]) -> None:
+        """Detect in the frame of `job`, compute and send its messages, until it is abandoned."""
         try:
-            results = job.detect()
-        except Exception as error:  # noqa: BLE001 - counted and reported; the next frame is processed
-            for turn in job.turns:
-                turn.fail(_outcome(error) if len(job.turns) == 1 else Outcome.FAILED, error)
-            return
-        for turn, result in zip(job.turns, results, strict=True):
-            self._publish(job, turn, result)
-
-    def _publish(
-        self, job: Job[Frame, Result], turn: Turn[Frame, Result], result: Result | Exception
-    ) -> None:
-        """Compute and send the messages of `result`, until `job` is abandoned."""
-        if job.is_abandoned:
-            return
-        try:
-            if isinstance(result, Exception):
-                raise result
-            for send in turn.pipeline.messages(result):
-                if not self._may_send(job, turn):
+            result = job.pipeline.detect(job.frame, job.network)
+            if job.is_abandoned:
+                return
+            for send in job.pipeline.messages(result):
+                if not self._may_send(job):
                     return
                 send()
-        except Exception as error:  # noqa: BLE001 - likewise
-            turn.fail(_outcome(error), error)
+        except Exception as error:  # noqa: BLE001 - counted and reported; the next frame is processed
+            job.fail(_outcome(error), error)
 
-    def _may_send(self, job: Job[Frame, Result], turn: Turn[Frame, Result]) -> bool:
+    def _may_send(self, job: Job[Frame, Result]) -> bool:
         with self._lock:
-            turn.has_sent |= not job.is_abandoned
+            job.has_sent |= not job.is_abandoned
             return not job.is_abandoned
 
 
@@ -268,7 +254,7 @@ class Feed(Generic[Frame, Result]):
         """Stop after the current frame of this feed and flush the waiting one; True when it ended in time.
 
         False: the thread hung and was abandoned; a new one serves the other feeds with the networks that are
-        free. The frames of a batch hang together.
+        free.
         """
         with self._lock:
             self._schedule.stop([self._slot])

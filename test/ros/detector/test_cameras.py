@@ -14,7 +14,7 @@ from support.camera_client import CameraClient
 from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
 
-from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Batches
+from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 
@@ -314,48 +314,6 @@ def test_a_camera_whose_frame_hangs_can_be_removed_and_the_others_go_on(
     served.wait_for_log(f"inference did not end within {REST_TIMEOUT_S:g} s")
     assert class_ids_of(cameras["rear"].detect()) == ["dog"]
     released.set()
-
-
-def test_frames_that_wait_together_run_as_one_batch_each_with_its_own_settings(
-    served: ServedNode, prepare: Preparations, cameras: dict[str, CameraClient]
-) -> None:
-    prepare.batches = Batches((2,), "of 2: scripted")
-    served.bring_to("active")
-    assert served.set(**{"rear.confidence_threshold": 0.95}) == (True, "")
-    front, rear = cameras["front"], cameras["rear"]
-    for camera in (front, rear):
-        camera.detect()
-        camera.wait_for(camera.send())
-    runs, released = threading.Event(), threading.Event()
-
-    def run_once_released() -> np.ndarray:
-        runs.set()
-        assert released.wait(PATIENCE_S)
-        return prediction("cat", 0.9)
-
-    prepare.running.run = run_once_released
-    served.wait_for(lambda: bool(front.send()) and runs.is_set(), "a frame in progress")
-    seconds = front.send(), rear.send()
-    served.wait_for(lambda: (front.counts()["pending"], rear.counts()["pending"]) == (2, 1), "both to wait")
-    prepare.running.batches.clear()
-    released.set()
-    for camera, sec in zip((front, rear), seconds, strict=True):
-        camera.wait_for(sec)
-    assert prepare.running.batches == [2]
-    assert [class_ids_of(camera.detections[-1]) for camera in (front, rear)] == [["cat"], []]
-    assert [camera.counts()["pending"] for camera in (front, rear)] == [0, 0]
-
-
-def test_other_cameras_are_measured_again_if_frames_may_run_in_batches(
-    served: ServedNode, prepare: Preparations
-) -> None:
-    served.bring_to("active")
-    assert served.set(cameras=["front", "left"]) == (True, "")
-    assert len(prepare.sizes_hw) == 1
-    assert served.set(max_batch=2) == (True, "")
-    assert served.set(cameras=["front", "left", "rear"]) == (True, "")
-    assert [len(sizes_hw) for sizes_hw in prepare.sizes_hw] == [2, 2, 3]
-    assert class_ids_of(CameraClient(served, "left").detect()) == ["cat"]
 
 
 def test_ids_of_tracks_are_unique_among_cameras(served: ServedNode, cameras: dict[str, CameraClient]) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from support.camera_client import CameraClient
 from support.preparations import Preparations
 from support.segmented_scene import (
@@ -17,17 +15,13 @@ from support.segmented_scene import (
     SegmentingModel,
     labels,
     pixels,
-    rows,
 )
-from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
+from support.served_node import ServedNode, class_ids_of, image
 from vision_msgs.msg import Detection2DArray
-
-from yolov5_lifecycle.detection.detector import Batches
 
 
 @pytest.fixture
 def model(prepare: Preparations) -> SegmentingModel:
-    prepare.batches = Batches((2,), "of 2: scripted")
     return SegmentingModel(prepare)
 
 
@@ -100,41 +94,6 @@ def test_masks_are_computed_for_the_camera_alone_whose_masks_are_asked_for(
     assert model.computed == before
     masks.of(detect(front).header)
     assert model.computed == before + 1
-
-
-@pytest.mark.parametrize("asked", [("front",), ("front", "rear")], ids=["for one", "for both"])
-def test_in_a_batch_masks_are_computed_for_the_cameras_whose_masks_are_asked_for(
-    served: ServedNode,
-    prepare: Preparations,
-    front: CameraClient,
-    rear: CameraClient,
-    model: SegmentingModel,
-    asked: tuple[str, ...],
-) -> None:
-    begin(front, rear)
-    masks = {camera.name: masks_of(camera) for camera in (front, rear) if camera.name in asked}
-    runs, released = threading.Event(), threading.Event()
-
-    def run_once_released() -> NDArray[np.float32]:
-        runs.set()
-        assert released.wait(PATIENCE_S)
-        return rows(0.9, 0.8)
-
-    prepare.running.run = run_once_released
-    front.send(image(*SIZE_HW))
-    served.wait_for(runs.is_set, "a frame in progress")
-    seconds = {camera: camera.send(image(*SIZE_HW)) for camera in (front, rear)}
-    served.wait_for(lambda: (front.counts()["pending"], rear.counts()["pending"]) == (2, 1), "both to wait")
-    prepare.running.batches.clear()
-    before = model.computed
-    released.set()
-    for camera, sec in seconds.items():
-        camera.wait_for(sec)
-        if camera.name in asked:
-            message = masks[camera.name].of(camera.detections[-1].header)
-            np.testing.assert_array_equal(pixels(message), labels())
-    assert prepare.running.batches == [2]
-    assert model.computed == before + 1 + len(asked), "the frame in progress, then the batch"
 
 
 def test_a_model_that_does_not_segment_is_told_of_the_camera_whose_masks_are_asked_for(

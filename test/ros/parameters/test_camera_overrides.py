@@ -210,7 +210,7 @@ def proposed(parameters: SettingsParameters, **values: Any) -> Any:
         pytest.param({"front__max_rate": 5.0}, Change.LIVE, id="live"),
         pytest.param({"front__depth": True, "front__max_rate": 5.0}, Change.RESUBSCRIBE, id="resubscribe"),
         pytest.param({"cameras": ["front"], "front__depth": True}, Change.CAMERAS, id="cameras"),
-        pytest.param({"cameras": ["front"], "max_batch": 2}, Change.RELOAD, id="reload"),
+        pytest.param({"cameras": ["front"], "parallel_frames": 2}, Change.RELOAD, id="reload"),
         pytest.param({"front__max_rate": None}, None, id="nothing"),
     ],
 )

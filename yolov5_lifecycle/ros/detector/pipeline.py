@@ -65,10 +65,10 @@ class CameraPipeline:
 
     def detect(self, frame: ReceivedFrame, network: Detector) -> DetectedFrame:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
-        image = self.begin(frame)
+        image = self._read(frame)
         return DetectedFrame(frame, image, network.detect(image, self.wanted))
 
-    def begin(self, frame: ReceivedFrame) -> ColourImage:
+    def _read(self, frame: ReceivedFrame) -> ColourImage:
         """Read the image of `frame`; note its size, and keep the depth image nearest to it.
 
         Raises ImageError for an unreadable one, which changes nothing.

@@ -11,7 +11,6 @@ from vision_msgs.msg import LabelInfo, VisionClass
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems
-from yolov5_lifecycle.ros.detector.batch_detection import BatchDetection
 from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.model_loader import Preparation
@@ -137,8 +136,7 @@ class Session:
         """Those in use if they are of `model`, else new ones."""
         if self.networks is not None and self.networks.whole is model.detector:
             return self.networks
-        batch = BatchDetection(model.detector) if model.detector.batch_sizes else None
-        return Networks(model.detector, model.lanes.detectors, batch, model.weights_sha256)
+        return Networks(model.detector, model.lanes.detectors, model.weights_sha256)
 
 
 def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:
