@@ -95,9 +95,6 @@ class FaultyRuntime:
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         return _with_fault(frame, self._runtime(frame, order, min_objectness))
 
-    def twin(self) -> FaultyRuntime:
-        return FaultyRuntime(self._runtime.twin())
-
     def lanes(self, count: int, threads: int) -> list[FaultyRuntime]:
         return [FaultyRuntime(lane) for lane in self._runtime.lanes(count, threads)]
 

@@ -32,7 +32,7 @@ HEIGHT, WIDTH = USUAL_SOURCE_HW
         pytest.param(TROUBLESHOOTING, camera_names_rule(["2nd"], ()), id="name-refused"),
         pytest.param(CAMERAS_PAGE, f"`max_consecutive_failures` ({FAILURES})", id="failures"),
         pytest.param(CAMERAS_PAGE, f"WARN after {SLOW_S:g} s", id="slow"),
-        pytest.param(CAMERAS_PAGE, f"after {REST_TIMEOUT_S:g} s its thread is abandoned", id="hung"),
+        pytest.param(CAMERAS_PAGE, f"waits for it for {REST_TIMEOUT_S:g} s", id="hung"),
         pytest.param(REFERENCE, abandoned(REST_TIMEOUT_S), id="hung-in-log"),
         pytest.param(
             REFERENCE, f"{NUMBERS[MAX_ABANDONED_THREADS + 1]} inference threads hang", id="abandoned-threads"
@@ -58,7 +58,7 @@ def test_the_page_shows_the_refusal_of_its_wrong_file(tmp_path: Path) -> None:
     with ServedNode(Preparations(), arguments=["--ros-args", "--params-file", str(file)]) as served:
         assert not served.transition("configure")
         assert served.status().message == told
-        done, remark = served.set(**{"side.max_rate": 5.0})
+        done, remark = served.set(**{"left.max_rate": 5.0})
     assert done
     assert f"*Set parameter successful: {remark}*" in " ".join(section.split())
 

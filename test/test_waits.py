@@ -18,7 +18,6 @@ ALLOWED = {
     "streaming.worker._next_job": "the inference thread itself waits for work",
     "ros.detector.session.model": f"{DONE}, unless a program activates the node without its executor",
     "ros.detector.session.apply": DONE,
-    "ros.detector.managed_resources._renew": DONE,
     "ros.detector.model_loader.load": DONE,
     "ros.detector.reconfiguration._reload_now": DONE,
     "ros.detector.reconfiguration._replace": DONE,

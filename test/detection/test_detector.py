@@ -211,23 +211,3 @@ def test_threads_that_share_a_detector_get_what_one_gets(runtime: str) -> None:
 
     with ThreadPoolExecutor(2) as threads:
         assert list(threads.map(detect_all, range(2))) == [True, True]
-
-
-def test_a_twin_detects_while_another_thread_is_inside_the_detector() -> None:
-    entered, release = threading.Event(), threading.Event()
-
-    def hang() -> NDArray[np.float32]:
-        entered.set()
-        assert release.wait(PATIENCE_S)
-        return rows()
-
-    runtime = ScriptedRuntime(hang)
-    detector = detector_of(runtime)
-    twin = detector.twin()
-    runtime.twins[0].run = lambda: rows(row(32, 32, 16, 16, 1, 0, 0))
-    with ThreadPoolExecutor(1) as thread:
-        hung = thread.submit(detector.detect, random_image(64, 64), EVERYTHING)
-        assert entered.wait(PATIENCE_S)
-        assert len(twin.detect(random_image(64, 64), EVERYTHING)) == 1
-        release.set()
-        assert len(hung.result(PATIENCE_S)) == 0

@@ -85,7 +85,7 @@ def test_the_fastest_number_of_lanes_is_used_and_the_others_are_freed(
     assert len(lanes.detectors) == count
     assert lanes.reason.startswith(f"{max(1, count)}: 2 at once {together_ms[2]:.1f} ms a frame")
     runtime: Any = detector.runtime
-    assert [twin for twin in runtime.twins if not twin.is_closed] == [
+    assert [lane for lane in runtime.made_lanes if not lane.is_closed] == [
         each.runtime for each in lanes.detectors
     ]
 
@@ -164,7 +164,7 @@ def test_lanes_that_fail_are_freed() -> None:
     runtime.run = fail
     with pytest.raises(InferenceError, match="out of memory"):
         chosen(detector, with_cameras(2, parallel_frames=2), {})
-    assert [twin.is_closed for twin in runtime.twins] == [True, True]
+    assert [lane.is_closed for lane in runtime.made_lanes] == [True, True]
 
 
 @pytest.mark.long

@@ -63,32 +63,6 @@ def test_a_closed_runtime_says_so_and_may_be_closed_again(runtime: Runtime) -> N
 
 
 @pytest.mark.long
-def test_a_twin_gives_the_same_predictions_at_the_same_time(runtime: Runtime) -> None:
-    """With one network for both threads, OpenVINO raises and ONNX Runtime gives wrong numbers."""
-    frames = [np.roll(random_frame(), shift, axis=0) for shift in range(4)]
-    expected = [runtime(frame, "rgb").rows for frame in frames]
-    together = threading.Barrier(2)
-
-    def run(each: Runtime) -> bool:
-        together.wait(PATIENCE_S)
-        return all(
-            np.array_equal(each(frames[index % 4], "rgb").rows, expected[index % 4]) for index in range(200)
-        )
-
-    with ThreadPoolExecutor(2) as threads:
-        assert list(threads.map(run, (runtime, runtime.twin()))) == [True, True]
-
-
-@pytest.mark.long
-def test_a_twin_outlives_the_runtime_that_it_comes_from(runtime: Runtime) -> None:
-    expected, twin = runtime(random_frame(), "rgb").rows, runtime.twin()
-    runtime.close()
-    np.testing.assert_array_equal(twin(random_frame(), "rgb").rows, expected)
-    with pytest.raises(InferenceError, match="closed"):
-        runtime.twin()
-
-
-@pytest.mark.long
 def test_lanes_give_the_same_predictions_at_the_same_time(runtime: Runtime) -> None:
     frames = [np.roll(random_frame(), shift, axis=0) for shift in range(4)]
     first, *others = runtime.lanes(3, threads=1)

@@ -136,7 +136,7 @@ def test_what_changes_for_one_camera_leaves_the_others_equal() -> None:
         pytest.param({}, Change.LIVE, ["front.max_rate"], id="removed"),
         pytest.param({"front.max_rate": 1.0}, Change.LIVE, [], id="equal"),
         pytest.param({"rear.depth": True}, Change.RESUBSCRIBE, ["rear.depth"], id="resubscribed"),
-        pytest.param({"cameras": ("front",)}, Change.CAMERAS, ["cameras"], id="cameras"),
+        pytest.param({"cameras": ("front",)}, Change.CONFIGURE, ["cameras"], id="cameras"),
         pytest.param({"parallel_frames": 2}, Change.RELOAD, ["parallel_frames"], id="lanes"),
     ],
 )

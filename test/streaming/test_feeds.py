@@ -110,26 +110,13 @@ def test_a_failure_is_reported_to_its_camera(cameras: Cameras) -> None:
     assert second.failures == [(Outcome.FAILED, "zero")]
 
 
-def test_a_stop_does_not_wait_for_the_frame_of_another_camera(cameras: Cameras) -> None:
-    first, second, _ = cameras.all
-    first.hold(1)
-    second.offer(2)
-    assert second.frames.stop(0.0)
-    assert second.counts() == {Outcome.FLUSHED: 1}
-    assert first.frames.balance().pending == 1
-    first.gate.set()
-    first.wait()
-    assert second.published == []
-
-
-def test_the_other_cameras_go_on_in_a_new_thread_after_one_hung(cameras: Cameras) -> None:
+def test_after_a_hang_the_cameras_go_on_in_a_new_thread(cameras: Cameras) -> None:
     first, second, third = cameras.all
     first.hold(1)
-    second.offer(2)
-    third.offer(3)
-    assert not first.frames.stop(0.01)
-    second.wait()
-    third.wait()
+    assert not cameras.worker.stop(0.01)
+    for number, camera in enumerate((second, third), start=2):
+        camera.frames.start(camera)
+        camera.feed(number)
     assert (second.published, third.published) == ([2], [3])
     assert first.counts() == {Outcome.FAILED: 1}
     assert cameras.worker.abandoned_threads() == 1
@@ -142,40 +129,11 @@ def test_the_other_cameras_go_on_in_a_new_thread_after_one_hung(cameras: Cameras
     assert first.counts() == {Outcome.FAILED: 1}
 
 
-def test_frames_wait_while_an_abandoned_thread_keeps_their_network(cameras: Cameras) -> None:
-    first, second, third = cameras.all
-    second.networks = first.networks
-    first.hold(1)
-    assert not first.frames.stop(0.01)
-    assert cameras.worker.keeps_any(second.networks)
-    assert not cameras.worker.keeps_any(third.networks)
-    second.offer(2)
-    second.offer(3)
-    third.feed(4)
-    assert second.counts() == {Outcome.STALE: 1}
-    first.gate.set()
-    second.wait()
-    assert second.published == [3]
-    assert not cameras.worker.keeps_any(second.networks)
-
-
-def test_frames_that_wait_for_a_kept_network_begin_with_another_one(cameras: Cameras) -> None:
-    first, second, _ = cameras.all
-    second.networks = first.networks
-    first.hold(1)
-    assert not first.frames.stop(0.01)
-    second.offer(2)
-    second.networks = Networks(object())
-    second.frames.start(second)
-    second.wait()
-    assert second.published == [2]
-    assert first.published == []
-
-
 def test_a_late_error_of_a_hung_frame_is_dropped_like_a_late_result(cameras: Cameras) -> None:
     first, second, _ = cameras.all
     first.hold(0)
-    assert not first.frames.stop(0.01)
+    assert not cameras.worker.stop(0.01)
+    second.frames.start(second)
     (hung,) = (thread for thread in threading.enumerate() if thread.ident in first.threads)
     second.hold(1)
     first.gate.set()
@@ -229,7 +187,6 @@ def test_one_stop_for_all_abandons_one_thread(cameras: Cameras) -> None:
 def test_after_close_frames_are_inactive_and_the_others_go_on(cameras: Cameras) -> None:
     first, second, _ = cameras.all
     first.feed(1)
-    assert first.frames.stop(PATIENCE_S)
     first.frames.close()
     first.frames.close()
     first.offer(2)

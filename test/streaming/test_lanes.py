@@ -100,33 +100,6 @@ def test_the_next_frame_of_a_camera_waits_for_the_one_before(cameras: Cameras) -
     assert second.published == [1, 2]
 
 
-def test_a_hung_lane_keeps_its_network_while_the_others_go_on(cameras: Cameras) -> None:
-    cameras.begin_two()
-    _, second, third, fourth = cameras.all
-    hung = thread_of(second)
-    assert not second.frames.stop(0.0)
-    assert cameras.worker.keeps_any(cameras.networks)
-    third.open()
-    third.wait()
-    for number in range(1, 4):
-        fourth.feed(number)
-    assert fourth.used == [WHOLE] * 3
-    assert second.counts() == {Outcome.FAILED: 1}
-    second.open()
-    hung.join(PATIENCE_S)
-    assert not cameras.worker.keeps_any(cameras.networks)
-
-
-def test_a_lone_frame_has_a_lane_while_a_hung_thread_keeps_the_network_for_all_processors(
-    cameras: Cameras,
-) -> None:
-    first, second, *_ = cameras.all
-    first.hold(1)
-    assert not first.frames.stop(0.0)
-    second.feed(1)
-    assert second.used == [LEFT]
-
-
 @pytest.mark.parametrize("is_hung", [False, True], ids=["that ends", "that hangs"])
 def test_a_stop_waits_for_every_lane_and_counts_each_frame_once(cameras: Cameras, is_hung: bool) -> None:
     cameras.begin_two()

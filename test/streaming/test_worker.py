@@ -88,7 +88,7 @@ def test_a_rate_limit_ends_with_the_stop(line: Line) -> None:
         line.frames.start(line, max_rate_hz=0.001)
         line.feed(number)
         line.feed(number)
-        assert line.frames.stop(PATIENCE_S)
+        assert line.worker.stop(PATIENCE_S)
     assert line.published == [1, 1, 2, 2]
 
 
@@ -115,7 +115,7 @@ def test_stop_waits_for_the_frame_in_work_and_flushes_the_waiting_one(line: Line
     line.hold(1)
     line.offer(2)
     when_awaited(line.worker, line.gate.set)
-    assert line.frames.stop(PATIENCE_S)
+    assert line.worker.stop(PATIENCE_S)
     assert line.published == [1]
     assert line.count(Outcome.FLUSHED) == 1
     assert line.frames.balance().pending == 0
@@ -136,7 +136,7 @@ def test_a_hung_frame_is_abandoned_and_its_late_result_dropped(line: Line) -> No
     line.frames.start(line)
     line.hold(1)
     assert line.worker.abandoned_threads() == 0
-    assert not line.frames.stop(0.01)
+    assert not line.worker.stop(0.01)
     assert line.worker.abandoned_threads() == 1
     assert line.count(Outcome.FAILED) == 1
     (hung,) = (thread for thread in threading.enumerate() if thread.ident in line.threads)
@@ -162,7 +162,7 @@ def test_a_frame_that_hangs_after_its_detections_are_sent_is_abandoned_as_detect
     gate.clear()
     line.offer(1)
     assert entered.wait(PATIENCE_S)
-    assert not line.frames.stop(0.0)
+    assert not line.worker.stop(0.0)
     assert line.counts() == {Outcome.DETECTED: 1}
     (hung,) = (thread for thread in threading.enumerate() if thread.ident in line.threads)
     gate.set()
@@ -184,7 +184,7 @@ def test_a_frame_that_is_abandoned_before_it_is_published_updates_nothing(line: 
 
     line.frames.start(Asked(line.published))
     line.hold(1)
-    assert not line.frames.stop(0.0)
+    assert not line.worker.stop(0.0)
     (hung,) = (thread for thread in threading.enumerate() if thread.ident in line.threads)
     line.gate.set()
     hung.join(PATIENCE_S)
@@ -207,7 +207,7 @@ def test_a_second_wait_continues_the_time_of_the_first(line: Line) -> None:
     line.hold(1)
     assert not line.worker.rest(0.0)
     line.now_s += 3600
-    assert not line.frames.stop(3600)  # at once: otherwise this test runs into its time limit
+    assert not line.worker.stop(3600)  # at once: otherwise this test runs into its time limit
     line.gate.set()
 
 

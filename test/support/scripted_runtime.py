@@ -27,19 +27,17 @@ class ScriptedRuntime:
         self.on_close: Callable[[], None] = lambda: None
         self.calls: list[tuple[tuple[int, ...], Order, float]] = []
         self.is_closed = False
-        self.twins: list[ScriptedRuntime] = []
+        self.made_lanes: list[ScriptedRuntime] = []
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         self.calls.append((frame.shape, order, min_objectness))
         return Predictions(self.run(), self.compute_prototypes)
 
-    def twin(self) -> ScriptedRuntime:
-        self.twins.append(twin := ScriptedRuntime(self.run))
-        twin.on_close = self.on_close
-        return twin
-
     def lanes(self, count: int, threads: int) -> list[ScriptedRuntime]:
-        return [self.twin() for _ in range(count)]
+        for _ in range(count):
+            self.made_lanes.append(lane := ScriptedRuntime(self.run))
+            lane.on_close = self.on_close
+        return self.made_lanes[-count:] if count else []
 
     def close(self) -> None:
         self.is_closed = True

@@ -27,7 +27,7 @@ class Detector:
     """Detects objects in images. Owns `runtime`; stateless between images.
 
     Detects for one thread at a time, others wait: two would overwrite each other's features. For threads that
-    detect at the same time give each a `twin`.
+    detect at the same time there are `lanes`.
 
     `class_names` by class id. `image_size`: longer side of the network input in pixels, a multiple of
     `stride`, the largest stride of the model; else ValueError. `choice` and `precision_choice`: why this
@@ -129,10 +129,6 @@ class Detector:
         self._check(predictions.rows)
         if predictions.compute_prototypes is not None:
             predictions.compute_prototypes()
-
-    def twin(self) -> Detector:
-        """A detector of the same network for another thread, with buffers of its own; see `Runtime.twin`."""
-        return self._with(self.runtime.twin())
 
     def lanes(self, count: int, threads: int) -> tuple[Detector, ...]:
         """Detectors of the same network for `count` threads at the same time; see `Runtime.lanes`."""

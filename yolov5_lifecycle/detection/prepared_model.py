@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -66,22 +66,6 @@ class PreparedModel:
     def summary(self) -> str:
         """`facts` on one line."""
         return ", ".join(f"{name} {value}" for name, value in self.facts.items())
-
-    def twin(self, settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
-        """The same model with other networks, warmed up as by `prepare_model`; see `Detector.twin`.
-
-        `settings` are those of this model with the present cameras.
-
-        Raises InferenceError, ValueError if the memory is too small for another one.
-        """
-        twin = self.detector.twin()
-        try:
-            _warm_up(twin, sizes_hw)
-            lanes = _lanes(twin, sizes_hw, settings)
-        except BaseException:  # its traceback keeps the detector alive
-            twin.close()
-            raise
-        return replace(self, settings=settings, detector=twin, lanes=lanes)
 
     def close(self, *, is_at_rest: bool = True) -> None:
         """Free the model and return its memory to the system.

@@ -85,7 +85,7 @@ def attribute_logs_to_callers_of(path: str) -> None:
 class ForgettingGroup(ReentrantCallbackGroup):
     """Callback group that drops publishers, subscriptions and other entities once they are destroyed.
 
-    rclpy's groups keep a dead reference to each forever (ros2/rclpy#1356): 2 KB per camera added and removed.
+    rclpy's groups keep a dead reference to each forever (ros2/rclpy#1356): 2 KB a camera and configure.
     """
 
     def add_entity(self, entity: object) -> None:

@@ -107,11 +107,6 @@ class CompiledRuntime:
             problem = str(error).partition("\n")[0]
         raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
 
-    def twin(self) -> CompiledRuntime:
-        """See `Runtime`."""
-        shared = self._open()
-        return CompiledRuntime(_Shared(shared.compiler, shared.threads), self._engine, kept=self._kept)
-
     def lanes(self, count: int, threads: int) -> list[CompiledRuntime]:
         """See `Runtime`."""
         shared = _Shared(self._open().compiler, Threads(threads, at_once=count))

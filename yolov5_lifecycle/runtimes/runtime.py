@@ -63,12 +63,6 @@ class Runtime(Protocol):
         in [0, 1], up to rounding; which others are returned depends on the runtime. Raises InferenceError.
         """
 
-    def twin(self) -> Runtime:
-        """The same network for another thread, with buffers of its own; it shares only the weights.
-
-        The caller closes both. Raises InferenceError after `close`.
-        """
-
     def lanes(self, count: int, threads: int) -> Sequence[Runtime]:
         """The same network for `count` threads at the same time, each of which uses `threads` processors.
 

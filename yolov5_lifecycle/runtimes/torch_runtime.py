@@ -138,10 +138,6 @@ class TorchRuntime:
         # The tensors of this frame are freed only outside the except block (pytorch/pytorch#18853).
         raise self._failure(problem)
 
-    def twin(self) -> TorchRuntime:
-        """See `Runtime`."""
-        return self._for_another_thread(self._threads)
-
     def lanes(self, count: int, threads: int) -> list[TorchRuntime]:
         """See `Runtime`; from now on this one uses as many threads as torch does in the calling thread."""
         if self._device.type != "cpu":

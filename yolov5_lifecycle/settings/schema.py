@@ -30,7 +30,7 @@ class Change(Enum):
 
     LIVE = "live: takes effect with the next frame"
     RELOAD = "reload: the new model is loaded alongside the running one and replaces it between two frames"
-    CAMERAS = "cameras: added cameras start, removed ones stop, the others are not disturbed"
+    CONFIGURE = "configure: set while the node is unconfigured"
     RESUBSCRIBE = "resubscribe: the image subscription is recreated"
     READ_ONLY = "read-only: set when the node starts"
 

@@ -168,7 +168,7 @@ class Settings(BaseModel):
         le=10_000,
         description="Number of consecutive failed frames after which the node deactivates itself.",
     )
-    cameras: Annotated[tuple[str, ...], Change.CAMERAS] = Field(
+    cameras: Annotated[tuple[str, ...], Change.CONFIGURE] = Field(
         (),
         max_length=MAX_CAMERAS,
         description="Names of several cameras that share the model: detections in ~/NAME/image_raw are "

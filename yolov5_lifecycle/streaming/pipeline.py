@@ -18,7 +18,7 @@ Send = Callable[[], object]
 class Networks:
     """The networks of one model, compared by identity. One thread at a time uses each of them.
 
-    An abandoned frame keeps its network until the frame's thread has ended.
+    That of an abandoned frame is not used again.
     """
 
     whole: Any

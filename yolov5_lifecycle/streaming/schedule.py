@@ -153,8 +153,6 @@ class Schedule(Generic[Frame, Result]):
         self.waiting: dict[Slot[Frame, Result], None] = {}
         self.pauses = 0
         """While above 0, no job begins."""
-        self._abandoned: list[Job[Frame, Result]] = []
-        """Abandoned jobs whose threads have not ended: their networks belong to them."""
         self._on_abandoned = on_abandoned
         self._ended = threading.Condition(self.lock)
         self._turns = 0
@@ -195,7 +193,7 @@ class Schedule(Generic[Frame, Result]):
             candidates = [networks.whole, *networks.parallel]
         else:
             candidates = [*networks.parallel, networks.whole]
-        used = [job.network for job in (*self.jobs, *self._abandoned)]
+        used = [job.network for job in self.jobs]
         return next((each for each in candidates if not any(each is other for other in used)), None)
 
     def _begun(self, slot: Slot[Frame, Result], network: Any) -> Job[Frame, Result]:
@@ -206,10 +204,8 @@ class Schedule(Generic[Frame, Result]):
         return job
 
     def end(self, job: Job[Frame, Result]) -> None:
-        """Finish `job` at the end of its thread's work; of an abandoned one, only its network is free now."""
-        if job.is_abandoned:
-            self._abandoned.remove(job)
-        else:
+        """Finish `job` at the end of its thread's work, unless it was abandoned."""
+        if not job.is_abandoned:
             self._finish(job)
 
     def _finish(self, job: Job[Frame, Result]) -> None:
@@ -237,7 +233,6 @@ class Schedule(Generic[Frame, Result]):
         for job in jobs:
             if job in self.jobs:
                 job.abandon()
-                self._abandoned.append(job)
                 self._finish(job)
                 self._on_abandoned(job)
         return False
@@ -246,7 +241,3 @@ class Schedule(Generic[Frame, Result]):
         awaited_s = self.clock() - (job.awaited_s or 0.0)
         rest_s = max(0.0, timeout_s - awaited_s)
         return self._ended.wait_for(lambda: job not in self.jobs, rest_s) and not job.is_abandoned
-
-    def keeps_any(self, networks: Networks) -> bool:
-        """Whether an abandoned job keeps one of `networks`."""
-        return any(job.networks is networks for job in self._abandoned)

@@ -10,7 +10,7 @@ from typing import Generic
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, Outcome
-from yolov5_lifecycle.streaming.pipeline import Frame, Networks, Pipeline, Result
+from yolov5_lifecycle.streaming.pipeline import Frame, Pipeline, Result
 from yolov5_lifecycle.streaming.schedule import Job, Schedule, Slot
 
 MAX_ABANDONED_THREADS = 3
@@ -25,8 +25,8 @@ class Worker(Generic[Frame, Result]):
 
     Torch keeps a thread pool and warm caches per calling thread, so threads survive every start and stop.
     Only a hung thread is abandoned: its frame counts as failed unless its detections were sent, what it has
-    not sent is dropped, and a new thread takes over. An abandoned thread ends when its frame does; until then
-    it keeps its network, and frames for the same network wait.
+    not sent is dropped, and a new thread takes over. An abandoned thread ends when its frame does; its
+    network is not used again.
 
     `clock` returns monotonic seconds.
     """
@@ -79,7 +79,7 @@ class Worker(Generic[Frame, Result]):
             return self._schedule.wait([*self._schedule.jobs], timeout_s)
 
     def stop(self, timeout_s: float) -> bool:
-        """Stop all feeds at once, as `Feed.stop` does; False if a thread hung and was abandoned."""
+        """Stop all feeds after the frames in progress; False if a thread hung and was abandoned."""
         with self._lock:
             return self._stop(timeout_s)
 
@@ -100,11 +100,6 @@ class Worker(Generic[Frame, Result]):
     def _stop(self, timeout_s: float) -> bool:
         self._schedule.stop(self._schedule.slots)
         return self._schedule.wait_or_abandon([*self._schedule.jobs], timeout_s)
-
-    def keeps_any(self, networks: Networks) -> bool:
-        """Whether an abandoned thread keeps one of `networks`, so that no frame begins with that one."""
-        with self._lock:
-            return self._schedule.keeps_any(networks)
 
     def abandoned_threads(self) -> int:
         """Number of abandoned threads still processing their frame."""
@@ -240,28 +235,8 @@ class Feed(Generic[Frame, Result]):
             self._schedule.offer(self._slot, frame)
             self._worker.begin_jobs()
 
-    def flush(self) -> None:
-        """Accept no more frames and flush the waiting one; `stop` waits for the current one."""
-        with self._lock:
-            self._schedule.stop([self._slot])
-
-    def rest(self, timeout_s: float) -> bool:
-        """Wait until the current frame of this feed, if any, has ended; False if it has not in time."""
-        with self._lock:
-            return self._schedule.wait(self._slot.jobs, timeout_s)
-
-    def stop(self, timeout_s: float) -> bool:
-        """Stop after the current frame of this feed and flush the waiting one; True when it ended in time.
-
-        False: the thread hung and was abandoned; a new one serves the other feeds with the networks that are
-        free.
-        """
-        with self._lock:
-            self._schedule.stop([self._slot])
-            return self._schedule.wait_or_abandon(self._slot.jobs, timeout_s)
-
     def close(self) -> None:
-        """Let the worker forget this feed; call after `stop`. Frames offered later are INACTIVE."""
+        """Let the worker forget this feed; call when it is stopped. Frames offered later are INACTIVE."""
         with self._lock:
             self._schedule.stop([self._slot])
             self._schedule.slots.discard(self._slot)

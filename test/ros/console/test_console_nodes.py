@@ -167,7 +167,7 @@ def test_while_a_reload_is_prepared_all_pages_see_that_the_node_is_busy(
     assert page.set(image_size=640) == ""
 
 
-def test_cameras_and_their_overrides_come_and_go(console: ConsoleBesideNode, page: Page) -> None:
+def test_cameras_are_set_and_their_overrides_come_and_go(console: ConsoleBesideNode, page: Page) -> None:
     assert page.set(cameras=["front", "rear"]) == ""
     page.wait_for(
         lambda: [camera["name"] for camera in page.nodes[NODE]["cameras"]] == ["front", "rear"], "the cameras"

@@ -209,18 +209,3 @@ def test_an_override_that_was_not_there_is_removed_again(
     listed = detector.observer.call(client, ListParameters.Request()).result.names
     assert "rear.max_rate" in listed
     assert "rear.confidence_threshold" not in listed
-
-
-def test_a_removed_camera_comes_back_with_its_overrides(
-    cameras: tuple[DetectorProcess, ConsolePage],
-) -> None:
-    detector, page = cameras
-    rate = detector.node.parameter("rear.max_rate")
-    assert rate
-    page.widget("cameras", '[data-name="rear"]').click()
-    page.wait_for(lambda: detector.node.parameter("cameras") == ["front"], "the change")
-    page.wait_for_text(".undo .change", "cameras changed from front, rear to front")
-    press_undo(page)
-    page.wait_for_text(".undo .change", "cameras is front, rear again.")
-    assert detector.node.parameter("cameras") == ["front", "rear"]
-    assert detector.node.parameter("rear.max_rate") == rate

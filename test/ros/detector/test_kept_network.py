@@ -1,4 +1,4 @@
-"""A thread that hangs keeps its network; the other cameras go on with another one, in every engine."""
+"""A thread that hangs keeps its network; the next session has another one, in every engine."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from support.colcon_workspace import REPOSITORY
 from support.detector_process import scene_image
 from support.preparations import Preparations, prediction
 from support.runtime_names import EVERY_RUNTIME
-from support.scripted_runtime import ScriptedRuntime
-from support.served_node import PATIENCE_S, ServedNode, class_ids_of
+from support.served_node import PATIENCE_S, ServedNode
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.detection.detector import Detector
@@ -92,7 +91,8 @@ def test_detections_are_right_while_an_abandoned_thread_uses_its_network(
         front.detect()
         hang.is_armed.set()
         served.wait_for(lambda: bool(front.send()) and hang.entered.is_set(), "the network to be kept")
-        assert served.set(cameras=["rear"]) == (True, "")
+        assert served.transition("deactivate")
+        assert served.transition("activate")
         for index in range(COUNT):
             assert boxes_of(detected(served, rear, shown[index % 3])) == expected[index % 3]
         status = served.statuses()["rear"]
@@ -138,23 +138,6 @@ def cameras(prepare: Preparations) -> Iterator[tuple[ServedNode, CameraClient, C
     assert served.escaped == []
 
 
-def test_services_answer_while_a_removed_camera_hangs(
-    prepare: Preparations, cameras: tuple[ServedNode, CameraClient, CameraClient]
-) -> None:
-    served, front, rear = cameras
-    release, entered = threading.Event(), threading.Event()
-    prepare.running.run = hanging(release, entered)
-    served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to hang")
-    prepare.running.run = lambda: prediction("dog", 0.9)
-    removed = served.begin_set(cameras=["rear"])
-    assert served.state() == "active"
-    assert not removed.done(), "the node answered only after it waited for the frame"
-    served.wait_for(removed.done, "the answer")
-    assert class_ids_of(rear.detect()) == ["dog"]
-    assert removed.result().result.successful
-    release.set()
-
-
 def test_a_wait_for_a_frame_starts_no_thread(
     prepare: Preparations, cameras: tuple[ServedNode, CameraClient, CameraClient]
 ) -> None:
@@ -163,71 +146,8 @@ def test_a_wait_for_a_frame_starts_no_thread(
     prepare.running.run = hanging(release, entered)
     served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to begin")
     before = set(threading.enumerate())
-    removed = served.begin_set(cameras=["rear"])
+    left = served.begin_transition("deactivate")
     assert served.state() == "active"
     assert set(threading.enumerate()) <= before
     release.set()
-    served.wait_for(removed.done, "the answer")
-
-
-def test_a_network_that_cannot_be_prepared_again_deactivates_the_node_with_the_reason(
-    prepare: Preparations,
-    cameras: tuple[ServedNode, CameraClient, CameraClient],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    served, front, _ = cameras
-    release, entered = threading.Event(), threading.Event()
-    monkeypatch.setattr(type(prepare.running), "twin", refuse)
-    prepare.running.run = hanging(release, entered)
-    served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to hang")
-    assert served.set(cameras=["rear"]) == (True, "")
-    served.wait_for(lambda: served.state() == "inactive", "the node to deactivate itself")
-    told = "deactivated after a hanging frame, because no other network can be prepared: no memory"
-    assert served.status().message == told
-    release.set()
-
-
-def refuse(_: object) -> None:
-    raise InferenceError("no memory")
-
-
-def test_a_hang_that_ends_while_another_network_is_prepared_costs_no_frame_of_other_cameras(
-    prepare: Preparations,
-    cameras: tuple[ServedNode, CameraClient, CameraClient],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    served, front, rear = cameras
-    network, twins, closed = prepare.running, threading.Event(), threading.Event()
-    release, entered = threading.Event(), threading.Event()
-    monkeypatch.setattr(ScriptedRuntime, "twin", waiting_twin(twins, closed))
-    network.run = hanging(release, entered)
-    served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to hang")
-    assert served.set(cameras=["rear"]) == (True, "")
-    served.wait_for_log("preparing another network")
-    in_work, may_end = threading.Event(), threading.Event()
-    network.run = hanging(may_end, in_work)
-    release.set()
-    served.wait_for(lambda: bool(rear.send()) and in_work.is_set(), "a frame with the network, free again")
-    twins.set()
-    served.wait_for(closed.is_set, "the network that nobody needs to be closed")
-    assert not network.is_closed, "a frame in progress uses it"
-    may_end.set()
-    assert class_ids_of(rear.detect()) == ["cat"]
-    assert network.twins[0].is_closed
-    assert not network.is_closed
-
-
-def waiting_twin(
-    may_go_on: threading.Event, closed: threading.Event
-) -> Callable[[ScriptedRuntime], ScriptedRuntime]:
-    """Makes twins once they `may_go_on`; `closed` is set as soon as it or the original is closed."""
-    twin_of = ScriptedRuntime.twin
-
-    def twin(original: ScriptedRuntime) -> ScriptedRuntime:
-        assert may_go_on.wait(PATIENCE_S)
-        original.on_close = closed.set
-        made = twin_of(original)
-        made.run = lambda: prediction("dog", 0.9)
-        return made
-
-    return twin
+    served.wait_for(left.done, "the answer")

@@ -12,8 +12,6 @@ from support.camera_client import CameraClient
 from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of
 
-from yolov5_lifecycle.detection import lane_choice, prepared_model
-
 NAMES = ("front", "rear", "left")
 
 
@@ -39,7 +37,7 @@ class Lanes:
         of_lanes = [threading.Event(), threading.Event()]
         begun = [threading.Event(), threading.Event()]
         self._released += of_lanes
-        for lane, is_begun, may_end in zip(whole.twins, begun, of_lanes, strict=True):
+        for lane, is_begun, may_end in zip(whole.made_lanes, begun, of_lanes, strict=True):
             lane.run = self._held(is_begun, may_end)
         cameras = (self.rear, self.left)
         self.served.wait_for(
@@ -116,26 +114,3 @@ def test_after_the_answer_to_a_reload_no_camera_publishes_what_the_previous_mode
         published = [class_ids_of(message) for message in camera.detections]
         assert published == sorted(published), "a cat after a dog"
         assert published[-1] == ["dog"]
-
-
-def test_another_camera_gets_a_lane_while_the_tracks_of_the_others_go_on(
-    ros_domain: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for module in (lane_choice, prepared_model):
-        monkeypatch.setattr(module, "processors", lambda: 2)
-    parameters = ["cameras:=[front]", "parallel_frames:=2", "tracker:=bytetrack", "track_timeout:=60.0"]
-    with ServedNode(Preparations(), parameters=parameters) as served:
-        front = CameraClient(served, "front")
-        served.bring_to("active")
-        track = front.track()
-        assert served.set(cameras=["front", "rear"]) == (True, "")
-        served.wait_for_log("preparing another network, because up to 2 frames")
-        served.wait_for(lambda: values_of(served).get("parallel frames") == "2: as set", "two lanes")
-        assert front.track() == track
-        assert class_ids_of(CameraClient(served, "rear").detect()) == ["cat"]
-        assert sum("preparing another network" in said for said in served.log) == 1
-    assert served.escaped == []
-
-
-def values_of(served: ServedNode) -> dict[str, str]:
-    return {item.key: item.value for item in served.status().values}

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent
+from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import Parameter
 from support.preparations import CLASS_NAMES, Preparations
@@ -98,21 +98,6 @@ def test_a_camera_and_its_overrides_may_be_added_in_one_request(served: ServedNo
     settings = settings_of(served)
     assert settings.camera_names == ("front", "side")
     assert (settings.for_camera("side").max_rate, settings.for_camera("side").classes) == (5.0, ("dog",))
-
-
-def test_a_removed_camera_takes_its_overrides_with_it(served: ServedNode) -> None:
-    events: list[ParameterEvent] = []
-    served.client.create_subscription(ParameterEvent, "/parameter_events", events.append, 100)
-    assert change(served, {"front.max_rate": 5.0, "front.lazy": False, "rear.lazy": False}) == (True, "")
-    assert change(served, {"cameras": ["rear"]}) == (True, "")
-    assert names(served) & {"front.max_rate", "front.lazy", "rear.lazy"} == {"rear.lazy"}
-    served.wait_for_log("removed with its camera: front.max_rate, front.lazy")
-    served.wait_for(lambda: any(event.deleted_parameters for event in events), "the event")
-    (event,) = (event for event in events if event.deleted_parameters)
-    assert [parameter.name for parameter in event.deleted_parameters] == ["front.max_rate", "front.lazy"]
-    assert [parameter.name for parameter in event.changed_parameters] == ["cameras"]
-    assert change(served, {"cameras": ["front", "rear"]}) == (True, "")
-    assert settings_of(served).for_camera("front").max_rate == 0.0
 
 
 def test_the_overrides_of_a_removed_camera_may_be_deleted_with_it(served: ServedNode) -> None:
@@ -209,8 +194,7 @@ def proposed(parameters: SettingsParameters, **values: Any) -> Any:
     [
         pytest.param({"front__max_rate": 5.0}, Change.LIVE, id="live"),
         pytest.param({"front__depth": True, "front__max_rate": 5.0}, Change.RESUBSCRIBE, id="resubscribe"),
-        pytest.param({"cameras": ["front"], "front__depth": True}, Change.CAMERAS, id="cameras"),
-        pytest.param({"cameras": ["front"], "parallel_frames": 2}, Change.RELOAD, id="reload"),
+        pytest.param({"front__depth": True, "parallel_frames": 2}, Change.RELOAD, id="reload"),
         pytest.param({"front__max_rate": None}, None, id="nothing"),
     ],
 )
@@ -224,7 +208,7 @@ def test_a_stored_proposal_is_rolled_back_completely(served: ServedNode) -> None
     parameters = served.node._settings
     assert change(served, {"front.max_rate": 5.0, "rear.classes": []}) == (True, "")
     before, present = parameters.settings(), names(served)
-    proposal = proposed(parameters, cameras=["rear", "side"], side__max_rate=3.0, rear__lazy=False)
+    proposal = proposed(parameters, cameras=["front", "rear", "side"], side__max_rate=3.0, rear__lazy=False)
     previous = parameters.present(proposal.parameters)
     assert parameters.store(proposal).successful
     assert parameters.settings() != before

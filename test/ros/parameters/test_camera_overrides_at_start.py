@@ -83,13 +83,6 @@ def test_overrides_of_a_file_and_of_the_command_line_are_in_the_logged_table(
             marks=pytest.mark.long,
         ),
         pytest.param(
-            ["frnt.max_rate:=5.0"],
-            "Did you mean 'front.max_rate'?",
-            {"front.max_rate": 5.0},
-            id="camera",
-            marks=pytest.mark.long,
-        ),
-        pytest.param(
             ["front.max_rte:=5.0"], "Did you mean 'front.max_rate'?", {"front.max_rate": 5.0}, id="setting"
         ),
         pytest.param(
@@ -177,12 +170,6 @@ def test_overrides_wait_for_the_correction_of_invalid_cameras(prepare: Preparati
         assert served.set(cameras=["front", "second"]) == (True, "")
         assert served.transition("configure")
         assert settings_of(served).for_camera("front").max_rate == 5.0
-
-
-def test_an_invalid_override_of_a_removed_camera_is_no_problem_any_more(prepare: Preparations) -> None:
-    with ServedNode(prepare, parameters=[FRONT_AND_REAR, "front.max_rate:=-1.0"]) as served:
-        assert served.set(cameras=["rear"]) == (True, "")
-        assert served.transition("configure")
 
 
 def test_an_override_without_cameras_says_what_is_missing(prepare: Preparations) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
 import pytest
@@ -190,15 +190,6 @@ class AlwaysActive:
 
     def __init__(self, session: Any) -> None:
         self.session = session
-
-    def add_cameras(self, names: Sequence[str]) -> None:
-        raise AssertionError("no camera is added")
-
-    def remove_cameras(self, *, except_for: Sequence[str]) -> None:
-        raise AssertionError("no camera is removed")
-
-    async def end_removed(self) -> None:
-        """None was removed."""
 
 
 class ClassesOnly:

@@ -207,9 +207,9 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             {"cameras": 3, "front.lazy": 1, "front.max_rate": 5},
             [
                 "cameras: 3 is not a list",
-                "front.lazy: add front when you correct cameras. Or remove it: ros2 param delete /yolov5",
-                "front.max_rate: add front when you correct cameras. Or remove it: ros2 param delete",
                 "front.lazy: 1 is not true or false. The default is true.",
+                "front.max_rate: add front when you correct cameras. Or remove it: ros2 param delete",
+                "front.lazy: add front when you correct cameras. Or remove it: ros2 param delete /yolov5",
             ],
             id="no camera can be read",
         ),
@@ -217,9 +217,9 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             {"cameras": 3, "front.lazy": 1, "front.track_low_threshold": 0.9},
             [
                 "cameras: ",
-                "front.lazy: add",
-                "front.track_low_threshold: add",
                 "front.lazy: 1 is not",
+                "front.track_low_threshold: add",
+                "front.lazy: add",
                 "front.track_low_threshold: 0.9 is above track_high_threshold, 0.25. Lower it",
             ],
             id="contradiction of a camera that does not exist",
@@ -227,9 +227,9 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
         pytest.param(
             {**FRONT_AND_REAR, "side.max_rate": -1.0},
             [
+                "side.max_rate: -1.0 is not a number from 0 to 1000.",
                 "side.max_rate: there is no such parameter: add the camera to cameras, which has front, "
                 "rear. Or remove it: ros2 param delete /yolov5 side.max_rate",
-                "side.max_rate: -1.0 is not a number from 0 to 1000.",
             ],
             id="value of a missing camera",
         ),
@@ -286,9 +286,9 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             {"cameras": 3, "front.track_high_threshold": 9.0, "front.track_low_threshold": 0.5},
             [
                 "cameras: ",
-                "front.track_high_threshold: add",
-                "front.track_low_threshold: add",
                 "front.track_high_threshold: 9.0 is not",
+                "front.track_low_threshold: add",
+                "front.track_high_threshold: add",
             ],
             id="undecided contradiction of a camera that does not exist",
         ),
@@ -402,9 +402,9 @@ def test_a_camera_that_is_added_with_a_wrong_override_leaves_its_problem_to_conf
 
 def test_what_a_configured_node_was_given_wrong_has_no_effect_later(ros_domain: int, tmp_path: Path) -> None:
     with detector(tmp_path, {"cameras": ["front"], "frnt.max_rate": -1.0}) as tried:
-        assert tried.set("front.max_rate", 5.0).successful
+        assert tried.set("frnt.max_rate", None).successful
         assert tried.configure() == ""
-        assert tried.set("cameras", ["front", "frnt"]).successful
         assert tried.node.trigger_cleanup() is TransitionCallbackReturn.SUCCESS
+        assert tried.set("cameras", ["front", "frnt"]).successful
         assert tried.configure() == ""
         assert "frnt.max_rate" not in tried.node._settings.settings().overrides

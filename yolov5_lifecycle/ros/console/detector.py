@@ -33,7 +33,7 @@ _PACE_S = 0.1
 _RETRY_S = 0.5
 _REASON_S = 1.5
 """How long to watch the log for the reason of a refusal, which is not in the response."""
-_SLOW_CHANGES = ("reload", "cameras")
+_SLOW_CHANGES = ("reload",)
 
 
 class Detector:

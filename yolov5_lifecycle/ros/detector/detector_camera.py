@@ -1,4 +1,4 @@
-"""A camera of the node, which exists while it is named in `cameras`."""
+"""A camera of the node: one that `cameras` names, or the only one."""
 
 from __future__ import annotations
 
@@ -57,11 +57,8 @@ class DetectorCamera:
                 self._node, camera=self.name, on_subscribers_changed=self.follow_subscribers
             )
 
-    def start(self, settings: Settings, networks: Networks, *, is_active: bool) -> None:
-        """Create `stream`: start detecting with these settings of the camera.
-
-        `is_active`: whether the node is already active, so that rclpy no longer activates the publishers.
-        """
+    def start(self, settings: Settings, networks: Networks) -> None:
+        """Create `stream`: start detecting with these settings of the camera."""
         assert self._outputs is not None, "only a configured camera is activated"
         self.stream = Stream(
             self._node,
@@ -75,9 +72,6 @@ class DetectorCamera:
             track_ids=self._track_ids,
             collector=self._collector,
         )
-        if is_active:
-            self._outputs.activate()
-            self.stream.follow_subscribers()
 
     def follow_subscribers(self) -> None:
         """Subscribe or unsubscribe, depending on the subscribers of the outputs."""
@@ -103,23 +97,12 @@ class DetectorCamera:
             self._outputs.close()
             self._outputs = None
 
-    def end(self) -> None:
-        """Receive no more images and drop the waiting one; `close` comes next."""
+    def close(self) -> None:
+        """End for good; call when no frame is in progress."""
         self.unsubscribe()
-        self._feed.flush()
-
-    def rest(self, timeout_s: float) -> bool:
-        """Wait for the frame in progress, if any; False if it has not ended in time. For any thread."""
-        return self._feed.rest(timeout_s)
-
-    def close(self, timeout_s: float) -> bool:
-        """End with a final balance; False if the frame in progress hung and its thread was abandoned."""
-        self.end()
-        rested = self._feed.stop(timeout_s)
         self._feed.close()
         self._failures.close()
         self.release()
-        return rested
 
     def balance(self) -> FrameBalance:
         """Counts of the frames since the camera was named in `cameras`."""

@@ -42,7 +42,7 @@ class ModelLoader:
 
     def begin(self, settings: Settings) -> Preparation:
         """Queue the preparation of the model for `settings`."""
-        sizes_hw = self._sizes_hw(settings)  # now: cameras come and go while the background works
+        sizes_hw = self._sizes_hw(settings)
         return self._background.submit(lambda: self._prepare(settings, sizes_hw))
 
     async def load(self, wanted: Callable[[], Settings | None]) -> Preparation | None:
@@ -61,11 +61,6 @@ class ModelLoader:
             if error is None:
                 preparation.result().close()
         return None
-
-    async def twin(self, model: PreparedModel, settings: Settings) -> Preparation:
-        """Prepare the same model with other networks, for the cameras of `settings` and their last images."""
-        sizes_hw = self._sizes_hw(settings)
-        return await self._background.finish(self._background.submit(lambda: model.twin(settings, sizes_hw)))
 
     async def retire(self, model: PreparedModel, *, after: Callable[[], bool]) -> None:
         """Free `model` after `after()`, which waits for its last frame and returns whether that finished."""

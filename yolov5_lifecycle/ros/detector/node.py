@@ -83,7 +83,6 @@ class DetectorNode(PrintableNode, LifecycleNode):
             parameters=self._settings,
             prepare=prepare,
             on_too_many=self._give_up,
-            on_abandoned=self._bound_abandoned_threads,
             on_device_lost=self._lose_device,
             rest_timeout_s=rest_timeout_s,
         )
@@ -208,7 +207,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
         """Problems of these cameras, to which others may be added, with their topics or QoS overrides."""
         if problems := impossible_names(self, cameras):
             return problems
-        # The overrides are fixed, but their camera may have been removed since.
+        # The overrides are fixed, but their camera may be gone since.
         of_qos = [] if self._is_qos_checked else qos_problems(self, cameras, are_undecided=are_undecided)
         return [*remapping_problems(self, cameras), *(in_one_line(str(problem)) for problem in of_qos)]
 

@@ -19,7 +19,6 @@ from yolov5_lifecycle.ros.parameters.proposal import Proposal, refusal
 from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_SUGGESTIONS, SettingsParameters
 from yolov5_lifecycle.ros.parameters.values import read_parameters
 from yolov5_lifecycle.ros.services import Handler
-from yolov5_lifecycle.ros.topics import remapping_problems
 from yolov5_lifecycle.settings.schema import Change, Problem
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
@@ -91,18 +90,12 @@ class Reconfiguration:
         """Apply the whole proposal or nothing."""
         if proposal.problems:
             return refusal(proposal.problems)
-        if problems := self._topic_problems(proposal.base.settings, proposal.after.settings):
-            return refusal(problems)
         session = self._resources.session
         if session is not None and proposal.kind is Change.RELOAD:
             return await self._reload(session, proposal)
         if session is not None and (problems := _broken_by(proposal, session.model)):
             return refusal(problems)
-        try:
-            return self._commit(proposal)
-        finally:
-            if proposal.kind is Change.CAMERAS:
-                await self._resources.end_removed()
+        return self._commit(proposal)
 
     async def _reload(self, session: Session, proposal: Proposal) -> SetParametersResult:
         if not await self._turns.begin():
@@ -143,7 +136,6 @@ class Reconfiguration:
                 return self._replace_now(session, preparation, asked)
         finally:
             is_replaced = session.model is new
-            await self._resources.end_removed()
             if is_replaced:
                 self._node.get_logger().info(f"the model was replaced: {new.summary}")
             await self._loader.retire(old if is_replaced else new, after=session.rest)
@@ -169,27 +161,14 @@ class Reconfiguration:
         if not result.successful or before is None or after is None or before is after:
             return result
         try:
-            self._apply(before, after, preparation or running)
+            if session is not None and running is not None:
+                session.apply(after, preparation or running)
         except Exception:
             self._parameters.store(self._parameters.propose(previous))
-            self._apply(after, before, running)
+            if session is not None and running is not None:
+                session.apply(before, running)
             raise
         return result
-
-    def _apply(self, before: Settings, after: Settings, preparation: Preparation | None) -> None:
-        """Change from settings `before` to `after`, and while active to the model of `preparation`."""
-        if before.cameras != after.cameras:
-            self._resources.add_cameras(after.camera_names)
-        if (session := self._resources.session) is not None and preparation is not None:
-            session.apply(after, preparation)
-        if before.cameras != after.cameras:
-            self._resources.remove_cameras(except_for=after.camera_names)
-
-    def _topic_problems(self, before: Settings | None, after: Settings | None) -> list[Problem]:
-        """Why topics of added cameras cannot be created."""
-        if before is None or after is None or before.cameras == after.cameras:
-            return []
-        return [Problem("cameras", text) for text in remapping_problems(self._node, after.camera_names)]
 
 
 def _broken_by(proposal: Proposal, model: PreparedModel) -> list[Problem]:

@@ -67,7 +67,9 @@ class Session:
         """Start detecting; raises what loading raised, SettingsError if the settings do not fit the model."""
         if problems := model_problems(settings, self.model.detector.class_names):
             raise SettingsError(problems)
-        self._detect(settings, is_active=False, is_other_model=True)
+        self.networks = self._networks_of(self.model)
+        for name in settings.camera_names:
+            self._cameras[name].start(settings.for_camera(name), self.networks)
 
     def publish_first(self, settings: Settings) -> None:
         """Subscribe and publish the class names, once the publishers are active."""
@@ -82,9 +84,8 @@ class Session:
         """
         before, self.preparation = self.preparation, preparation
         try:
-            self._detect(
+            self._apply(
                 settings,
-                is_active=True,
                 is_other_model=preparation is not before and self._is_other_than(before.result()),
             )
         except Exception:
@@ -111,26 +112,21 @@ class Session:
             camera.unsubscribe()
         rested = self._worker.stop(self._rest_timeout_s)
         if self.preparation.exception() is None:
-            # The thread of a removed camera may also hang in the model.
+            # A thread of an earlier session may hang in a GPU.
             self.model.close(is_at_rest=rested and self._worker.abandoned_threads() == 0)
         return rested
 
     def _is_other_than(self, before: PreparedModel) -> bool:
-        """Whether trackers begin again after the model `before`: an abandoned thread may still use them, or
-        other detections are to be expected.
-        """
+        """Whether other detections are to be expected than of `before`: then trackers begin again."""
         model = self.model
-        is_kept = self.networks is not None and self._worker.keeps_any(self.networks)
-        return is_kept or model.weights_sha256 != before.weights_sha256 or not before.serves(model.settings)
+        return model.weights_sha256 != before.weights_sha256 or not before.serves(model.settings)
 
-    def _detect(self, settings: Settings, *, is_active: bool, is_other_model: bool) -> None:
+    def _apply(self, settings: Settings, *, is_other_model: bool) -> None:
         self.networks = self._networks_of(self.model)
         for name in settings.camera_names:
-            camera, own = self._cameras[name], settings.for_camera(name)
-            if camera.stream is None:
-                camera.start(own, self.networks, is_active=is_active)
-            else:
-                camera.stream.apply(own, self.networks, is_other_model=is_other_model)
+            stream = self._cameras[name].stream
+            assert stream is not None, "an active camera has a stream"
+            stream.apply(settings.for_camera(name), self.networks, is_other_model=is_other_model)
 
     def _networks_of(self, model: PreparedModel) -> Networks:
         """Those in use if they are of `model`, else new ones."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 from rcl_interfaces.srv import DescribeParameters
@@ -13,7 +14,6 @@ from rclpy.parameter import Parameter
 from yolov5_lifecycle.ros.parameters.declaration import Declaration, declare_unset, unset_descriptor
 from yolov5_lifecycle.ros.parameters.values import coerced, plain_values
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
-from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS
 
@@ -33,9 +33,9 @@ def problem_of(parameter: Parameter) -> Problem | None:
 
 
 def declare_given(node: Node, declaration: Declaration) -> Declaration:
-    """Declare the overrides for cameras that `node` was given; `declaration` with them."""
+    """Declare the overrides that `node` was given, of any camera; `declaration` with them."""
     values, invalid, unknown = dict(declaration.values), dict(declaration.invalid), dict(declaration.unknown)
-    for name in [name for name in unknown if SCHEMA.is_known(name, values)]:
+    for name in [*islice(SCHEMA.found(unknown), MAX_OVERRIDES)]:
         settings = SCHEMA.found([name])
         wanted = coerced(unknown.pop(name), settings, may_be_unset=True)
         if problem := problem_of(wanted):
@@ -69,20 +69,6 @@ def undeclare_unset(node: Node, parameters: Iterable[Parameter]) -> None:
 def without_camera(values: Mapping[str, object]) -> list[str]:
     """The overrides among `values` whose cameras are not in `values`."""
     return [name for name in values if SEPARATOR in name and not SCHEMA.is_known(name, values)]
-
-
-def orphaned(before: Mapping[str, object], after: Mapping[str, object]) -> list[str]:
-    """The overrides in the values `before` whose cameras were removed by those `after`."""
-    if before[CAMERAS] == after[CAMERAS]:
-        return []
-    absent = set(without_camera(before))
-    return [name for name in without_camera({**before, CAMERAS: after[CAMERAS]}) if name not in absent]
-
-
-def log_removed(node: Node, before: Mapping[str, object], after: Mapping[str, object]) -> None:
-    """Log the overrides that left with their cameras when the values changed from `before` to `after`."""
-    if removed := [name for name in orphaned(before, after) if name not in after]:
-        node.get_logger().info(f"removed with its camera: {', '.join(removed)}")
 
 
 def are_too_many(values: Mapping[str, object]) -> bool:

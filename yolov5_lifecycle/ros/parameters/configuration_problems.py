@@ -34,9 +34,9 @@ def configuration_problems(
     the parameters that were set at run time. `node_name`: the full name of the node.
     """
     values = current.values
-    absent = without_camera(values)
+    absent = without_camera({**values, **{name: None for name in unusable.invalid if name not in values}})
     unknown = unusable.uncorrected(values, changed)
-    waiting = {**unusable.waiting_values(unknown), **{name: values[name] for name in absent}}
+    waiting = {name: values[name] for name in absent if name in values}
     named = [
         _of_name(name, values, unusable, may_suggest=index < MAX_SUGGESTIONS)
         for index, name in enumerate([*absent, *unknown])
@@ -74,6 +74,15 @@ def explained(problem: Problem, values: Mapping[str, object]) -> Problem:
     return Problem(setting.name, f"a parameter of the node always has a value and cannot be deleted.{remedy}")
 
 
+def fixed_cameras(node_name: str) -> Problem:
+    """The problem of other cameras for a node that is configured."""
+    return Problem(
+        CAMERAS,
+        f"fixed by configure. If the node is active, ros2 lifecycle set {node_name} deactivate; then "
+        f"ros2 lifecycle set {node_name} cleanup, set {CAMERAS}, configure and activate.",
+    )
+
+
 def _is_solved_by_another(name: str, values: Mapping[str, object]) -> bool:
     if name in values and SCHEMA.problem(name, values[name]) is not None:
         return False
@@ -91,7 +100,7 @@ def _of_name(
         values = {**values, CAMERAS: (camera_of(name),)}
     problem = SCHEMA.unknown(name, values, may_suggest=may_suggest)
     if may_suggest and SCHEMA.meant(name, values):
-        return problem, "Set that one, or remove this one"
+        return problem, f"Set that one, {'and' if name in values else 'or'} remove this one"
     return problem, "Or remove it" if SCHEMA.find(name) else "Remove it"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -16,8 +16,6 @@ from yolov5_lifecycle.ros.parameters.camera_overrides import (
     declare_missing,
     deletion,
     describe,
-    log_removed,
-    orphaned,
     undeclare_unset,
     without_camera,
 )
@@ -25,11 +23,13 @@ from yolov5_lifecycle.ros.parameters.configuration_problems import (
     accepted_until_configure,
     configuration_problems,
     explained,
+    fixed_cameras,
 )
 from yolov5_lifecycle.ros.parameters.declaration import Source, declare, source_table
 from yolov5_lifecycle.ros.parameters.proposal import Configuration, Proposal, acceptance
 from yolov5_lifecycle.ros.parameters.unusable_overrides import UnusableOverrides
 from yolov5_lifecycle.ros.parameters.values import coerced, plain_values, stays
+from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, Settings, validated
 
@@ -39,7 +39,7 @@ Validate = Callable[[Mapping[str, object]], Settings]
 
 MAX_SUGGESTIONS = 3
 """Max number of unknown names per request for which a similar name is suggested."""
-_BY_EFFORT = (Change.RELOAD, Change.CAMERAS, Change.RESUBSCRIBE, Change.LIVE)
+_BY_EFFORT = (Change.RELOAD, Change.RESUBSCRIBE, Change.LIVE)
 
 
 def has_overrides(names: Iterable[str]) -> bool:
@@ -130,15 +130,14 @@ class SettingsParameters:
             for index, name in enumerate(unknown)
         ]
         known = [p for p in wanted if p.name not in unknown and not stays(self._node, p)]
-        parameters = self._with_consequences(known, withdrawn)
-        after = self._after(parameters)
+        after = self._after(known)
         of_values, unsolved = self._problems_added_by(after)
         return Proposal(
             base=self._current,
             after=after,
             kind=_kind(self._current.settings, after.settings),
             asked=tuple(asked),
-            parameters=tuple(parameters),
+            parameters=tuple(known),
             withdrawn=withdrawn,
             unknown=unknown,
             problems=(*of_names, *of_values),
@@ -172,18 +171,6 @@ class SettingsParameters:
         """Name, value and source of every setting and override, one per line."""
         return source_table(self._current.values, self._sources)
 
-    def _with_consequences(
-        self, parameters: Sequence[Parameter], withdrawn: Collection[str]
-    ) -> Sequence[Parameter]:
-        """`parameters`, the overrides that waited for cameras they add, deletions for those they remove."""
-        base, changed = self._current.values, self._changed(parameters)
-        values = {**base, **changed}
-        if self._unusable is None and not has_overrides(values):
-            return parameters
-        usable = self._unusable.usable_with(values, withdrawn) if self._unusable is not None else []
-        removed = [name for name in orphaned(base, values) if name not in changed]
-        return [*parameters, *usable, *map(deletion, removed)]
-
     def _after(self, parameters: Sequence[Parameter]) -> Configuration:
         """The configuration with `parameters`, without the overrides that are None, as that deletes them.
 
@@ -200,6 +187,8 @@ class SettingsParameters:
         """The problems that refuse a change to `after`, and those that may wait for another change."""
         present = set(self._current.problems)
         problems = [problem for problem in after.problems if problem not in present]
+        if after.values[CAMERAS] != self._current.values[CAMERAS] and not self._is_unconfigured():
+            problems.append(fixed_cameras(self._node.get_fully_qualified_name()))
         may_wait = problems and self._is_unconfigured()
         unsolved = accepted_until_configure(problems, after.values) if may_wait else ()
         refused = (explained(problem, after.values) for problem in problems if problem not in unsolved)
@@ -242,9 +231,7 @@ class SettingsParameters:
         for name in self._sources.keys() - values.keys():
             del self._sources[name]
         if self._unusable is not None:
-            self._unusable = self._unusable.after_setting(names, values)
-        if has_overrides(proposal.base.values):
-            log_removed(self._node, proposal.base.values, values)
+            self._unusable = self._unusable.without(names)
 
 
 def _kind(before: Settings | None, after: Settings | None) -> Change | None:

@@ -4,13 +4,12 @@ import { CameraOverride } from "./camera_override.js";
 import { element, KeyedViews, setText } from "./element.js";
 import { ParameterRow } from "./parameter_row.js";
 import { YamlCopy } from "./yaml_copy.js";
-import { cameraOf } from "./yaml_text.js";
 
 const GROUPS = [
   ["live", "Live", "takes effect with the next frame"],
   ["reload", "Reload", "loads the new model while the running one keeps detecting"],
   ["resubscribe", "Resubscribe", "recreates the image subscription"],
-  ["cameras", "Cameras", "starts added cameras and stops removed ones; the others keep running"],
+  ["configure", "Configure", "fixed by configure: clean up first"],
   ["read only", "Read only", "needs a restart of the node"],
 ];
 const OPEN = ["live"];
@@ -22,7 +21,6 @@ export class ParameterList {
   #filter = element("input", { type: "search", placeholder: "Find a parameter", "aria-label": "Find a parameter" });
   #none = element("p", { class: "hint", role: "status" });
 
-  #node = null;
   #undo;
 
   /** `undo`: the UndoBar of the detector. */
@@ -47,7 +45,6 @@ export class ParameterList {
   }
 
   update(node) {
-    this.#node = node;
     this.#groups.forEach((group) => group.update(node));
     this.#override.update(node.parameters);
     this.#yaml.update(node.parameters);
@@ -61,10 +58,9 @@ export class ParameterList {
 
   /** Request a change, see UndoStack.record, and keep it to be undone. */
   async #set(request, change) {
-    const { parameters } = this.#node;
     const answer = await request({ type: "set", values: { [change.name]: change.after } });
     if (answer.ok || answer.isUnknown) {
-      this.#undo.record({ ...change, others: lostWith(change, parameters) });
+      this.#undo.record(change);
     }
     return answer;
   }
@@ -126,13 +122,6 @@ class ParameterGroup {
     }
     return shown;
   }
-}
-
-/** Values by name of the overrides that the node deletes with their cameras. */
-function lostWith({ name, before, after }, parameters) {
-  const removed = name === "cameras" ? (before ?? []).filter((camera) => !(after ?? []).includes(camera)) : [];
-  const isLost = (parameter) => parameter.value !== null && removed.includes(cameraOf(parameter.name));
-  return Object.fromEntries(parameters.filter(isLost).map((parameter) => [parameter.name, parameter.value]));
 }
 
 function groupOf(parameter) {

@@ -47,9 +47,9 @@ export class UndoBar {
     if (change === undefined || this.#isPending) {
       return;
     }
-    const { name, before, others } = change;
+    const { name, before } = change;
     this.#setPending(true);
-    const { ok, reason } = await this.#request({ type: "set", values: { [name]: before, ...others } });
+    const { ok, reason } = await this.#request({ type: "set", values: { [name]: before } });
     this.#setPending(false);
     if (ok) {
       this.#changes.remove(change);

@@ -18,13 +18,12 @@ export class UndoStack {
   /**
    * Remember that the parameter `name` was changed from `before` to `after`.
    *
-   * Values are those of JSON; null: not set. `others`: values by name that have to be restored with it.
-   * Changes of one `gesture`, such as the drag of a slider, are one change; undefined: of none.
+   * Values are those of JSON; null: not set. Changes of one `gesture`, such as the drag of a slider, are one change; undefined: of none.
    */
-  record({ name, before, after, others = {}, gesture }) {
+  record({ name, before, after, gesture }) {
     const { last } = this;
     const isContinued = gesture !== undefined && last?.gesture === gesture && last.name === name;
-    const change = isContinued ? { ...last, after } : { name, before, after, others, gesture };
+    const change = isContinued ? { ...last, after } : { name, before, after, gesture };
     if (isContinued) {
       this.#changes.pop();
     }
