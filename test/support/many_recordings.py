@@ -133,7 +133,7 @@ class ScriptedWorker(Worker):
         return self._on_detect(self, source)
 
     def restart(self) -> None:
-        assert not self.is_stopped
+        self.is_stopped = False
 
     def stop(self) -> None:
         self.is_stopped = True

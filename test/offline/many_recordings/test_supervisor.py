@@ -56,7 +56,11 @@ class ScriptedRun:
 
 
 def test_the_first_worker_chooses_runtime_and_precision_of_all(tmp_path: Path) -> None:
-    scripted = ScriptedRun(tmp_path, 3)
+    def load(worker: ScriptedWorker, plan: Plan) -> Plan:
+        time.sleep(0.05)  # long enough for the others to begin, if they do not wait
+        return loaded(worker, plan)
+
+    scripted = ScriptedRun(tmp_path, 3, on_load=load)
     tally = scripted.run()
     settings = [plan.settings for worker in scripted.workers for plan in worker.plans]
     assert [one.runtime for one in settings] == ["auto", "torch", "torch"]
@@ -150,6 +154,15 @@ def test_a_worker_for_which_there_is_no_room_is_left_out(tmp_path: Path) -> None
     assert remark == "continuing with 1 worker(s): another one could not start: not enough memory"
 
 
+def test_the_last_worker_is_not_left_out(tmp_path: Path) -> None:
+    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
+        raise DiedError("it died")
+
+    scripted = ScriptedRun(tmp_path, 1, on_load=only_the_first_loads, on_detect=detect)
+    with pytest.raises(DetectingError, match="not enough memory"):
+        scripted.run()
+
+
 def test_an_interrupt_ends_workers_and_whatever_waits_for_one(tmp_path: Path) -> None:
     def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
         while not worker.is_stopped:
@@ -164,6 +177,7 @@ def test_an_interrupt_ends_workers_and_whatever_waits_for_one(tmp_path: Path) ->
     with pytest.raises(KeyboardInterrupt):
         scripted.run()
     assert len(scripted.begun) == 1
+    assert all(worker.is_stopped and worker.is_closed for worker in scripted.workers)
     assert all(remark.startswith("continuing with") for remark in scripted.notes.remarks)
 
 
