@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import signal
-from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from rosbags.rosbag2 import Reader, StoragePlugin
 
-from support.detected_offline import MODEL
+from support.detected_offline import MODEL, prepare_once
 from support.recorded_scene import raw, record
-from yolov5_lifecycle.offline.many_recordings.plan import Plan, plan_of
-from yolov5_lifecycle.offline.many_recordings.supervisor import Tally
-from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers
-from yolov5_lifecycle.offline.many_recordings.workers import Event, Progress
+from yolov5_lifecycle.offline.many_recordings.plan import Options, Plan, plan_of
+from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage, RecordingTask
+from yolov5_lifecycle.offline.many_recordings.results import RecordingResult, Refused
+from yolov5_lifecycle.offline.many_recordings.tally import RecordingsTerminal, Tally
+from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker, Worker
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.settings.settings import validated
@@ -40,11 +38,17 @@ def broken(folder: Path, name: str) -> Path:
     return folder / name
 
 
-def plan_for(output: Path, **settings: object) -> Plan:
+def plan_for(output: Path, *, suffix: str = "", crops: bool = False, **settings: object) -> Plan:
     """The embedded model with `settings`."""
-    return plan_of(
-        validated({**MODEL, **settings}), output=output, topic=None, node="/yolov5", images=False, masks=True
-    )
+    options = Options(None, "/yolov5", images=False, masks=True, suffix=suffix, crops=crops)
+    return plan_of(validated({**MODEL, **settings}), output, options)
+
+
+def result_of(source: SourceRecording, plan: Plan, on_image: OnImage = lambda _: None) -> RecordingResult:
+    """What a worker answers for `source`, in this process."""
+    result = RecordingTask(plan, on_image, prepare=prepare_once).run(source)
+    assert isinstance(result, RecordingResult)
+    return result
 
 
 def messages(recording: Path) -> list[tuple[str, int, bytes]]:
@@ -65,10 +69,11 @@ def found_objects(recording: Path) -> dict[str, int]:
     return counts
 
 
-class Notes:
-    """A watch that remembers what it is told; `on_progress` is called with each tally."""
+class Notes(RecordingsTerminal):
+    """Remembers what it is told; `on_progress` is called with each tally."""
 
     def __init__(self, on_progress: Callable[[Tally], object] = lambda _: None) -> None:
+        super().__init__()
         self.remarks: list[str] = []
         self._on_progress = on_progress
 
@@ -84,62 +89,67 @@ class Notes:
         self._on_progress(tally)
 
 
-class HuntedWorkers(ProcessWorkers):
-    """Real processes; one is killed when it has read the first image of a recording that is in `prey`."""
+class HuntedWorker(ProcessWorker):
+    """A real process, the only one; killed when it has read the first image of a recording in `prey`."""
 
-    def __init__(self, max_count: int, prey: Sequence[str], seen: Callable[[], object]) -> None:
-        super().__init__(max_count)
+    def __init__(self, prey: Sequence[str], seen: Callable[[], object] = lambda: None) -> None:
+        super().__init__(1)
         self.killed: list[str] = []
         self._prey = list(prey)
         self._seen = seen
-        self._reads: dict[int, str] = {}
 
-    def begin(self, worker: int, source: SourceRecording) -> None:
-        self._reads[worker] = source.name
-        super().begin(worker, source)
-
-    def events(self, timeout_s: float) -> list[Event]:
-        events = super().events(timeout_s)
-        for event in events:
-            name = self._reads.get(event.worker, "")
-            if isinstance(event, Progress) and name in self._prey and event.worker in self.process_ids:
-                self._prey.remove(name)
-                self.killed.append(name)
+    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult | Refused:
+        def hunt(images: int) -> None:
+            on_image(images)
+            if source.name in self._prey:
+                self._prey.remove(source.name)
+                self.killed.append(source.name)
                 self._seen()
-                os.kill(self.process_ids[event.worker], signal.SIGKILL)
-        return events
+                self.process.kill()
+
+        return super().detect(source, hunt)
 
 
-class ScriptedWorkers:
-    """Workers that answer what the test says: `on_start` and `on_begin` give the next events."""
+class ScriptedWorker(Worker):
+    """A worker that answers what `on_load` and `on_detect` return for it, unless they raise."""
 
     def __init__(
         self,
-        max_count: int,
-        on_start: Callable[[int, Plan], Event],
-        on_begin: Callable[[int, SourceRecording], Event],
+        on_load: Callable[[ScriptedWorker, Plan], Plan | Refused],
+        on_detect: Callable[[ScriptedWorker, SourceRecording], RecordingResult | Refused],
     ) -> None:
-        self.max_count = max_count
-        self.begun: list[tuple[int, str]] = []
-        self.runtimes: list[str] = []
-        self.precisions: list[str] = []
-        self.is_closed = False
-        self._on_start, self._on_begin = on_start, on_begin
-        self._events: deque[Event] = deque()
+        self.plans: list[Plan] = []
+        self.begun: list[str] = []
+        self.is_stopped = self.is_closed = False
+        self._on_load, self._on_detect = on_load, on_detect
 
-    def start(self, plan: Plan) -> int:
-        self.runtimes.append(plan.runtime)
-        self.precisions.append(plan.precision)
-        self._events.append(self._on_start(len(self.runtimes) - 1, plan))
-        return len(self.runtimes) - 1
+    def load(self, plan: Plan) -> Plan | Refused:
+        self.plans.append(plan)
+        return self._on_load(self, plan)
 
-    def begin(self, worker: int, source: SourceRecording) -> None:
-        self.begun.append((worker, source.name))
-        self._events.append(self._on_begin(worker, source))
+    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult | Refused:
+        self.begun.append(source.name)
+        on_image(1)
+        return self._on_detect(self, source)
 
-    def events(self, timeout_s: float) -> list[Event]:
-        assert self._events, "nothing is going on any more"
-        return [self._events.popleft()]
+    def restart(self) -> None:
+        self.is_stopped = False
+
+    def stop(self) -> None:
+        self.is_stopped = True
 
     def close(self) -> None:
         self.is_closed = True
+
+    def _answer(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+        raise NotImplementedError
+
+
+def loaded(worker: ScriptedWorker, plan: Plan) -> Plan:
+    """What a worker answers that has loaded the model."""
+    return plan.chosen("torch", "fp32")
+
+
+def done(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
+    """What a worker answers that has read two images."""
+    return RecordingResult(recording=source.name, path=str(source.path), state="done", images=2)

@@ -25,19 +25,13 @@ from yolov5_lifecycle.offline.export.formats import (
     may_have_masks,
 )
 from yolov5_lifecycle.offline.image_files import has_still_images
-from yolov5_lifecycle.offline.many_recordings.plan import plan_of
-from yolov5_lifecycle.offline.many_recordings.recordings_terminal import RecordingsTerminal, recordings_report
+from yolov5_lifecycle.offline.many_recordings.plan import Options, plan_of
 from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
-from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers, suitable_count
-from yolov5_lifecycle.offline.many_recordings.workers import Workers
-from yolov5_lifecycle.offline.recordings import (
-    SourceRecording,
-    are_many,
-    is_recording,
-    is_video,
-    recordings_of,
-)
+from yolov5_lifecycle.offline.many_recordings.tally import RecordingsTerminal, recordings_report
+from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker, Worker, suitable_count
+from yolov5_lifecycle.offline.recordings import are_many, is_recording, is_video, recordings_of
 from yolov5_lifecycle.offline.terminal import Terminal, missing_images, report
+from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.process.standard_streams import complain, show_report
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
@@ -129,37 +123,35 @@ def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
     output = Path(os.path.abspath(arguments.output))  # noqa: PTH100
     settings = _settings(arguments)
     sources = recordings_of(arguments.sources, output)
-    if problem := _problem_with_sources(sources, arguments):
-        parser.error(problem)
     suffix = format_suffix(output)
     check_format(suffix)
     if not all(is_video(source.path) for source in sources):
         with _rosbags():
             import yolov5_lifecycle.offline.recording  # noqa: F401
-    plan = plan_of(
-        settings,
-        output=output,
-        topic=arguments.topic,
-        node=arguments.node,
-        images=arguments.images,
-        masks=arguments.masks,
-        suffix=suffix,
-        crops=arguments.crops,
+    elif problems := _without_recordings(arguments, "these are videos"):
+        parser.error("; ".join(problems))
+    options = Options(
+        arguments.topic, arguments.node, arguments.images, arguments.masks, suffix, arguments.crops
     )
+    plan = plan_of(settings, output, options)
     with unwound_by_sigterm(), closing(RecordingsTerminal()) as terminal:
         new_workers = functools.partial(_workers, arguments.jobs, arguments.ray)
-        tally = detect_recordings(sources, plan, new_workers=new_workers, watch=terminal)
+        tally = detect_recordings(sources, plan, new_workers=new_workers, terminal=terminal)
     show_report(recordings_report(tally))
     return 0 if tally.is_complete else EXIT_INCOMPLETE
 
 
-def _workers(jobs: int | None, ray: str | None, recordings: int) -> Workers:
+def _workers(jobs: int | None, ray: str | None, recordings: int) -> Sequence[Worker]:
     """`jobs` workers, or as many as are suitable for `recordings`, on the cluster `ray` or this machine."""
     if ray is None:
-        return ProcessWorkers(min(jobs, recordings) if jobs else suitable_count(recordings))
-    from yolov5_lifecycle.offline.many_recordings.ray_cluster import ray_workers
+        count = suitable_count(recordings, jobs)
+        return [ProcessWorker(count) for _ in range(count)]
+    if absence := absence_of("ray"):
+        raise ImportError(f"--ray needs the package ray: {absence}")
+    from yolov5_lifecycle.offline.many_recordings.ray_worker import RayWorker, connected
 
-    return ray_workers(ray, jobs, recordings)
+    processors = connected(ray)
+    return [RayWorker() for _ in range(min(jobs or processors, processors, recordings))]
 
 
 def _complain(problem: str) -> int:
@@ -174,11 +166,7 @@ def _usage_problem(source: Path, arguments: argparse.Namespace) -> str:
         if arguments.annotated:
             problems.append("--annotated does not apply to recordings; use --images")
     else:
-        problems = [
-            f"--{name} applies to recordings only, and {source} is not one"
-            for name in ("topic", "images")
-            if getattr(arguments, name)
-        ]
+        problems = _without_recordings(arguments, f"{source} is not one")
         if TRACK in arguments.assignments and has_still_images(source):
             problems.append(f"{source} has still images; tracking needs a recording or a video")
         if arguments.crops and arguments.output is None:
@@ -198,15 +186,13 @@ def _usage_problem_of_many(arguments: argparse.Namespace) -> str:
     return "; ".join([*problems, *_conflicts_with_format(arguments)])
 
 
-def _problem_with_sources(sources: Sequence[SourceRecording], arguments: argparse.Namespace) -> str:
-    """Which arguments have no effect because all `sources` are videos, or ""."""
-    if not all(is_video(source.path) for source in sources):
-        return ""
-    return "; ".join(
-        f"--{name} applies to recordings only, and these are videos"
+def _without_recordings(arguments: argparse.Namespace, sources: str) -> list[str]:
+    """Which arguments have no effect, because of what `sources` says."""
+    return [
+        f"--{name} applies to recordings only, and {sources}"
         for name in ("topic", "images")
         if getattr(arguments, name)
-    )
+    ]
 
 
 def _conflicts_with_format(arguments: argparse.Namespace) -> list[str]:

@@ -121,19 +121,8 @@ def _node_name(text: str) -> str:
 @contextmanager
 def unwound_by_sigterm() -> Iterator[None]:
     """Unwind on SIGTERM, so that unfinished output is removed, and exit with code 143."""
-    is_terminated = False
-
-    def terminate(*_: object) -> None:
-        nonlocal is_terminated
-        is_terminated = True
-        sys.exit(_TERMINATED)
-
-    before = signal.signal(signal.SIGTERM, terminate)
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(_TERMINATED))
     try:
         yield
-    except SystemExit:
-        if is_terminated:
-            sys.exit(_TERMINATED)  # ray.wait had replaced it by 1, in check_status of _raylet.pyx
-        raise
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -8,13 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support.detected_offline import SET_MODEL, prepare_once
-from support.many_recordings import Notes, plan_for, record_drives
+from support.detected_offline import SET_MODEL
+from support.many_recordings import Notes, plan_for, record_drives, result_of
 
 from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
 from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
-from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers
+from yolov5_lifecycle.offline.many_recordings.workers import Worker
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
 from yolov5_lifecycle.quantization.calibration_file import path_beside
 
@@ -24,26 +23,21 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_drives(tmp_path_factory.mktemp("recorded") / "drives", {"east": 2, "west": 2})
 
 
-def task(output: Path, **settings: object) -> RecordingTask:
-    """What a worker does, in this process."""
-    return RecordingTask(plan_for(output, **settings), lambda _: None, prepare=prepare_once)
-
-
 def test_a_result_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path) -> None:
     kept = tmp_path / "east" / "notes.txt"
     kept.parent.mkdir()
     kept.write_text("mine")
-    result = task(tmp_path).run(SourceRecording("east", drives / "east"))
+    result = result_of(SourceRecording("east", drives / "east"), plan_for(tmp_path))
     assert result.reason == f"{kept.parent} exists and has no record of detect_bag: move or remove it."
     assert kept.read_text() == "mine"
 
 
 def test_what_somebody_adds_to_a_result_is_not_lost(drives: Path, tmp_path: Path) -> None:
     source = SourceRecording("east", drives / "east")
-    assert task(tmp_path).run(source).state == "done"
+    assert result_of(source, plan_for(tmp_path)).state == "done"
     (tmp_path / "east" / "notes.txt").write_text("mine")
-    assert task(tmp_path).run(source).state == "skipped"
-    result = task(tmp_path, classes=["star"]).run(source)
+    assert result_of(source, plan_for(tmp_path)).state == "skipped"
+    result = result_of(source, plan_for(tmp_path, classes=["star"]))
     east = tmp_path / "east"
     assert result.reason == f"{east} is not replaced because it also contains notes.txt: move that elsewhere."
     assert (tmp_path / "east" / "notes.txt").read_text() == "mine"
@@ -82,24 +76,25 @@ def test_a_folder_of_results_whose_name_is_no_text_is_refused(
 
 
 def test_an_empty_folder_of_the_user_stays(drives: Path, tmp_path: Path) -> None:
-    def no_workers(_: int) -> ProcessWorkers:
+    def no_workers(_: int) -> list[Worker]:
         raise OSError("no process can be started")
 
     sources = recordings_of([drives], tmp_path)
     with pytest.raises(OSError, match="no process can be started"):
-        detect_recordings(sources, plan_for(tmp_path), new_workers=no_workers, watch=Notes())
+        detect_recordings(sources, plan_for(tmp_path), new_workers=no_workers, terminal=Notes())
     assert tmp_path.is_dir()
 
 
 @pytest.mark.long
 def test_another_calibration_makes_other_results(drives: Path, tmp_path: Path) -> None:
-    embedded = Path(plan_for(tmp_path).weights)
+    embedded = Path(plan_for(tmp_path).settings.weights)
     weights = Path(shutil.copy(embedded, tmp_path))
     calibration = path_beside(weights)
     source = SourceRecording("east", drives / "east")
 
     def states(precision: str) -> list[str]:
-        return [task(tmp_path, weights=str(weights), precision=precision).run(source).state for _ in range(2)]
+        plan = plan_for(tmp_path, weights=str(weights), precision=precision)
+        return [result_of(source, plan).state for _ in range(2)]
 
     assert states("auto") == ["done", "skipped"]
     assert states("fp32") == ["done", "skipped"]

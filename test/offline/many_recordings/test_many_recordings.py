@@ -17,23 +17,25 @@ from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, prepare_once, run
 from support.many_recordings import (
     LONG,
-    HuntedWorkers,
+    HuntedWorker,
     Notes,
     broken,
     found_objects,
     messages,
     plan_for,
     record_drives,
+    result_of,
 )
 from support.recorded_scene import COUNT, raw, record
 from support.started import started
 
 from yolov5_lifecycle.atomic_file import has_unfinished_outputs
 from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE, main
-from yolov5_lifecycle.offline.many_recordings.finished import RECORD_NAME
-from yolov5_lifecycle.offline.many_recordings.recording_task import NoRoomError, RecordingTask
-from yolov5_lifecycle.offline.many_recordings.supervisor import Tally, detect_recordings
-from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers
+from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
+from yolov5_lifecycle.offline.many_recordings.results import RECORD_NAME, Refused
+from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
+from yolov5_lifecycle.offline.many_recordings.tally import Tally
+from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
 from yolov5_lifecycle.ros.demo.child_process import entry_point
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
@@ -149,16 +151,11 @@ def test_what_was_changed_is_done_again_and_what_was_only_touched_is_not(
     assert messages(again / "north") == messages(again / "east")
 
 
-def task(output: Path, **settings: object) -> RecordingTask:
-    """What a worker does, in this process."""
-    return RecordingTask(plan_for(output, **settings), lambda _: None, prepare=prepare_once)
-
-
 @pytest.mark.long
 def test_other_settings_make_other_results(drives: Path, again: Path) -> None:
     source = SourceRecording("east", drives / "east")
-    assert task(again).run(source).state == "skipped"
-    assert task(again, classes=["star"]).run(source).state == "done"
+    assert result_of(source, plan_for(again)).state == "skipped"
+    assert result_of(source, plan_for(again, classes=["star"])).state == "done"
     assert set(found_objects(again / "east")) == {"star"}
     assert not has_unfinished_outputs(again)
 
@@ -167,8 +164,8 @@ def test_a_recording_that_grows_while_it_is_read_is_set_aside(drives: Path, tmp_
     copy = Path(shutil.copytree(drives / "east", tmp_path / "east"))
     plan = plan_for(tmp_path / "found")
     plan.output.mkdir()
-    growing = RecordingTask(plan, lambda _: (copy / "more.mcap").touch(), prepare=prepare_once)
-    assert "it changed while it was read" in growing.run(SourceRecording("east", copy)).reason
+    row = result_of(SourceRecording("east", copy), plan, lambda _: (copy / "more.mcap").touch())
+    assert "it changed while it was read" in row.reason
     assert list(plan.output.iterdir()) == []
 
 
@@ -176,7 +173,7 @@ def test_images_that_cannot_be_read_are_counted_with_the_first_problem(tmp_path:
     odd = [raw(0), raw(1, encoding="32FC1"), raw(2, encoding="32FC1")]
     source = SourceRecording("odd", record(tmp_path / "odd", odd, storage=StoragePlugin.MCAP))
     (tmp_path / "found").mkdir()
-    result = task(tmp_path / "found").run(source)
+    result = result_of(source, plan_for(tmp_path / "found"))
     assert (result.images, result.detected, result.rejected) == (3, 1, 2)
     assert result.first_problem.startswith("1700000000.540000007: rejected: Encoding '32FC1'")
 
@@ -193,8 +190,9 @@ def test_a_lost_gpu_or_a_full_disk_sets_no_recording_aside(drives: Path, tmp_pat
     lost.__cause__ = DeviceLostError("the GPU is gone")
     with pytest.raises(DeviceLostError):
         fail(lost).run(source)
-    with pytest.raises(NoRoomError, match="No space left"):
-        fail(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))).run(source)
+    refused = fail(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))).run(source)
+    assert isinstance(refused, Refused)
+    assert "No space left" in refused.reason
     assert list(tmp_path.iterdir()) == []
 
 
@@ -202,16 +200,12 @@ def test_a_lost_gpu_or_a_full_disk_sets_no_recording_aside(drives: Path, tmp_pat
 def test_a_killed_worker_loses_nothing_and_nothing_is_written_twice(tmp_path: Path) -> None:
     drives = record_drives(tmp_path / "drives", {"long": LONG, "short": COUNT})
     output, notes = tmp_path / "found", Notes()
-    workers: list[HuntedWorkers] = []
-
-    def new_workers(count: int) -> HuntedWorkers:
-        workers.append(HuntedWorkers(1, ["long"], lambda: begun.append(has_unfinished_outputs(output))))
-        return workers[0]
-
     begun: list[bool] = []
-    plan = plan_for(output)
-    tally = detect_recordings(recordings_of([drives], output), plan, new_workers=new_workers, watch=notes)
-    assert (workers[0].killed, begun) == (["long"], [True])
+    worker = HuntedWorker(["long"], lambda: begun.append(has_unfinished_outputs(output)))
+    tally = detect_recordings(
+        recordings_of([drives], output), plan_for(output), new_workers=lambda _: [worker], terminal=notes
+    )
+    assert (worker.killed, begun) == (["long"], [True])
     (remark,) = notes.remarks
     assert remark == "long: the worker died (signal 9); another worker retries it"
     assert {result.recording: (result.state, result.images) for result in tally.results.values()} == {
@@ -229,8 +223,8 @@ def test_a_recording_that_kills_its_workers_is_set_aside(tmp_path: Path) -> None
     tally = detect_recordings(
         recordings_of([drives], output),
         plan_for(output),
-        new_workers=lambda _: HuntedWorkers(1, ["deadly", "deadly"], lambda: None),
-        watch=notes,
+        new_workers=lambda _: [HuntedWorker(["deadly", "deadly"])],
+        terminal=notes,
     )
     assert {name: result.state for name, result in tally.results.items()} == {
         "deadly": "set aside",
@@ -240,6 +234,10 @@ def test_a_recording_that_kills_its_workers_is_set_aside(tmp_path: Path) -> None
     assert remark == "deadly: set aside: the worker died (signal 9) 2 times while reading this recording"
     assert not (output / "deadly").exists()
     assert not has_unfinished_outputs(output)
+
+
+def one_process(_: int) -> list[ProcessWorker]:
+    return [ProcessWorker(1)]
 
 
 @pytest.mark.long
@@ -253,9 +251,9 @@ def test_an_interrupt_leaves_nothing_unfinished_and_keeps_what_is_whole(tmp_path
 
     sources, plan = recordings_of([drives], output), plan_for(output)
     with pytest.raises(KeyboardInterrupt):
-        detect_recordings(sources, plan, new_workers=lambda _: ProcessWorkers(1), watch=Notes(interrupt))
+        detect_recordings(sources, plan, new_workers=one_process, terminal=Notes(interrupt))
     assert [path.name for path in output.iterdir()] == ["a"]
-    detect_recordings(sources, plan, new_workers=ProcessWorkers, watch=Notes())
+    detect_recordings(sources, plan, new_workers=one_process, terminal=Notes())
     assert states(output) == {"a": "skipped", "b": "done"}
 
 

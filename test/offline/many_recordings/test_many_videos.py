@@ -8,20 +8,20 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rosbags.rosbag2 import StoragePlugin
-from support.detected_offline import SET_MODEL, prepare_once, run
-from support.many_recordings import messages, plan_for
+from support.detected_offline import MODEL, SET_MODEL, run
+from support.many_recordings import messages, plan_for, result_of
 from support.recorded_scene import COUNT, images, raw, record, video
 
 from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE, main
 from yolov5_lifecycle.offline.export.formats import FORMATS
-from yolov5_lifecycle.offline.many_recordings.finished import RECORD_NAME, finished_before
 from yolov5_lifecycle.offline.many_recordings.plan import Plan
-from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
-from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
+from yolov5_lifecycle.offline.many_recordings.results import RECORD_NAME, RecordingResult, finished_before
 from yolov5_lifecycle.offline.recordings import SourceRecording
+from yolov5_lifecycle.settings.settings import validated
 
 WITHOUT_ROSBAGS = "import sys; sys.modules['rosbags'] = None; "
 
@@ -51,16 +51,10 @@ def states(output: Path) -> dict[str, str]:
     return {row["recording"]: row["state"] for row in rows}
 
 
-def plan_of(output: Path, *, suffix: str = "", crops: bool = False) -> Plan:
-    plan: Plan = plan_for(output).model_copy(update={"suffix": suffix, "crops": crops})
-    return plan
-
-
 def processed(source: Path, plan: Plan) -> RecordingResult:
     """The result of a worker that is in this process."""
     plan.output.mkdir(exist_ok=True)
-    task = RecordingTask(plan, lambda _: None, prepare=prepare_once)
-    return task.run(SourceRecording(source.stem, source))
+    return result_of(SourceRecording(source.stem, source), plan)
 
 
 @pytest.mark.long
@@ -91,7 +85,7 @@ def test_a_second_run_skips_videos_and_recordings(words: list[str], mixed: Path)
 def test_a_result_has_the_format_of_the_folder_and_is_not_made_again(
     suffix: str, name: str, mixed: Path, tmp_path: Path
 ) -> None:
-    plan = plan_of(tmp_path / "found", suffix=suffix, crops=True)
+    plan = plan_for(tmp_path / "found", suffix=suffix, crops=True)
     source = SourceRecording(Path(name).stem, mixed / name)
     assert processed(source.path, plan).state == "done"
     folder = plan.output / source.name
@@ -108,7 +102,7 @@ def test_a_result_has_the_format_of_the_folder_and_is_not_made_again(
 
 
 def test_crops_lie_in_the_recording_that_is_a_result(mixed: Path, tmp_path: Path) -> None:
-    plan = plan_of(tmp_path / "found", crops=True)
+    plan = plan_for(tmp_path / "found", crops=True)
     source = SourceRecording("drive", mixed / "drive")
     row = processed(source.path, plan)
     assert messages(plan.output / "drive")
@@ -120,7 +114,7 @@ def test_the_command_takes_the_format_from_the_name_of_the_folder(
     mixed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     output = tmp_path / "found.csv"
-    plan = plan_of(output, suffix=".csv", crops=True)
+    plan = plan_for(output, suffix=".csv", crops=True)
     assert processed(mixed / "monday.avi", plan).state == "done"
     assert main([str(mixed / "m*.avi"), "--output", str(output), "--crops", *SET_MODEL]) == 0
     assert states(output) == {"monday": "skipped"}
@@ -128,10 +122,10 @@ def test_the_command_takes_the_format_from_the_name_of_the_folder(
 
 @pytest.mark.parametrize("change", [{"suffix": ".csv"}, {"crops": True}, {"suffix": ".csv", "crops": True}])
 def test_another_format_or_crops_replace_a_result(
-    change: dict[str, object], mixed: Path, tmp_path: Path
+    change: dict[str, Any], mixed: Path, tmp_path: Path
 ) -> None:
     plan = plan_for(tmp_path)
-    other = plan.model_copy(update=change)
+    other = plan_for(tmp_path, **change)
     source = SourceRecording("monday", mixed / "monday.avi")
     assert processed(source.path, plan).state == "done"
     assert finished_before(source, other) is None
@@ -140,15 +134,15 @@ def test_another_format_or_crops_replace_a_result(
 
 
 def test_formats_and_crops_keep_the_digest_of_results_without_them(tmp_path: Path) -> None:
-    plan = plan_for(tmp_path)
+    values = validated(MODEL | {"precision": "fp32"}).model_dump(mode="json")
     place = {"model_size", "weights", "weights_dir", "weights_dirs", "weights_sha256"}
-    settings = {name: value for name, value in plan.settings.items() if name not in place}
-    before: list[object] = [settings, {"topic": None, "node": "/yolov5", "images": False, "masks": True}]
-    before += [plan.calibration_sha256] if plan.calibration_sha256 else []
+    settings = {name: value for name, value in values.items() if name not in place}
+    before = [settings, {"topic": None, "node": "/yolov5", "images": False, "masks": True}]
     text = json.dumps(before, sort_keys=True)
-    assert plan.settings_sha256 == hashlib.sha256(text.encode()).hexdigest()
+    plain = plan_for(tmp_path, precision="fp32")
+    assert plain.settings_sha256 == hashlib.sha256(text.encode()).hexdigest()
     digests = {
-        plan_of(tmp_path, suffix=suffix, crops=crops).settings_sha256
+        plan_for(tmp_path, suffix=suffix, crops=crops).settings_sha256
         for suffix in ("", *FORMATS)
         for crops in (False, True)
     }

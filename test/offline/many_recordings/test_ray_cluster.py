@@ -83,7 +83,7 @@ def test_a_killed_actor_loses_nothing(head: RayHead, tmp_path: Path) -> None:
     output = tmp_path / "found"
     process = started(head, drives, output)
     wait_for_output(process, output)
-    while not (actors := head.processes("ray::Actor.detect")):
+    while not (actors := head.processes("ray::Work.detect")):
         time.sleep(_POLL_S)
     for actor in actors:
         os.kill(actor, signal.SIGKILL)

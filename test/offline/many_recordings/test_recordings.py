@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.many_recordings import plan_for
+from support.special_cache_files import SPECIAL_CACHE_FILES
 
-from yolov5_lifecycle.offline.many_recordings.finished import (
+from yolov5_lifecycle.offline.many_recordings.results import (
     RECORD_NAME,
     Record,
+    RecordingResult,
     file_stamps,
     finished_before,
     read_record,
 )
-from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import SourceRecording, are_many, recordings_of
 from yolov5_lifecycle.quantization.calibration_file import path_beside
 from yolov5_lifecycle.sources.frames import SourceError
@@ -150,7 +152,7 @@ def result(source: SourceRecording, tmp_path: Path) -> Path:
     folder.mkdir(parents=True)
     (folder / "drive.mcap").write_bytes(b"detections")
     Record(
-        weights_sha256=plan.weights_sha256,
+        weights_sha256=plan.settings.weights_sha256,
         settings_sha256=plan.settings_sha256,
         recording_sha256="0" * 64,
         recording_files=file_stamps(source.path),
@@ -179,7 +181,7 @@ def test_a_finished_result_is_found(source: SourceRecording, result: Path) -> No
 )
 def test_what_has_changed_is_not_finished(
     change: Callable[[Path, Path], object],
-    settings: dict[str, object],
+    settings: dict[str, Any],
     source: SourceRecording,
     result: Path,
 ) -> None:
@@ -190,7 +192,7 @@ def test_what_has_changed_is_not_finished(
 def test_the_place_of_the_weights_makes_no_difference(
     source: SourceRecording, result: Path, tmp_path: Path
 ) -> None:
-    weights = Path(plan_for(result.parent).weights)
+    weights = Path(plan_for(result.parent).settings.weights)
     moved = tmp_path / "moved.safetensors"
     moved.write_bytes(weights.read_bytes())
     path_beside(moved).write_bytes(path_beside(weights).read_bytes())
@@ -207,16 +209,27 @@ def test_notes_beside_the_files_of_a_recording_make_no_difference(
 @pytest.mark.parametrize(
     "content",
     [
-        pytest.param(b"", id="empty"),
-        pytest.param(b"[]", id="list"),
-        pytest.param(b"{}", id="nothing in it"),
-        pytest.param(b"\xff\xfe", id="no text"),
-        pytest.param(b"[" * 100_000, id="deep"),
-        pytest.param(b'{"weights_sha256": 1}', id="number"),
-        pytest.param(bytes((16 << 20) + 1), id="too large"),
+        pytest.param(lambda _: b"", id="empty"),
+        pytest.param(lambda _: b"[]", id="list"),
+        pytest.param(lambda _: b"{}", id="nothing in it"),
+        pytest.param(lambda _: b"\xff\xfe", id="no text"),
+        pytest.param(lambda _: b"[" * 100_000, id="deep"),
+        pytest.param(lambda record: record[:-9], id="cut off"),
+        pytest.param(lambda record: record.replace(b'"drive"', b'"other"'), id="another recording"),
+        pytest.param(lambda record: record.replace(b": 3", b": -3"), id="negative count"),
+        pytest.param(lambda record: record + b" " * (16 << 20), id="too large"),
     ],
 )
-def test_a_damaged_record_counts_as_none(content: bytes, result: Path) -> None:
+def test_a_damaged_record_counts_as_none(content: Callable[[bytes], bytes], result: Path) -> None:
+    record = result / RECORD_NAME
     assert read_record(result) is not None
-    (result / RECORD_NAME).write_bytes(content)
+    record.write_bytes(content(record.read_bytes()))
     assert read_record(result) is None
+
+
+@pytest.mark.parametrize("make", SPECIAL_CACHE_FILES.values(), ids=SPECIAL_CACHE_FILES)
+def test_a_record_that_is_no_small_file_counts_as_none(
+    make: Callable[[Path], object], tmp_path: Path
+) -> None:
+    make(tmp_path / RECORD_NAME)
+    assert read_record(tmp_path) is None

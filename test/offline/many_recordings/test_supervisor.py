@@ -3,36 +3,30 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
+from threading import Barrier
+from typing import Any
 
 import pytest
-from support.many_recordings import Notes, ScriptedWorkers, plan_for
+from support.many_recordings import Notes, ScriptedWorker, done, loaded, plan_for
 
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.many_recordings.plan import Plan
-from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
-from yolov5_lifecycle.offline.many_recordings.supervisor import MAX_DEATHS, Tally, detect_recordings
-from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers, suitable_count
-from yolov5_lifecycle.offline.many_recordings.workers import Died, Ended, Event, Ready, Refused
+from yolov5_lifecycle.offline.many_recordings.results import RecordingResult, Refused
+from yolov5_lifecycle.offline.many_recordings.supervisor import MAX_DEATHS, detect_recordings
+from yolov5_lifecycle.offline.many_recordings.tally import Tally
+from yolov5_lifecycle.offline.many_recordings.workers import DiedError, suitable_count
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.process.environment import compute_threads
 from yolov5_lifecycle.unfinished import hold, open_itself
 
 SOURCES = [SourceRecording(name, Path("/drives", name)) for name in "abcd"]
-
-
-def ready(worker: int, plan: Plan) -> Event:
-    return Ready(worker, "torch", "fp32")
-
-
-def done(worker: int, source: SourceRecording) -> Event:
-    return Ended(
-        worker, RecordingResult(recording=source.name, path=str(source.path), state="done", images=2)
-    )
 
 
 class ScriptedRun:
@@ -41,120 +35,167 @@ class ScriptedRun:
     def __init__(
         self,
         folder: Path,
-        max_count: int = 2,
+        count: int = 2,
         *,
-        on_start: Callable[[int, Plan], Event] = ready,
-        on_begin: Callable[[int, SourceRecording], Event] = done,
+        on_load: Callable[[ScriptedWorker, Plan], Plan | Refused] = loaded,
+        on_detect: Callable[[ScriptedWorker, SourceRecording], RecordingResult | Refused] = done,
+        on_progress: Callable[[Tally], object] = lambda _: None,
+        **settings: Any,
     ) -> None:
-        self.output = folder / "found"
-        self.notes = Notes()
-        self.workers = ScriptedWorkers(max_count, on_start, on_begin)
+        self.notes = Notes(on_progress)
+        self.workers = [ScriptedWorker(on_load, on_detect) for _ in range(count)]
+        self.plan = plan_for(folder / "found", **({"runtime": "auto"} | settings))
 
     def run(self) -> Tally:
-        return detect_recordings(
-            SOURCES,
-            plan_for(self.output, runtime="auto"),
-            new_workers=lambda _: self.workers,
-            watch=self.notes,
-        )
+        return detect_recordings(SOURCES, self.plan, new_workers=lambda _: self.workers, terminal=self.notes)
+
+    @property
+    def begun(self) -> list[str]:
+        """The recordings that were begun, in alphabetical order."""
+        return sorted(name for worker in self.workers for name in worker.begun)
 
 
 def test_the_first_worker_chooses_runtime_and_precision_of_all(tmp_path: Path) -> None:
-    scripted = ScriptedRun(tmp_path, 3)
+    def load(worker: ScriptedWorker, plan: Plan) -> Plan:
+        time.sleep(0.05)  # long enough for the others to begin, if they do not wait
+        return loaded(worker, plan)
+
+    scripted = ScriptedRun(tmp_path, 3, on_load=load)
     tally = scripted.run()
-    assert scripted.workers.runtimes == ["auto", "torch", "torch"]
-    assert scripted.workers.precisions == ["auto", "fp32", "fp32"]
-    assert scripted.workers.is_closed
-    assert sorted(name for _, name in scripted.workers.begun) == list("abcd")
+    settings = [plan.settings for worker in scripted.workers for plan in worker.plans]
+    assert [one.runtime for one in settings] == ["auto", "torch", "torch"]
+    assert [one.precision for one in settings] == ["auto", "fp32", "fp32"]
+    assert all(worker.is_stopped and worker.is_closed for worker in scripted.workers)
+    assert scripted.begun == list("abcd")
     assert (tally.in_state("done"), tally.images) == (4, 8)
 
 
 def test_with_runtime_and_precision_set_all_workers_start_at_once(tmp_path: Path) -> None:
-    begun: list[int] = []
+    all_load = Barrier(3, timeout=5)
 
-    def begin(worker: int, source: SourceRecording) -> Event:
-        begun.append(len(scripted.workers.runtimes))
-        return done(worker, source)
+    def load(worker: ScriptedWorker, plan: Plan) -> Plan:
+        all_load.wait()
+        return plan
 
-    scripted = ScriptedRun(tmp_path, 3, on_begin=begin)
-    plan = plan_for(scripted.output, precision="fp32")
-    detect_recordings(SOURCES, plan, new_workers=lambda _: scripted.workers, watch=scripted.notes)
-    assert begun[0] == 3
-
-
-def test_there_are_no_more_workers_than_recordings(tmp_path: Path) -> None:
-    scripted = ScriptedRun(tmp_path, 100)
-    scripted.run()
-    assert len(scripted.workers.runtimes) == len(SOURCES)
+    assert ScriptedRun(tmp_path, 3, on_load=load, runtime="torch", precision="fp32").run().is_complete
 
 
 def test_the_recording_of_a_dead_worker_is_retried(tmp_path: Path) -> None:
     deaths = ["a", "c"]
 
-    def begin(worker: int, source: SourceRecording) -> Event:
+    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
         if source.name in deaths:
             deaths.remove(source.name)
-            return Died(worker, "the worker died (signal 9)")
+            raise DiedError("the worker died (signal 9)")
         return done(worker, source)
 
-    scripted = ScriptedRun(tmp_path, on_begin=begin)
+    scripted = ScriptedRun(tmp_path, on_detect=detect)
     assert scripted.run().in_state("done") == 4
-    assert sorted(name for _, name in scripted.workers.begun) == list("aabccd")
-    assert len(scripted.notes.remarks) == 2
+    assert scripted.begun == list("aabccd")
+    assert sorted(scripted.notes.remarks) == [
+        f"{name}: the worker died (signal 9); another worker retries it" for name in "ac"
+    ]
 
 
 def test_the_recording_at_which_workers_die_is_set_aside(tmp_path: Path) -> None:
-    def begin(worker: int, source: SourceRecording) -> Event:
-        return Died(worker, "it died") if source.name == "b" else done(worker, source)
+    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
+        if source.name == "b":
+            raise DiedError("it died")
+        return done(worker, source)
 
-    scripted = ScriptedRun(tmp_path, on_begin=begin)
+    scripted = ScriptedRun(tmp_path, on_detect=detect)
     tally = scripted.run()
     assert (tally.in_state("done"), tally.in_state("set aside")) == (3, 1)
-    assert [remark.split(":")[0] for remark in scripted.notes.aside] == ["b"]
-    assert [name for _, name in scripted.workers.begun].count("b") == MAX_DEATHS
+    assert scripted.notes.aside == [f"b: set aside: it died {MAX_DEATHS} times while reading this recording"]
+    assert scripted.begun.count("b") == MAX_DEATHS
 
 
+@pytest.mark.parametrize("runtime", ["auto", "torch"])
 @pytest.mark.parametrize(
-    ("event", "told"),
+    ("answer", "told"),
     [
-        pytest.param(lambda worker: Died(worker, "it died"), "it died while loading the model", id="dies"),
-        pytest.param(lambda worker: Refused(worker, "no such class"), "no such class", id="refuses"),
+        pytest.param(DiedError("it died"), "it died while loading the model, 2 times in a row", id="dies"),
+        pytest.param(Refused("no such class"), "no such class", id="refuses"),
     ],
 )
 def test_a_model_that_no_worker_can_load_ends_the_run(
-    event: Callable[[int], Event], told: str, tmp_path: Path
+    answer: DiedError | Refused, told: str, runtime: str, tmp_path: Path
 ) -> None:
-    scripted = ScriptedRun(tmp_path, on_start=lambda worker, _: event(worker))
+    def load(worker: ScriptedWorker, plan: Plan) -> Refused:
+        if isinstance(answer, DiedError):
+            raise answer
+        return answer
+
+    scripted = ScriptedRun(tmp_path, on_load=load, runtime=runtime, precision="fp32")
     with pytest.raises(DetectingError, match=told):
         scripted.run()
-    assert scripted.workers.is_closed
-    assert not scripted.output.exists()
+    assert all(worker.is_closed for worker in scripted.workers)
+    assert (scripted.begun, scripted.notes.remarks) == ([], [])
+    assert not scripted.plan.output.exists()
+
+
+def test_a_worker_that_dies_once_while_it_loads_loads_again(tmp_path: Path) -> None:
+    def load(worker: ScriptedWorker, plan: Plan) -> Plan:
+        if len(worker.plans) == 1:
+            raise DiedError("it died")
+        return loaded(worker, plan)
+
+    assert ScriptedRun(tmp_path, on_load=load).run().in_state("done") == 4
+
+
+def only_the_first_loads(worker: ScriptedWorker, plan: Plan) -> Plan | Refused:
+    return loaded(worker, plan) if plan.is_open else Refused("not enough memory")
 
 
 def test_a_worker_for_which_there_is_no_room_is_left_out(tmp_path: Path) -> None:
-    def start(worker: int, plan: Plan) -> Event:
-        return Refused(worker, "not enough memory") if worker else ready(worker, plan)
-
-    scripted = ScriptedRun(tmp_path, 2, on_start=start)
+    scripted = ScriptedRun(tmp_path, on_load=only_the_first_loads)
     assert scripted.run().in_state("done") == 4
     (remark,) = scripted.notes.remarks
     assert remark == "continuing with 1 worker(s): another one could not start: not enough memory"
 
 
+def test_the_last_worker_is_not_left_out(tmp_path: Path) -> None:
+    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
+        raise DiedError("it died")
+
+    scripted = ScriptedRun(tmp_path, 1, on_load=only_the_first_loads, on_detect=detect)
+    with pytest.raises(DetectingError, match="not enough memory"):
+        scripted.run()
+
+
+def test_an_interrupt_ends_workers_and_whatever_waits_for_one(tmp_path: Path) -> None:
+    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
+        while not worker.is_stopped:
+            time.sleep(0.001)
+        raise DiedError("it died")
+
+    def interrupt(tally: Tally) -> None:
+        if tally.images:
+            raise KeyboardInterrupt
+
+    scripted = ScriptedRun(tmp_path, 3, on_load=only_the_first_loads, on_detect=detect, on_progress=interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        scripted.run()
+    assert len(scripted.begun) == 1
+    assert all(worker.is_stopped and worker.is_closed for worker in scripted.workers)
+    assert all(remark.startswith("continuing with") for remark in scripted.notes.remarks)
+
+
 def test_a_full_disk_ends_the_run(tmp_path: Path) -> None:
-    scripted = ScriptedRun(tmp_path, on_begin=lambda worker, _: Refused(worker, "No space left on device"))
+    scripted = ScriptedRun(tmp_path, on_detect=lambda *_: Refused("No space left on device"))
     with pytest.raises(DetectingError, match="No space left"):
         scripted.run()
 
 
 def test_two_batches_do_not_share_a_folder(tmp_path: Path) -> None:
     scripted = ScriptedRun(tmp_path)
-    scripted.output.mkdir()
-    held = open_itself(scripted.output)
-    assert hold(held, scripted.output)
+    scripted.plan.output.mkdir()
+    held = open_itself(scripted.plan.output)
+    assert hold(held, scripted.plan.output)
     with pytest.raises(OutputError, match="another detect_bag is writing to it"):
         scripted.run()
-    assert scripted.workers.runtimes == []
+    assert scripted.workers[0].plans == []
+    os.close(held)
 
 
 def test_without_pyarrow_the_table_is_missing_and_the_remedy_is_given(
@@ -163,22 +204,20 @@ def test_without_pyarrow_the_table_is_missing_and_the_remedy_is_given(
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     scripted = ScriptedRun(tmp_path)
     scripted.run()
-    assert [path.name for path in scripted.output.iterdir()] == ["summary.json"]
-    assert json.loads((scripted.output / "summary.json").read_text())["done"] == 4
+    assert [path.name for path in scripted.plan.output.iterdir()] == ["summary.json"]
+    assert json.loads((scripted.plan.output / "summary.json").read_text())["done"] == 4
     (remark,) = scripted.notes.remarks
     assert remark.endswith("-m pip install pyarrow")
 
 
-@pytest.mark.parametrize(("recordings", "count"), [(1, 1), (10_000, compute_threads())])
-def test_a_machine_has_no_more_workers_than_cores_and_recordings(recordings: int, count: int) -> None:
-    assert 1 <= suitable_count(recordings) <= count
-
-
-def test_workers_share_the_cores() -> None:
-    for count in (1, 2, 1000):
-        workers = ProcessWorkers(count)
-        assert workers.threads == max(1, compute_threads() // count)
-        workers.close()
+@pytest.mark.parametrize(
+    ("recordings", "jobs", "count"), [(1, None, 1), (10_000, None, compute_threads()), (3, 7, 3), (9, 7, 7)]
+)
+def test_there_are_no_more_workers_than_recordings_jobs_and_cores(
+    recordings: int, jobs: int | None, count: int
+) -> None:
+    assert 1 <= suitable_count(recordings, jobs) <= count
+    assert jobs is None or suitable_count(recordings, jobs) == count
 
 
 @pytest.mark.parametrize(
@@ -228,7 +267,7 @@ def test_an_error_says_what_to_do_and_leaves_nothing_behind(
     Path("file").touch()
     Path("copy.mcap").touch()
     before = sorted(drive.parent.rglob("*"))
-    weights = plan_for(drive).weights
+    weights = plan_for(drive).settings.weights
     assert main(["--output", "found", *words, "--set", f"weights={weights}"]) == 1
     assert told in capsys.readouterr().err
     assert sorted(drive.parent.rglob("*")) == before
@@ -238,7 +277,7 @@ def test_without_ray_the_option_says_how_to_install_it(
     drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    weights = plan_for(drive).weights
+    weights = plan_for(drive).settings.weights
     words = [str(drive), "--output", str(drive.parent / "found"), "--ray", "auto"]
     assert main([*words, "--set", f"weights={weights}"]) == 1
     assert "-m pip install ray" in capsys.readouterr().err

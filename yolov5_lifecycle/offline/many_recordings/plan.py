@@ -1,13 +1,13 @@
-"""The plan for every one of many recordings, in a form that can be sent to workers."""
+"""The plan for every one of many recordings, which each worker gets."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-
-from pydantic import BaseModel, ConfigDict
 
 from yolov5_lifecycle.checkpoints.locate import weights_digest
 from yolov5_lifecycle.detection.prepared_model import weights_path
@@ -16,22 +16,14 @@ from yolov5_lifecycle.settings.settings import Settings, validated
 
 _PLACE_OF_WEIGHTS = {"model_size", "weights", "weights_dir", "weights_dirs", "weights_sha256"}
 """Settings that say where the model is, not which one it is."""
+_ADDED_LATER = {"suffix", "crops"}
+"""Options that count once they are used, so that the digests of earlier results stay the same."""
 
 
-class Plan(BaseModel):
-    """The model, the settings and the options for all recordings, and the folder of its results."""
+@dataclass(frozen=True)
+class Options:
+    """What the results have: of the images on `topic`, None for the only one, in topics of `node`."""
 
-    model_config = ConfigDict(frozen=True)
-
-    output: Path
-    weights: str
-    weights_sha256: str
-    calibration_sha256: str | None = None
-    """Digest of the calibration beside the weights, if it may lead to int8."""
-    settings: dict[str, object]
-    runtime: str
-    """The runtime that is set, or that the first worker has chosen; likewise the precision."""
-    precision: str
     topic: str | None
     node: str
     images: bool
@@ -40,63 +32,48 @@ class Plan(BaseModel):
     """The format of the results in FORMATS; "": recordings become recordings, and videos JSON lines."""
     crops: bool = False
 
-    @property
-    def is_open(self) -> bool:
-        """Whether runtime or precision depend on what is measured."""
-        return self.runtime == "auto" or (self.precision == "auto" and self.calibration_sha256 is not None)
 
-    @property
-    def settings_sha256(self) -> str:
-        """Digest of everything but model and recording that the results depend on."""
-        settings = {name: value for name, value in self.settings.items() if name not in _PLACE_OF_WEIGHTS}
-        options: dict[str, object] = {"topic": self.topic, "node": self.node}
-        options |= {"images": self.images, "masks": self.masks}
-        # Without them, the digest equals that of results from before formats and crops were introduced.
-        further = {"suffix": self.suffix, "crops": self.crops}
-        options |= {name: value for name, value in further.items() if value}
-        # Likewise without a calibration.
-        calibration = [self.calibration_sha256] if self.calibration_sha256 else []
-        text = json.dumps([settings, options, *calibration], sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+@dataclass(frozen=True)
+class Plan:
+    """The model, the settings and the options for all recordings, and the folder of their results."""
 
-    @property
-    def model_settings(self) -> Settings:
-        """The settings with this model, runtime and precision."""
-        chosen = {
-            "weights": self.weights,
-            "weights_sha256": self.weights_sha256,
-            "runtime": self.runtime,
-            "precision": self.precision,
-        }
-        return validated({**self.settings, **chosen})
+    output: Path
+    options: Options
+    settings: Settings
+    """They select the weights by absolute path and digest."""
+    settings_sha256: str
+    """Digest of everything but model and recording that the results depend on."""
+    is_open: bool
+    """Whether runtime or precision depend on what is measured."""
+
+    def chosen(self, runtime: str, precision: str) -> Plan:
+        """The plan with what the first worker has chosen."""
+        return replace(
+            self, settings=_changed(self.settings, runtime=runtime, precision=precision), is_open=False
+        )
 
 
-def plan_of(
-    settings: Settings,
-    *,
-    output: Path,
-    topic: str | None,
-    node: str,
-    images: bool,
-    masks: bool,
-    suffix: str = "",
-    crops: bool = False,
-) -> Plan:
+def plan_of(settings: Settings, output: Path, options: Options) -> Plan:
     """The plan for the model that `settings` select, as its file is now; raises WeightsError and OSError."""
     weights = Path(os.path.abspath(weights_path(settings)))  # noqa: PTH100
     digest = weights_digest(weights, sha256=settings.weights_sha256)
+    calibration = calibration_digest(weights, precision=settings.precision, device=settings.device)
     return Plan(
         output=output,
-        weights=str(weights),
-        weights_sha256=digest,
-        calibration_sha256=calibration_digest(weights, precision=settings.precision, device=settings.device),
-        settings=settings.model_dump(mode="json"),
-        runtime=settings.runtime,
-        precision=settings.precision,
-        topic=topic,
-        node=node,
-        images=images,
-        masks=masks,
-        suffix=suffix,
-        crops=crops,
+        options=options,
+        settings=_changed(settings, weights=str(weights), weights_sha256=digest),
+        settings_sha256=_settings_sha256(settings.model_dump(mode="json"), options, calibration),
+        is_open=settings.runtime == "auto" or (settings.precision == "auto" and calibration is not None),
     )
+
+
+def _changed(settings: Settings, **values: str) -> Settings:
+    return validated({**settings.model_dump(mode="json"), **values})
+
+
+def _settings_sha256(values: Mapping[str, object], options: Options, calibration: str | None) -> str:
+    """`calibration`: the digest of the one that may lead to int8."""
+    settings = {name: value for name, value in values.items() if name not in _PLACE_OF_WEIGHTS}
+    used = {name: value for name, value in asdict(options).items() if value or name not in _ADDED_LATER}
+    text = json.dumps([settings, used, *([calibration] if calibration else [])], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

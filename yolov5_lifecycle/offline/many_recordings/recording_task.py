@@ -1,4 +1,4 @@
-"""The task of a worker: detection in one recording after the other with one model."""
+"""Detection in one recording after the other with one model."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from yolov5_lifecycle.atomic_file import OutputError, whole_output
+from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_files import write_files
 from yolov5_lifecycle.offline.detecting import Account, OfflineDetector
 from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.export.formats import JSON_LINES, may_have_masks
-from yolov5_lifecycle.offline.many_recordings.finished import (
+from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.many_recordings.results import (
     Record,
+    RecordingResult,
+    Refused,
     content_sha256,
     file_stamps,
     finished_before,
-    read_record,
+    is_replaceable,
     result_bytes,
-    skipped,
 )
-from yolov5_lifecycle.offline.many_recordings.plan import Plan
-from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_video
 from yolov5_lifecycle.printable import in_lines, in_one_line
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
@@ -41,10 +41,6 @@ OnImage = Callable[[int], object]
 """Called after every image with the number of images of the recording so far."""
 
 
-class NoRoomError(RuntimeError):
-    """Nothing more can be written to the folder of the results."""
-
-
 class RecordingTask:
     """Owns the model of `plan`, loaded by `prepare`, and detects in recordings.
 
@@ -53,33 +49,26 @@ class RecordingTask:
 
     def __init__(self, plan: Plan, on_image: OnImage, *, prepare: Prepare = prepare_model) -> None:
         self._plan = plan
-        self._settings = plan.model_settings
         self._on_image = on_image
-        self._prepared = prepare(self._settings, (USUAL_SOURCE_HW,))
+        self._prepared = prepare(plan.settings, (USUAL_SOURCE_HW,))
+        self.runtime = self._prepared.detector.runtime.name
+        self.precision = self._prepared.detector.runtime.precision
         self._detector(_Watch(on_image))  # refuses classes that the model does not have
 
-    @property
-    def runtime(self) -> str:
-        return self._prepared.detector.runtime.name
-
-    @property
-    def precision(self) -> str:
-        return self._prepared.detector.runtime.precision
-
-    def run(self, source: SourceRecording) -> RecordingResult:
+    def run(self, source: SourceRecording) -> RecordingResult | Refused:
         """Write the result of `source`, unless it exists; return its row, with the reason if set aside.
 
-        Raises NoRoomError, and DeviceLostError: then every other recording would fail, too.
+        Where every other recording would fail, too, refuses for lack of room, or raises DeviceLostError.
         """
         begun_s = time.monotonic()
         watch = _Watch(self._on_image)
         try:
             return self._result(source, watch, begun_s)
-        except Exception as error:  # one recording must not end the others
+        except Exception as error:  # noqa: BLE001 - one recording must not end the others
             if isinstance(error.__cause__, DeviceLostError):
                 raise error.__cause__ from None
             if getattr(error, "errno", None) in _NO_ROOM:
-                raise NoRoomError(f"{self._plan.output}: {error}") from error
+                return Refused(in_lines(f"{self._plan.output}: {error}"))
             return RecordingResult(
                 recording=source.name,
                 path=str(source.path),
@@ -90,34 +79,29 @@ class RecordingTask:
             )
 
     def _result(self, source: SourceRecording, watch: _Watch, begun_s: float) -> RecordingResult:
-        target = self._plan.output / source.name
-        if (finished := finished_before(source, self._plan)) is not None:  # by a worker that was then killed
-            return finished
-        files = file_stamps(source.path)
-        record = read_record(target)
-        if record is not None and record.is_of(self._plan, target):
-            if record.recording_sha256 == content_sha256(source.path):
-                record.model_copy(update={"recording_files": files}).write(target)
-                return skipped(record, source)
-        elif record is None and target.exists():
-            raise OutputError(f"{target} exists and has no record of detect_bag: move or remove it.")
-        if record is not None and (added := record.added(target)):
-            raise OutputError(
-                f"{target} is not replaced because it also contains {', '.join(added)}: move that elsewhere."
-            )
-        with whole_output(target, replace=record is not None) as unfinished:
+        if (finished := finished_before(source, self._plan, by_content=True)) is not None:
+            return finished  # perhaps by a worker that was then killed
+        target, files = self._plan.output / source.name, file_stamps(source.path)
+        with whole_output(target, replace=is_replaceable(target)) as unfinished:
             account = self._detect(source.path, unfinished, watch)
             result = self._row(source, account, watch, time.monotonic() - begun_s)
-            self._record(source.path, unfinished, result).write(unfinished)
+            Record(
+                weights_sha256=self._plan.settings.weights_sha256,
+                settings_sha256=self._plan.settings_sha256,
+                recording_sha256=content_sha256(source.path),
+                recording_files=files,
+                result_bytes=result_bytes(unfinished),
+                result=result,
+            ).write(unfinished)
             if file_stamps(source.path) != files:
                 raise SourceError(f"{source.path}: it changed while it was read. Is it still being recorded?")
         return result
 
     def _detect(self, source: Path, unfinished: Path, watch: _Watch) -> Account:
-        plan, load = self._plan, lambda: self._detector(watch)
-        suffix = plan.suffix or (JSON_LINES if is_video(source) else "")
+        options, load = self._plan.options, lambda: self._detector(watch)
+        suffix = options.suffix or (JSON_LINES if is_video(source) else "")
         path = unfinished / f"{_DETECTIONS}{suffix}" if suffix else unfinished
-        export = Export(path, suffix, plan.masks, unfinished / CROPS if plan.crops else None)
+        export = Export(path, suffix, options.masks, unfinished / CROPS if options.crops else None)
         if suffix:
             unfinished.mkdir()
         if is_video(source):
@@ -127,24 +111,15 @@ class RecordingTask:
         from yolov5_lifecycle.offline.recording import open_recording
 
         with open_recording(source) as recording:
-            options = RecordingOptions(plan.topic, plan.node, plan.images)
-            return write_detections(recording, export, options, load)
+            of_recording = RecordingOptions(options.topic, options.node, options.images)
+            return write_detections(recording, export, of_recording, load)
 
     def _detector(self, watch: _Watch) -> OfflineDetector:
         """A detector with the same model and a tracker of its own."""
-        with_masks = (self._plan.masks and may_have_masks(self._plan.suffix)) or self._plan.images
+        options = self._plan.options
+        with_masks = (options.masks and may_have_masks(options.suffix)) or options.images
         return OfflineDetector(
-            self._settings, watch, with_masks=with_masks, prepare=lambda *_: self._prepared
-        )
-
-    def _record(self, source: Path, folder: Path, result: RecordingResult) -> Record:
-        return Record(
-            weights_sha256=self._plan.weights_sha256,
-            settings_sha256=self._plan.settings_sha256,
-            recording_sha256=content_sha256(source),
-            recording_files=file_stamps(source),
-            result_bytes=result_bytes(folder),
-            result=result,
+            self._plan.settings, watch, with_masks=with_masks, prepare=lambda *_: self._prepared
         )
 
     def _row(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import get_args
 
 from yolov5_lifecycle.atomic_file import OutputError, write_together, write_whole
 from yolov5_lifecycle.offline.many_recordings.plan import Plan
-from yolov5_lifecycle.offline.many_recordings.recording_result import COUNTED, RecordingResult
+from yolov5_lifecycle.offline.many_recordings.results import COUNTED, RecordingResult, State
+from yolov5_lifecycle.offline.many_recordings.tally import sums
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.unfinished import open_itself
 
@@ -19,17 +19,11 @@ JSON_NAME, PARQUET_NAME = "summary.json", "summary.parquet"
 CLASS_COLUMN = "detections/"
 """Prefix of the columns of classes in the table."""
 _BEGIN = b'{\n "weights": "'
-_COLUMNS = {
-    "recording": "string",
-    "path": "string",
-    "state": "string",
-    "reason": "string",
-    **dict.fromkeys(COUNTED, "int64"),
-    "first_problem": "string",
+_TYPES = dict.fromkeys(RecordingResult.model_fields, "string") | {
+    **dict.fromkeys((*COUNTED, "detections"), "int64"),
     "seconds": "float64",
-    "runtime": "string",
-    "detections": "int64",
 }
+"""Of the columns of the table, in their order."""
 
 
 def check_summary(folder: Path) -> None:
@@ -37,13 +31,11 @@ def check_summary(folder: Path) -> None:
 
     The table is written after the JSON file: without that it belongs to another program.
     """
-    json_file, table = folder / JSON_NAME, folder / PARQUET_NAME
-    if not _is_summary(json_file):
-        foreign = next((file for file in (json_file, table) if os.path.lexists(file)), None)
-        if foreign is not None:
-            raise OutputError(
-                f"{foreign} is not a summary of detect_bag: move it, or choose another --output."
-            )
+    if _is_summary(folder / JSON_NAME):
+        return
+    for file in (folder / JSON_NAME, folder / PARQUET_NAME):
+        if os.path.lexists(file):
+            raise OutputError(f"{file} is not a summary of detect_bag: move it, or choose another --output.")
 
 
 def _is_summary(path: Path) -> bool:
@@ -74,19 +66,17 @@ def write_summary(plan: Plan, results: Sequence[RecordingResult]) -> list[str]:
 
 def summary(plan: Plan, results: Sequence[RecordingResult]) -> Mapping[str, object]:
     """The content of the JSON file."""
-    detections: Counter[str] = Counter()
-    for result in results:
-        detections.update(result.detections)
+    counts, detections = sums(results)
     return {
-        "weights": plan.weights,
-        "weights_sha256": plan.weights_sha256,
+        "weights": plan.settings.weights,
+        "weights_sha256": plan.settings.weights_sha256,
         "settings_sha256": plan.settings_sha256,
         "recordings": len(results),
         **{
             state.replace(" ", "_"): sum(result.state == state for result in results)
-            for state in ("done", "skipped", "set aside")
+            for state in get_args(State)
         },
-        **{name: sum(getattr(result, name) for result in results) for name in COUNTED},
+        **counts,
         "detections": dict(detections),
         "results": [result.model_dump() for result in results],
     }
@@ -97,21 +87,15 @@ def _parquet(results: Sequence[RecordingResult]) -> bytes:
     import pyarrow
     from pyarrow import parquet
 
-    classes = dict.fromkeys(name for result in results for name in result.detections)
-    columns: dict[str, Any] = {
-        name: pyarrow.array([_value(result, name) for result in results], type_name)
-        for name, type_name in _COLUMNS.items()
-    }
-    for name in classes:
-        column = [result.detections.get(name) for result in results]
-        columns[f"{CLASS_COLUMN}{name}"] = pyarrow.array(column, "int64")
+    classes = dict.fromkeys(f"{CLASS_COLUMN}{name}" for result in results for name in result.detections)
+    schema = pyarrow.schema(list((_TYPES | dict.fromkeys(classes, "int64")).items()))
     sink = pyarrow.BufferOutputStream()
-    parquet.write_table(pyarrow.table(columns), sink)
+    parquet.write_table(pyarrow.Table.from_pylist(list(map(_table_row, results)), schema), sink)
     content: bytes = sink.getvalue().to_pybytes()
     return content
 
 
-def _value(result: RecordingResult, column: str) -> object:
-    if column != "detections":
-        return getattr(result, column)
-    return None if result.state == "set aside" else sum(result.detections.values())
+def _table_row(result: RecordingResult) -> dict[str, object]:
+    total = None if result.state == "set aside" else sum(result.detections.values())
+    by_class = {f"{CLASS_COLUMN}{name}": count for name, count in result.detections.items()}
+    return {**result.model_dump(), **by_class, "detections": total}

@@ -4,91 +4,39 @@ from __future__ import annotations
 
 import os
 import time
-from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Protocol
+from queue import SimpleQueue
+from threading import Lock
+from typing import Any
 
-from yolov5_lifecycle.atomic_file import OutputError, remove_unfinished_outputs
+from yolov5_lifecycle.atomic_file import OutputError, has_unfinished_outputs, remove_unfinished_outputs
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.many_recordings.finished import finished_before
 from yolov5_lifecycle.offline.many_recordings.plan import Plan
-from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
+from yolov5_lifecycle.offline.many_recordings.results import RecordingResult, Refused, finished_before
 from yolov5_lifecycle.offline.many_recordings.summary import check_summary, write_summary
-from yolov5_lifecycle.offline.many_recordings.workers import (
-    Died,
-    Ended,
-    Event,
-    Progress,
-    Ready,
-    Refused,
-    Workers,
-)
+from yolov5_lifecycle.offline.many_recordings.tally import RecordingsTerminal, Tally
+from yolov5_lifecycle.offline.many_recordings.workers import DiedError, Worker
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
 from yolov5_lifecycle.offline.terminal import missing_images
-from yolov5_lifecycle.printable import in_lines, is_utf8
+from yolov5_lifecycle.printable import is_utf8
 from yolov5_lifecycle.unfinished import hold, open_itself
 
 MAX_DEATHS = 2
-"""Workers that may die at one recording, or in a row while they load the model."""
-_EVENT_S = 1.0
-
-
-class Tally:
-    """How far a run over `count` recordings is."""
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-        self.results: dict[str, RecordingResult] = {}
-        self.images_in_progress: dict[int, int] = {}
-        self._images = 0
-        self._begun_s: float | None = None
-
-    def begin(self) -> None:
-        """The first model is loaded."""
-        self._begun_s = time.monotonic() if self._begun_s is None else self._begun_s
-
-    def add(self, result: RecordingResult) -> None:
-        self.results[result.recording] = result
-        self._images += result.images if result.state == "done" else 0
-
-    @property
-    def images(self) -> int:
-        """Images of this run, of unfinished recordings too."""
-        return self._images + sum(self.images_in_progress.values())
-
-    @property
-    def rate_hz(self) -> float:
-        """Images per second since the first model was loaded, of all workers together."""
-        return 0.0 if self._begun_s is None else self.images / max(time.monotonic() - self._begun_s, 1e-9)
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether every recording has a result with all its images."""
-        return not any(result.state == "set aside" or result.missing for result in self.results.values())
-
-    def in_state(self, state: str) -> int:
-        """How many recordings are in `state`."""
-        return sum(result.state == state for result in self.results.values())
-
-
-class RunWatch(Protocol):
-    """Observer of a run over many recordings."""
-
-    def remark(self, text: str) -> None:
-        """Called for events that the user should know, such as a recording without a result."""
-
-    def progress(self, tally: Tally) -> None:
-        """Called about once a second with the totals so far."""
+"""Workers that may die at one recording, or one in a row while it loads the model."""
+_PROGRESS_S = 0.5
+_END_S = 10.0
+_PAUSE_S = 0.1
 
 
 def detect_recordings(
     sources: Sequence[SourceRecording],
     plan: Plan,
     *,
-    new_workers: Callable[[int], Workers],
-    watch: RunWatch,
+    new_workers: Callable[[int], Sequence[Worker]],
+    terminal: RecordingsTerminal,
 ) -> Tally:
     """Write a result for each of `sources`, and a summary, to the folder `plan.output`.
 
@@ -97,20 +45,15 @@ def detect_recordings(
     """
     tally = Tally(len(sources))
     with _output_folder(plan.output):
-        waiting: deque[SourceRecording] = deque()
         for source in sources:
-            finished = finished_before(source, plan)
-            if finished is None:
-                waiting.append(source)
-            else:
+            if (finished := finished_before(source, plan)) is not None:
                 tally.add(finished)
         check_summary(plan.output)
-        if waiting:
-            with closing(new_workers(len(waiting))) as workers:
-                _Run(waiting, plan, workers, tally, watch).run()
+        if waiting := [source for source in sources if source.name not in tally.results]:
+            _Run(plan, new_workers(len(waiting)), tally, terminal).run(waiting)
         results = [tally.results[source.name] for source in sources]
         for problem in write_summary(plan, results):
-            watch.remark(problem)
+            terminal.remark(problem)
     return tally
 
 
@@ -137,7 +80,7 @@ def _output_folder(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            remove_unfinished_outputs(folder)
+            _remove_unfinished(folder)
             if is_new:
                 with suppress(OSError):
                     folder.rmdir()
@@ -145,111 +88,117 @@ def _output_folder(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+def _remove_unfinished(folder: Path) -> None:
+    """Remove what killed workers leave behind, once they are dead: Ray does not say when."""
+    deadline_s = time.monotonic() + _END_S
+    while has_unfinished_outputs(folder) and time.monotonic() < deadline_s:
+        remove_unfinished_outputs(folder)
+        time.sleep(_PAUSE_S)
+
+
 class _Run:
-    """Hands out recordings and takes results, until none are left."""
+    """Hands out recordings to workers, each of which a thread waits for."""
 
     def __init__(
-        self,
-        waiting: deque[SourceRecording],
-        plan: Plan,
-        workers: Workers,
-        tally: Tally,
-        watch: RunWatch,
+        self, plan: Plan, workers: Sequence[Worker], tally: Tally, terminal: RecordingsTerminal
     ) -> None:
-        self._waiting = waiting
         self._plan = plan
         self._workers = workers
+        self._count = len(workers)
         self._tally = tally
-        self._watch = watch
-        self._loading: set[int] = set()
-        self._running: dict[int, SourceRecording] = {}
-        self._idle: set[int] = set()
-        self._deaths: Counter[str] = Counter()
-        self._deaths_while_loading = 0
-        self._was_ready = False
-        self._max_count = workers.max_count
+        self._terminal = terminal
+        self._free = SimpleQueue[Worker]()
+        self._lock = Lock()
+        self._is_stopping = False
 
-    def run(self) -> None:
-        self._start()
-        while self._waiting or self._running:
-            for event in self._workers.events(_EVENT_S):
-                self._handle(event)
-            self._watch.progress(self._tally)
+    def run(self, sources: Sequence[SourceRecording]) -> None:
+        executor = ThreadPoolExecutor(len(self._workers))
+        try:
+            first, *others = self._workers
+            running: set[Future[Any]] = {executor.submit(self._start, first)}
+            if self._plan.is_open:  # it chooses for all
+                running.pop().result()
+            running |= {executor.submit(self._start, worker) for worker in others}
+            running |= {executor.submit(self._detect, source) for source in sources}
+            while running:
+                ended, running = wait(running, _PROGRESS_S, FIRST_COMPLETED)
+                for future in ended:
+                    self._end(future.result())
+                self._terminal.progress(self._tally)
+        finally:
+            executor.shutdown(wait=False, cancel_futures=True)
+            self._stop()
+            executor.shutdown()
+            for worker in self._workers:
+                worker.close()
 
-    def _start(self) -> None:
-        """Start as many workers as have work; the first one alone if it has to choose for all."""
-        wanted = min(self._max_count, len(self._waiting) + len(self._running))
-        if self._plan.is_open:
-            wanted = 1
-        while len(self._loading) + len(self._running) + len(self._idle) < wanted:
-            self._loading.add(self._workers.start(self._plan))
-
-    def _handle(self, event: Event) -> None:
-        if isinstance(event, Progress):
-            self._tally.images_in_progress[event.worker] = event.images
+    def _end(self, result: RecordingResult | None) -> None:
+        if result is None:  # a worker has started
             return
-        self._tally.images_in_progress.pop(event.worker, None)
-        if isinstance(event, Ready):
-            self._loading.discard(event.worker)
-            self._was_ready = True
-            self._tally.begin()
-            self._deaths_while_loading = 0
-            self._plan = self._plan.model_copy(
-                update={"runtime": event.runtime, "precision": event.precision}
-            )
-            self._idle.add(event.worker)
-        elif isinstance(event, Ended):
-            self._idle.add(event.worker)
-            del self._running[event.worker]
-            self._end(event.result)
-        elif isinstance(event, Refused):
-            self._refuse(event)
-        else:
-            self._handle_death(event)
-        self._hand_out()
-
-    def _hand_out(self) -> None:
-        while self._waiting and self._idle:
-            worker = self._idle.pop()
-            self._running[worker] = self._waiting.popleft()
-            self._workers.begin(worker, self._running[worker])
-        if self._waiting:
-            self._start()
-
-    def _end(self, result: RecordingResult) -> None:
         self._tally.add(result)
         if result.state == "set aside":
-            self._watch.remark(f"{result.recording}: set aside: {result.reason}")
+            self._terminal.remark(f"{result.recording}: set aside: {result.reason}")
         elif result.missing:
             claimed = result.images + result.missing
-            self._watch.remark(f"{result.recording}: {missing_images(claimed, result.images)}")
+            self._terminal.remark(f"{result.recording}: {missing_images(claimed, result.images)}")
 
-    def _refuse(self, event: Refused) -> None:
-        self._loading.discard(event.worker)
-        others = len(self._loading) + len(self._running) + len(self._idle)
-        if event.worker in self._running or not self._was_ready or not others:
-            raise DetectingError(event.reason)
-        self._max_count = others
-        self._watch.remark(f"continuing with {others} worker(s): another one could not start: {event.reason}")
-
-    def _handle_death(self, event: Died) -> None:
-        self._idle.discard(event.worker)
-        if event.worker in self._loading:
-            self._loading.discard(event.worker)
-            self._deaths_while_loading += 1
-            if self._deaths_while_loading >= MAX_DEATHS:
-                raise DetectingError(f"{event.reason} while loading the model, {MAX_DEATHS} times in a row")
-        source = self._running.pop(event.worker, None)
-        if source is None:
+    def _start(self, worker: Worker) -> None:
+        """Load the model; raises DetectingError if that cannot be loaded, unless others have loaded it."""
+        answer = self._load(worker)
+        if not isinstance(answer, Refused):
+            self._plan = answer
+            self._tally.begin()
+            self._free.put(worker)
             return
-        self._deaths[source.name] += 1
-        if self._deaths[source.name] < MAX_DEATHS:
-            self._watch.remark(f"{source.name}: {event.reason}; another worker retries it")
-            self._waiting.appendleft(source)
-        else:
-            reason = f"{event.reason} {MAX_DEATHS} times while reading this recording"
-            self._end(
-                RecordingResult(
-                    recording=source.name, path=str(source.path), state="set aside", reason=in_lines(reason)
-                )
+        with self._lock:
+            self._count -= 1
+        if not self._tally.has_begun or not self._count:
+            raise DetectingError(answer.reason)
+        worker.stop()
+        self._terminal.remark(
+            f"continuing with {self._count} worker(s): another one could not start: {answer.reason}"
+        )
+
+    def _load(self, worker: Worker, deaths: int = 1) -> Plan | Refused:
+        try:
+            return worker.load(self._plan)
+        except DiedError as error:
+            if deaths == MAX_DEATHS:
+                raise DetectingError(f"{error} while loading the model, {deaths} times in a row") from None
+            self._restart(worker)
+            return self._load(worker, deaths + 1)
+
+    def _detect(self, source: SourceRecording, deaths: int = 1) -> RecordingResult:
+        worker = self._free.get()
+        if self._is_stopping:
+            raise DiedError("the worker was stopped")
+        try:
+            answer = worker.detect(source, lambda images: self._tally.progress(source.name, images))
+        except DiedError as error:
+            self._restart(worker)
+            if deaths < MAX_DEATHS:
+                self._terminal.remark(f"{source.name}: {error}; another worker retries it")
+            self._start(worker)
+            if deaths < MAX_DEATHS:
+                return self._detect(source, deaths + 1)
+            reason = f"{error} {deaths} times while reading this recording"
+            return RecordingResult(
+                recording=source.name, path=str(source.path), state="set aside", reason=reason
             )
+        self._free.put(worker)
+        if isinstance(answer, Refused):
+            raise DetectingError(answer.reason)
+        return answer
+
+    def _restart(self, worker: Worker) -> None:
+        with self._lock:
+            if self._is_stopping:
+                raise DiedError("the worker was stopped")
+            worker.restart()
+
+    def _stop(self) -> None:
+        with self._lock:
+            self._is_stopping = True
+            for worker in self._workers:
+                worker.stop()
+                self._free.put(worker)  # for a thread that waits for one

@@ -1,75 +1,173 @@
-"""What all workers have in common, whether they are processes of this machine or of a cluster."""
+"""Workers, each with one model, for one recording at a time: what they do, and as processes of this machine.
+
+Importing this module imports neither numpy nor torch, for which a worker first prepares its environment.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+import os
+import signal
+import subprocess
+import sys
+from abc import ABC, abstractmethod
+from multiprocessing.connection import Connection, Pipe
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from yolov5_lifecycle.offline.many_recordings.plan import Plan
-from yolov5_lifecycle.offline.many_recordings.recording_result import RecordingResult
-from yolov5_lifecycle.offline.recordings import SourceRecording
+from yolov5_lifecycle.process.environment import compute_threads, prepare_environment
+from yolov5_lifecycle.process.memory import available_bytes
+from yolov5_lifecycle.process.standard_streams import complain
 
+if TYPE_CHECKING:
+    from yolov5_lifecycle.offline.many_recordings.plan import Plan
+    from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage, RecordingTask
+    from yolov5_lifecycle.offline.many_recordings.results import RecordingResult, Refused
+    from yolov5_lifecycle.offline.recordings import SourceRecording
 
-@dataclass(frozen=True)
-class Ready:
-    """The worker has loaded the model into `runtime`, in `precision`."""
-
-    worker: int
-    runtime: str
-    precision: str
-
-
-@dataclass(frozen=True)
-class Refused:
-    """The worker has ended: the model cannot be loaded, or no result can be written."""
-
-    worker: int
-    reason: str
-
-
-@dataclass(frozen=True)
-class Progress:
-    """The worker has read `images` images of its recording."""
-
-    worker: int
-    images: int
+# The path of this process; `-m` would search the current folder first, which may be one of recordings.
+_PROGRAM = "import sys; sys.path[:] = {path!r}; from {module} import main; main({descriptor})"
+_THREADS = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+"""Variables for the number of threads of torch, which the runtimes follow, and of OpenCV."""
+_WORKER_BYTES = 1 << 30
+_END_S = 10.0
 
 
-@dataclass(frozen=True)
-class Ended:
-    """The worker has finished its recording."""
-
-    worker: int
-    result: RecordingResult
-
-
-@dataclass(frozen=True)
-class Died:
+class DiedError(RuntimeError):
     """The worker has ended unexpectedly."""
 
-    worker: int
-    reason: str
+
+class Worker(ABC):
+    """Somewhere else, where it does what `Work` says; begins without a model."""
+
+    def load(self, plan: Plan) -> Plan | Refused:
+        """Load the model; returns the plan with what was chosen. Raises DiedError."""
+        answer: Plan | Refused = self._answer("load", plan)
+        return answer
+
+    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult | Refused:
+        """Write the result of a recording; raises DiedError."""
+        answer: RecordingResult | Refused = self._answer("detect", source, on_image)
+        return answer
+
+    @abstractmethod
+    def restart(self) -> None:
+        """Begin anew after it has died."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Make it end, and another thread that waits for its answer raise DiedError."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Wait until it has ended."""
+
+    @abstractmethod
+    def _answer(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+        """What the `method` of its `Work` returns."""
 
 
-Event = Ready | Refused | Progress | Ended | Died
+class Work:
+    """What a worker does, where it is."""
+
+    def __init__(self, on_image: OnImage = lambda _: None) -> None:
+        prepare_environment()
+        self._on_image = on_image
+        self._task: RecordingTask | None = None
+
+    def load(self, plan: Plan) -> Plan | Refused:
+        # Imported here: they import torch, for which the environment must be prepared.
+        from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
+        from yolov5_lifecycle.offline.many_recordings.results import Refused
+        from yolov5_lifecycle.printable import in_lines
+        from yolov5_lifecycle.runtimes.runtime import InferenceError
+
+        try:
+            self._task = RecordingTask(plan, self._on_image)
+        except (ValueError, OSError, ImportError, InferenceError) as error:
+            return Refused(in_lines(str(error) or type(error).__name__))
+        return plan.chosen(self._task.runtime, self._task.precision)
+
+    def detect(self, source: SourceRecording) -> RecordingResult | Refused:
+        assert self._task is not None
+        return self._task.run(source)
 
 
-class Workers(Protocol):
-    """Workers, each with one model, each with one recording at a time."""
+def main(descriptor: int) -> NoReturn:
+    """Work for the other end of the socket with this `descriptor`, until that is closed."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
+    os.set_inheritable(descriptor, False)
+    code = 1
+    try:
+        _serve(Connection(descriptor))
+    except (EOFError, ConnectionError):  # nobody waits for the results any more
+        code = 0
+    except SystemExit as end:
+        code = int(end.code or 0)
+    except Exception as error:  # noqa: BLE001 - whatever it is, the process ends
+        complain("detect_bag", f"a worker ends: {type(error).__name__}: {error}")
+    finally:
+        os._exit(code)  # freeing a model takes longer than ending
 
-    @property
-    def max_count(self) -> int:
-        """How many there should be at the same time."""
 
-    def start(self, plan: Plan) -> int:
-        """Start a worker and return its number."""
+def _serve(connection: Connection[Any, Any]) -> NoReturn:
+    work = Work(connection.send)
+    # Imported while the first worker chooses the runtime for all.
+    import yolov5_lifecycle.offline.many_recordings.recording_task  # noqa: F401
 
-    def begin(self, worker: int, source: SourceRecording) -> None:
-        """Give a recording to a worker that is ready."""
+    while True:
+        method, argument = connection.recv()
+        connection.send(getattr(work, method)(argument))
 
-    def events(self, timeout_s: float) -> Sequence[Event]:
-        """What has happened since the last call; waits up to `timeout_s` for something."""
+
+def suitable_count(recordings: int, jobs: int | None = None) -> int:
+    """`jobs` or as many workers as this machine has room for, but no more than `recordings`.
+
+    There is room for one per core, but at most one per GiB of free memory.
+    """
+    free_bytes = available_bytes()
+    room = compute_threads() if free_bytes is None else min(compute_threads(), free_bytes // _WORKER_BYTES)
+    return max(1, min(jobs or room, recordings))
+
+
+class ProcessWorker(Worker):
+    """A process of this machine, which has `count` of them."""
+
+    def __init__(self, count: int) -> None:
+        self.threads = max(1, compute_threads() // count)
+        self.restart()
+
+    def restart(self) -> None:
+        self._connection, other = Pipe()
+        program = _PROGRAM.format(path=sys.path, module=__name__, descriptor=other.fileno())
+        with other:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", program],
+                pass_fds=[other.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                env=dict.fromkeys(_THREADS, str(self.threads)) | os.environ,
+                start_new_session=True,  # Ctrl-C in a terminal is for the process that started them
+            )
+
+    def stop(self) -> None:
+        self.process.terminate()
 
     def close(self) -> None:
-        """End all workers, together with what they are doing."""
+        self._connection.close()
+        try:
+            self.process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+    def _answer(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+        try:
+            self._connection.send((method, argument))
+            while isinstance(answer := self._connection.recv(), int):
+                on_image(answer)
+        except (EOFError, OSError):
+            self.close()
+            code = self.process.returncode
+            end = f"died (signal {-code})" if code < 0 else f"exited (code {code})"
+            raise DiedError(f"the worker {end}") from None
+        return answer
