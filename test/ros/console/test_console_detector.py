@@ -13,10 +13,10 @@ from support.lone_node import lone_node
 from support.preparations import Preparations
 from support.served_node import PATIENCE_S, ServedNode
 
-from yolov5_lifecycle.ros.console.camera_view import StatusView
-from yolov5_lifecycle.ros.console.detector import REFRESH_S, SILENCE_S, Detector
+from yolov5_lifecycle.ros.console.detector import SILENCE_S, Detector
 from yolov5_lifecycle.ros.console.detector_link import DetectorLink
 from yolov5_lifecycle.ros.console.ros_thread import NotReachedError, RosThread
+from yolov5_lifecycle.ros.console.views import StatusView
 from yolov5_lifecycle.settings.camera_names import NODE_STATUS
 
 STATUSES = [StatusView(NODE_STATUS, level=0, message="", values={"state": "unconfigured"})]
@@ -46,9 +46,7 @@ class KnownDetector:
         self.link = HeldLink(ros, NODE)
         self.now_s = 0.0
         self._changed = asyncio.Event()
-        self.detector = Detector(
-            self.link, frozenset(), on_change=lambda _: self._changed.set(), clock=lambda: self.now_s
-        )
+        self.detector = Detector(self.link, on_change=lambda _: self._changed.set(), clock=lambda: self.now_s)
 
     async def set(self, name: str, value: float) -> None:
         """Set the parameter in the node; the event that tells it does not arrive."""
@@ -88,7 +86,7 @@ def test_a_value_that_changes_while_parameters_are_queried_is_shown(served: Serv
         known.link.gate.clear()
         await asyncio.wait_for(known.link.is_answered.wait(), PATIENCE_S)
         await known.set("max_rate", 7.0)
-        known.detector.want_parameters()
+        known.detector.ask_soon()
         known.link.gate.set()
         await known.wait_for(lambda: known.value("max_rate") == 7.0)
 
@@ -100,7 +98,6 @@ def test_a_change_whose_event_was_lost_is_shown_after_a_while(served: ServedNode
     async def act(known: KnownDetector) -> None:
         await known.wait_for(lambda: known.value("max_rate") == 0.0)
         await known.set("max_rate", 7.0)
-        known.now_s += REFRESH_S
         await known.wait_for(lambda: known.value("max_rate") == 7.0)
 
     play(served, act)

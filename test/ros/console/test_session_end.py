@@ -11,7 +11,7 @@ from starlette.types import Message, Scope
 from yolov5_lifecycle.ros.console.addresses import Addresses
 from yolov5_lifecycle.ros.console.application import WebApplication
 from yolov5_lifecycle.ros.console.gate import Gate
-from yolov5_lifecycle.ros.console.page_socket import Pages
+from yolov5_lifecycle.ros.console.pages import Pages
 from yolov5_lifecycle.ros.console.sessions import SESSION_S, Sessions
 
 COOKIE = "console_8080"

@@ -11,12 +11,11 @@ from yolov5_lifecycle.ros.console.addresses import Addresses
 from yolov5_lifecycle.ros.console.application import WebApplication
 from yolov5_lifecycle.ros.console.detectors import Detectors
 from yolov5_lifecycle.ros.console.gate import Gate
-from yolov5_lifecycle.ros.console.image_feed import ImageFeeds
-from yolov5_lifecycle.ros.console.image_socket import Viewers
+from yolov5_lifecycle.ros.console.images import Viewers
 from yolov5_lifecycle.ros.console.metrics import figures
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
 from yolov5_lifecycle.ros.console.page_files import page_files
-from yolov5_lifecycle.ros.console.page_socket import Pages
+from yolov5_lifecycle.ros.console.pages import Pages
 from yolov5_lifecycle.ros.console.ros_thread import RosThread
 from yolov5_lifecycle.ros.console.sessions import Sessions
 from yolov5_lifecycle.ros.console.web_server import WebServer
@@ -42,15 +41,14 @@ class Console:
             on_gone=self._pages.gone,
             on_omitted=self._pages.omitted,
         )
-        feeds = ImageFeeds(self._ros)
-        viewers = Viewers(feeds, self._detectors.find)
+        viewers = Viewers(self._ros, self._detectors.find)
         sessions = Sessions(token) if token else None
         application = WebApplication(
             page_files(),
             page=self._pages.serve,
             image=viewers.serve,
             sessions=sessions,
-            figures=figures(lambda: self._detectors.known, lambda: feeds.viewers)
+            figures=figures(lambda: self._detectors.known, lambda: viewers.count)
             if options.has_metrics
             else None,
             logger=node.get_logger(),

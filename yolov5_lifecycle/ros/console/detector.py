@@ -10,9 +10,7 @@ from contextlib import suppress
 from rcl_interfaces.msg import ParameterDescriptor
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.console.camera_view import StatusView, camera_views
 from yolov5_lifecycle.ros.console.detector_link import DetectorLink
-from yolov5_lifecycle.ros.console.log_view import LogView
 from yolov5_lifecycle.ros.console.parameter_view import (
     ParameterView,
     ValueRefusedError,
@@ -20,6 +18,7 @@ from yolov5_lifecycle.ros.console.parameter_view import (
     shown_values,
 )
 from yolov5_lifecycle.ros.console.ros_thread import NotReachedError
+from yolov5_lifecycle.ros.console.views import LogView, StatusView, camera_as_json, cameras_of
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, NODE_STATUS, camera_names_rule
 
 SILENCE_S = 5.0
@@ -42,43 +41,38 @@ class Detector:
     Messages of topics only tell that something may have changed, as anybody can send them: what is shown of
     state and parameters are answers of the node's services.
 
-    `publishers`: those of its processes so far; a new one means that it was restarted. `log`: its lines, also
-    those from before it was known.
+    `log`: its lines, also those from before it was known.
     """
 
     def __init__(
         self,
         link: DetectorLink,
-        publishers: frozenset[bytes],
         *,
         on_change: Callable[[Detector], object],
         log: LogView | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.name = link.name
-        self.publishers = publishers
+        self.state = ""
+        self.statuses: list[StatusView] = []
+        """The last diagnostics."""
+        self.log = LogView() if log is None else log
         self._on_change = on_change
         self._clock = clock
         self._link = link
-        self._state = ""
         self._transitions: list[str] = []
         self._descriptors: dict[str, ParameterDescriptor] = {}
         self._views: dict[str, ParameterView] = {}
         self._values: dict[str, object] = {}
         self._parameters: list[dict[str, object]] = []
-        self._statuses: list[StatusView] = []
-        self._log = LogView() if log is None else log
         self._busy: list[str] = []
-        self._wants_state = self._wants_parameters = True
-        self._asked_s = clock()
         self._wanted = asyncio.Event()
-        self._wanted.set()
         self._heard_s: float | None = None
         self._task: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
         """Start querying the node."""
-        await self._link.open(on_transition=self._want_state, on_labels=self._wanted.set)
+        await self._link.open(self.ask_soon)
         self._task = asyncio.create_task(self._keep_up_to_date())
 
     async def close(self) -> None:
@@ -89,22 +83,18 @@ class Detector:
 
     def invalidate(self) -> None:
         """Discard what the node has answered; its next diagnostics may come from a restarted process."""
-        self._state, self._statuses, self._views, self._descriptors = "", [], {}, {}
-        self._wants_state = self._wants_parameters = True
+        self.state, self.statuses, self._views, self._descriptors = "", [], {}, {}
+        self.ask_soon()
 
     @property
     def is_known(self) -> bool:
         """Whether the node has answered and is a detector: it has settings and publishes its status."""
-        return bool(self._state and self._views and self.status(NODE_STATUS))
+        return bool(self.state and self._views and self.status)
 
     @property
     def is_silent(self) -> bool:
         """Whether its diagnostics have stopped."""
         return self._heard_s is not None and self._clock() - self._heard_s > SILENCE_S
-
-    @property
-    def state(self) -> str:
-        return self._state
 
     @property
     def camera_names(self) -> list[str]:
@@ -114,30 +104,29 @@ class Detector:
         return [name for name in given if not camera_names_rule([name], ())]
 
     @property
-    def statuses(self) -> list[StatusView]:
-        """The last diagnostics."""
-        return list(self._statuses)
+    def cameras(self) -> list[tuple[str, StatusView | None]]:
+        """Names of the cameras with their last diagnostics."""
+        return cameras_of(self.camera_names, self.statuses)
 
-    def status(self, name: str) -> StatusView | None:
-        """The diagnostics of a camera, or of the node with NODE_STATUS."""
-        return next((status for status in self._statuses if status.name == name), None)
+    @property
+    def status(self) -> StatusView | None:
+        """The last diagnostics of the node as a whole."""
+        return next((status for status in self.statuses if status.name == NODE_STATUS), None)
 
     def as_json(self, *, is_lost: bool = False) -> dict[str, object]:
         """Everything that the page shows of the detector; of a lost one, nothing old looks current."""
-        cameras = camera_views(self.camera_names, self._statuses)
-        statuses = [status.as_lost if is_lost else status for status in self._statuses]
         transitions = [] if is_lost else self._transitions
         return {
             "name": self.name,
-            "state": LOST if is_lost else self._state,
-            "last_state": self._state,
+            "state": LOST if is_lost else self.state,
+            "last_state": self.state,
             "transitions": [{"label": label} for label in transitions],
             "busy": self._busy[0] if self._busy and not is_lost else "",
             "parameters": self._parameters,
-            "cameras": [camera.as_json(is_lost=is_lost) for camera in cameras],
-            "diagnostics": [status.as_json() for status in statuses],
-            "class_names": self._link.class_names(),
-            "log": self._log.as_json(),
+            "cameras": [camera_as_json(*camera, is_lost=is_lost) for camera in self.cameras],
+            "diagnostics": [status.as_json(is_lost=is_lost) for status in self.statuses],
+            "class_names": self._link.class_names,
+            "log": self.log.as_json(),
         }
 
     async def set(self, values: Mapping[str, object]) -> str:
@@ -148,25 +137,25 @@ class Detector:
             return str(error)
         is_slow = any(name in self._views and self._views[name].change in _SLOW_CHANGES for name in values)
         what = f"set {', '.join(in_one_line(name, 100) for name in values)} ..."
-        self._begin(what if is_slow and self._state == "active" else "")
+        self._begin(what if is_slow and self.state == "active" else "")
         try:
             return await self._link.set_parameters(messages)
         except NotReachedError as error:
             return str(error)
         finally:
-            self.want_parameters()
+            self.ask_soon()
             self._end(what)
 
     async def change_state(self, label: str) -> str:
         """Request a transition; returns the reason for a refusal, "" on success."""
-        count = self._log.count
+        count = self.log.count
         what = f"{in_one_line(label, 100)} ..."
         self._begin(what)
         try:
             await self._ask_state()
             if label not in self._transitions:
                 possible = ", ".join(self._transitions) or "none"
-                return f"{what[:-4]} is not possible while {self._state}; possible now: {possible}"
+                return f"{what[:-4]} is not possible while {self.state}; possible now: {possible}"
             if await self._link.change_state(label):
                 await self._ask_state()
                 return ""
@@ -175,7 +164,7 @@ class Detector:
             # The process ends soon after this transition, possibly before it has sent the response.
             return "" if label == "shutdown" else str(error)
         finally:
-            self._want_state()
+            self.ask_soon()
             self._end(what)
 
     async def collect(self) -> tuple[bool, str]:
@@ -187,56 +176,31 @@ class Detector:
 
     def take_diagnostics(self, statuses: list[StatusView]) -> None:
         self._heard_s = self._clock()
-        self._statuses = statuses
-        status = self.status(NODE_STATUS)
-        if status is not None and status.values.get("state", self._state) != self._state:
-            self._want_state()
+        self.statuses = statuses
+        if self.status is not None and self.status.values.get("state", self.state) != self.state:
+            self.ask_soon()
         self._on_change(self)
 
-    def want_parameters(self) -> None:
-        """Query the parameters soon: they may have changed."""
-        self._wants_parameters = True
-        self._wanted.set()
-
-    def _want_state(self) -> None:
-        self._wants_state = True
+    def ask_soon(self) -> None:
+        """Query state and parameters: they may have changed."""
         self._wanted.set()
 
     async def _keep_up_to_date(self) -> None:
         while True:
-            with suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(self._wanted.wait(), REFRESH_S)
             self._wanted.clear()
-            if self._clock() - self._asked_s >= REFRESH_S:
-                self._asked_s = self._clock()
-                self._wants_state = self._wants_parameters = True
-            try:
-                await self._ask()
-            except NotReachedError:
-                self._wanted.set()
-                await asyncio.sleep(_RETRY_S)
-            else:
-                await asyncio.sleep(_PACE_S)
-
-    async def _ask(self) -> None:
-        if self._wants_state:
-            self._wants_state = False
             try:
                 await self._ask_state()
-            except NotReachedError:
-                self._wants_state = True
-                raise
-        if self._wants_parameters:
-            self._wants_parameters = False
-            try:
                 await self._ask_parameters()
             except NotReachedError:
-                self._wants_parameters = True
-                raise
-        self._on_change(self)
+                await asyncio.sleep(_RETRY_S)
+                continue
+            self._on_change(self)
+            await asyncio.sleep(_PACE_S)
+            with suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._wanted.wait(), REFRESH_S)
 
     async def _ask_state(self) -> None:
-        self._state, self._transitions = await self._link.state()
+        self.state, self._transitions = await self._link.state()
 
     async def _ask_parameters(self) -> None:
         found = await self._link.parameters(self._descriptors)
@@ -252,11 +216,10 @@ class Detector:
         """The problems that the node has logged since line number `count`; waits a little for them."""
         end_s = self._clock() + _REASON_S
         while self._clock() < end_s:
-            if texts := [line.text for line in self._log.problems_since(count)]:
+            if texts := self.log.problems_since(count):
                 return "\n".join(texts[-3:])
             await asyncio.sleep(0.05)
-        status = self.status(NODE_STATUS)
-        return status.values.get("last problem", "") if status is not None else ""
+        return self.status.values.get("last problem", "") if self.status is not None else ""
 
     def _begin(self, what: str) -> None:
         if what:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from typing import Any
 
 from lifecycle_msgs.msg import Transition, TransitionEvent
@@ -18,15 +16,13 @@ from rcl_interfaces.srv import (
     ListParameters,
     SetParametersAtomically,
 )
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 from vision_msgs.msg import LabelInfo
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.console.class_names import read_class_names
-from yolov5_lifecycle.ros.console.ros_thread import Hint, NotReachedError, RosThread
-from yolov5_lifecycle.ros.console.serialized_message import UnreadableError
+from yolov5_lifecycle.ros.console.ros_thread import Mailbox, NotReachedError, RosThread
+from yolov5_lifecycle.ros.console.views import class_names_of
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 
 ASK_S = 3.0
@@ -52,46 +48,39 @@ class DetectorLink:
 
     def __init__(self, ros: RosThread, name: str) -> None:
         self.name = name
+        self.class_names: list[str] = []
+        """Of the model, once it has told them."""
         self._ros = ros
         self._clients: dict[str, Any] = {}
         self._subscriptions: list[Any] = []
-        self._labels: deque[bytes] = deque(maxlen=1)
-        self._class_names: list[str] = []
         self._end: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
-    async def open(self, *, on_transition: Callable[[], object], on_labels: Callable[[], object]) -> None:
+    async def open(self, on_change: Callable[[], object]) -> None:
         """Create clients and subscriptions.
 
-        `on_transition()` is called after the node has perhaps changed its state, `on_labels()` when
-        `class_names` may differ, both in the thread of the event loop.
+        `on_change()` is called after the node has perhaps changed its state or `class_names`.
         """
-        hear_labels = Hint(self._ros, on_labels)
 
-        def take_labels(content: bytes) -> None:
-            self._labels.append(content)
-            hear_labels()
+        def take_labels(message: LabelInfo) -> None:
+            self.class_names = class_names_of(message)
+            on_change()
 
-        await self._ros.run(self._create, self._ros.node, Hint(self._ros, on_transition), take_labels)
+        transitions = Mailbox[TransitionEvent](self._ros, lambda _: on_change())
+        await self._ros.run(self._create, transitions.put, Mailbox(self._ros, take_labels).put)
 
     async def close(self) -> None:
         """End the calls that wait for an answer, then destroy clients and subscriptions."""
         if not self._end.done():
             self._end.set_result(None)
-        await self._ros.run(self._destroy, self._ros.node)
+        await self._ros.run(self._destroy)
 
     async def state(self) -> tuple[str, list[str]]:
         """The state, and the labels of the transitions that are possible in it."""
         state = await self._ask("get_state", GetState.Request())
         transitions = await self._ask("get_available_transitions", GetAvailableTransitions.Request())
-        possible = list(transitions.available_transitions)[:_MAX_TRANSITIONS]
+        possible = transitions.available_transitions[:_MAX_TRANSITIONS]
         labels = [in_one_line(found.transition.label, _MAX_LABEL) for found in possible]
         return in_one_line(state.current_state.label, _MAX_LABEL), labels
-
-    def class_names(self) -> list[str]:
-        """The class names of the model in the newest message about them, as far as they are not too long."""
-        with suppress(IndexError, UnreadableError):
-            self._class_names = read_class_names(self._labels.pop())
-        return self._class_names
 
     async def parameters(
         self, known: Mapping[str, ParameterDescriptor]
@@ -117,9 +106,8 @@ class DetectorLink:
         """Set all parameters or none; return the reason for a refusal, "" on success."""
         request = SetParametersAtomically.Request(parameters=messages)
         result = (await self._call("set_parameters_atomically", request, ACT_S)).result
-        return (
-            "" if result.successful else in_one_line(result.reason, _MAX_WORDS) or "the node gave no reason"
-        )
+        reason = in_one_line(result.reason, _MAX_WORDS) or "the node gave no reason"
+        return "" if result.successful else reason
 
     async def collect(self) -> tuple[bool, str]:
         """Ask for the next image of each camera: whether it will be kept, and the node's words."""
@@ -136,23 +124,19 @@ class DetectorLink:
         return await self._ros.call(client, request, timeout_s=timeout_s, end=self._end)
 
     def _create(
-        self,
-        node: Node,
-        hear_transition: Callable[[bytes], None],
-        take_labels: Callable[[bytes], None],
+        self, hear_transition: Callable[[TransitionEvent], None], hear_labels: Callable[[LabelInfo], None]
     ) -> None:
+        create_client, subscribe = self._ros.node.create_client, self._ros.node.create_subscription
         for service, service_type in _SERVICES.items():
-            self._clients[service] = node.create_client(service_type, f"{self.name}/{service}")
+            self._clients[service] = create_client(service_type, f"{self.name}/{service}")
         self._subscriptions = [
-            node.create_subscription(
-                TransitionEvent, f"{self.name}/transition_event", hear_transition, 10, raw=True
-            ),
-            node.create_subscription(LabelInfo, f"{self.name}/label_info", take_labels, _LATCHED, raw=True),
+            subscribe(TransitionEvent, f"{self.name}/transition_event", hear_transition, 10),
+            subscribe(LabelInfo, f"{self.name}/label_info", hear_labels, _LATCHED),
         ]
 
-    def _destroy(self, node: Node) -> None:
+    def _destroy(self) -> None:
         for subscription in self._subscriptions:
-            node.destroy_subscription(subscription)
+            self._ros.node.destroy_subscription(subscription)
         for client in self._clients.values():
-            node.destroy_client(client)
+            self._ros.node.destroy_client(client)
         self._subscriptions, self._clients = [], {}

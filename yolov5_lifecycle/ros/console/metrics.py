@@ -10,9 +10,8 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from yolov5_lifecycle.ros.console.camera_view import CameraView, StatusView, camera_views
 from yolov5_lifecycle.ros.console.detector import Detector
-from yolov5_lifecycle.settings.camera_names import NODE_STATUS
+from yolov5_lifecycle.ros.console.views import StatusView
 
 STATES = ("unconfigured", "inactive", "active", "finalized")
 _PREFIX = "yolov5"
@@ -69,30 +68,33 @@ def _node_gauges(detectors: Iterable[Detector]) -> Iterator[Metric]:
     for key, (name, text) in _OF_NODE.items():
         metric = GaugeMetricFamily(f"{_PREFIX}_{name}", text, labels=["node"])
         for detector in detectors:
-            status = detector.status(NODE_STATUS)
-            if status is not None and (number := status.number(key)) is not None:
+            if detector.status and (number := detector.status.number(key)) is not None:
                 metric.add_metric([detector.name], number)
         yield metric
 
 
 def _camera_metrics(detectors: Iterable[Detector]) -> Iterator[Metric]:
     labels = ["node", "camera"]
-    cameras = [(detector.name, camera) for detector in detectors for camera in _cameras(detector)]
+    statuses = [
+        ([detector.name, camera], status)
+        for detector in detectors
+        for camera, status in detector.cameras
+        if status is not None
+    ]
     for key, (name, text) in _OF_CAMERA.items():
         gauge = GaugeMetricFamily(f"{_PREFIX}_{name}", text, labels=labels)
-        for node, camera in cameras:
-            if camera.status is not None and (number := camera.status.number(key)) is not None:
-                gauge.add_metric([node, camera.name], number)
+        for place, status in statuses:
+            if (number := status.number(key)) is not None:
+                gauge.add_metric(place, number)
         yield gauge
     level = GaugeMetricFamily(
         f"{_PREFIX}_status_level", "Diagnostics: 0 OK, 1 WARN, 2 ERROR, 3 STALE", labels=labels
     )
     frames = CounterMetricFamily(f"{_PREFIX}_frames", "Frames by outcome", labels=[*labels, "outcome"])
-    for node, camera in cameras:
-        if camera.status is not None:
-            level.add_metric([node, camera.name], camera.status.level)
-            for outcome, count in _outcomes(camera.status):
-                frames.add_metric([node, camera.name, outcome], count)
+    for place, status in statuses:
+        level.add_metric(place, status.level)
+        for outcome, count in _outcomes(status):
+            frames.add_metric([*place, outcome], count)
     yield from (level, frames)
 
 
@@ -101,7 +103,3 @@ def _outcomes(status: StatusView) -> Iterator[tuple[str, int]]:
     for outcome, count in status.balance.items():
         if outcome not in ("received", "pending"):
             yield re.sub(r"\W", "_", outcome), count
-
-
-def _cameras(detector: Detector) -> list[CameraView]:
-    return camera_views(detector.camera_names, detector.statuses)
