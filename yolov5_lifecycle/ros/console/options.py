@@ -36,6 +36,10 @@ class ConsoleOptions:
     key: Path | None = None
 
     @property
+    def scheme(self) -> str:
+        return "https" if self.certificate else "http"
+
+    @property
     def is_loopback(self) -> bool:
         """Whether only this machine can connect."""
         return is_loopback(self.host)
