@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -14,8 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.console.detector import Detector
-from yolov5_lifecycle.ros.console.detector_link import DetectorLink
+from yolov5_lifecycle.ros.console.detector import SERVICES, Detector
 from yolov5_lifecycle.ros.console.ros_thread import Mailbox, RosThread
 from yolov5_lifecycle.ros.console.views import (
     LogLine,
@@ -34,7 +33,6 @@ _MAX_WAITING = 1000
 _MAX_NAME = 300
 _LOG_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The QoS of nodes' log publishers: late subscribers get the messages of the last seconds."""
-_SERVICES = ("get_state", "change_state", "get_available_transitions", "set_parameters_atomically", "collect")
 
 
 class Detectors:
@@ -47,7 +45,7 @@ class Detectors:
     def __init__(
         self,
         ros: RosThread,
-        names: tuple[str, ...],
+        names: Sequence[str],
         *,
         on_change: Callable[[Detector], object],
         on_gone: Callable[[Detector], object],
@@ -117,7 +115,7 @@ class Detectors:
 
     async def _begin(self, name: str) -> None:
         log = self._logs.pop(logger_name(name), None)
-        detector = Detector(DetectorLink(self._ros, name), on_change=self._changed, log=log)
+        detector = Detector(self._ros, name, on_change=self._changed, log=log)
         self._followed[name] = self._by_logger[logger_name(name)] = detector
         try:
             await detector.open()
@@ -179,7 +177,7 @@ class Detectors:
             self._followed[name].ask_soon()
 
 
-def candidates(node: Node, names: tuple[str, ...]) -> dict[str, frozenset[bytes]]:
+def candidates(node: Node, names: Sequence[str]) -> dict[str, frozenset[bytes]]:
     """The nodes that look like detectors to `node`, by name, with their publishers of diagnostics.
 
     They have a detector's services. `names`: full names of the wanted ones; empty: all.
@@ -192,5 +190,5 @@ def candidates(node: Node, names: tuple[str, ...]) -> dict[str, frozenset[bytes]
     return {
         name: frozenset(found)
         for name, found in sorted(publishers.items())
-        if (name in names or not names) and services.issuperset(f"{name}/{each}" for each in _SERVICES)
+        if (name in names or not names) and services.issuperset(f"{name}/{each}" for each in SERVICES)
     }

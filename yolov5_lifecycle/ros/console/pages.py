@@ -171,7 +171,7 @@ class _Page:
             reason = await detector.change_state(request["label"])
         else:
             is_done, words = await detector.collect()
-            reason, result = ("", words) if is_done else (words or "the node gave no reason", "")
+            reason, result = ("", words) if is_done else (words, "")
         self._answer(request.get("id"), reason, result)
 
     def _answer(self, request_id: object, reason: str, result: str = "") -> None:
