@@ -37,16 +37,7 @@ export function yamlText(parameters) {
 }
 
 function line({ name, type, value, is_shown: isShown }) {
-  return isShown ? `    ${key(name)}: ${written(type, value)}\n` : `    # ${name}: not shown by the console\n`;
-}
-
-function key(name) {
-  return /^[A-Za-z_][\w.]*$/.test(name) && !isReserved(name) ? name : quoted(name);
-}
-
-/** YAML 1.1 reads these words as booleans or null. */
-function isReserved(name) {
-  return /^(y|n|yes|no|on|off|true|false|null)$/i.test(name);
+  return isShown ? `    ${name}: ${written(type, value)}\n` : `    # ${name}: not shown by the console\n`;
 }
 
 function written(type, value) {
