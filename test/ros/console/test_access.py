@@ -14,7 +14,7 @@ import pytest
 
 from yolov5_lifecycle.ros.console.budget import Budget, Budgets
 from yolov5_lifecycle.ros.console.gate import Addresses
-from yolov5_lifecycle.ros.console.options import is_loopback
+from yolov5_lifecycle.ros.console.options import ConsoleOptions
 from yolov5_lifecycle.ros.console.sessions import (
     MIN_TOKEN_LENGTH,
     SESSION_S,
@@ -105,7 +105,7 @@ def test_an_origin_leaves_out_the_usual_port() -> None:
     ],
 )
 def test_loopback_addresses_are_known(host: str, *, expected: bool) -> None:
-    assert is_loopback(host) is expected
+    assert ConsoleOptions(host=host).is_loopback is expected
 
 
 def test_a_token_is_made_once_and_kept_for_its_user_alone(tmp_path: Path) -> None:

@@ -44,19 +44,14 @@ class ConsoleOptions:
     @property
     def is_loopback(self) -> bool:
         """Whether only this machine can connect."""
-        return is_loopback(self.host)
+        with suppress(ValueError):
+            return ipaddress.ip_address(self.host.partition("%")[0]).is_loopback
+        return self.host == "localhost"
 
     @property
     def needs_token(self) -> bool:
         """Whether people outside this machine can reach the page."""
         return not self.is_loopback or bool(self.public_urls)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether `host` is an address of this machine that no other can reach."""
-    with suppress(ValueError):
-        return ipaddress.ip_address(host.partition("%")[0]).is_loopback
-    return host == "localhost"
 
 
 def parsed(words: Sequence[str]) -> ConsoleOptions:

@@ -38,10 +38,8 @@ _CONSTRAINTS = re.compile(
 _CHOICES = "one of "
 _MAX_CONSTRAINTS = 5_000
 _MAX_NAME = 200
-_MAX_TEXT = 5_000
-_MAX_ENTRIES = 10_000
 _MAX_LENGTH = 1 << 20
-"""Characters of all values of a detector that are shown."""
+"""Characters and entries of lists of all values of a detector that are shown."""
 
 
 class ValueRefusedError(ValueError):
@@ -107,31 +105,22 @@ def shown_values(values: Mapping[str, ParameterValue]) -> dict[str, object]:
     shown, length = dict[str, object](), 0
     for name, value in values.items():
         plain = plain_value(value)
+        texts = plain if isinstance(plain, list) else [plain] if isinstance(plain, str) else []
+        total = length + len(texts) + sum(map(len, texts))
         is_known = plain is not None or value.type == ParameterType.PARAMETER_NOT_SET
-        if is_known and length + _length(plain) <= _MAX_LENGTH:
-            length += _length(plain)
-            shown[name] = plain
+        if is_known and total <= _MAX_LENGTH:
+            shown[name], length = plain, total
     return shown
 
 
 def plain_value(value: ParameterValue) -> object:
-    """`value` for JSON, printable.
-
-    None if it is not set, of a type that no setting has, not a finite number, or longer than any setting.
-    """
-    if value.type not in _TYPES or len(value.string_array_value) > _MAX_ENTRIES:
-        return None
-    plain: object = parameter_value_to_python(value)
-    if isinstance(plain, float) and not math.isfinite(plain):
-        return None
-    texts = [plain] if isinstance(plain, str) else list(plain) if isinstance(plain, (list, tuple)) else []
-    if any(len(text) > _MAX_TEXT for text in texts):
-        return None
-    return printable(plain) if isinstance(plain, str) else list(map(printable, texts)) if texts else plain
-
-
-def _length(plain: object) -> int:
-    return len(plain) if isinstance(plain, str) else sum(map(len, plain)) if isinstance(plain, list) else 0
+    """`value` for JSON, printable; None if it is not set, of a type that no setting has, or not finite."""
+    plain: object = parameter_value_to_python(value) if value.type in _TYPES else None
+    if isinstance(plain, float):
+        return plain if math.isfinite(plain) else None
+    if isinstance(plain, (list, tuple)):
+        return list(map(printable, plain))
+    return printable(plain) if isinstance(plain, str) else plain
 
 
 def parameter_message(name: str, value: object, views: Mapping[str, ParameterView]) -> ParameterMessage:
