@@ -8,12 +8,13 @@ from contextlib import contextmanager
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import Trigger
 
 from support.lone_node import lone_node
 
@@ -53,38 +54,23 @@ def flood(node: Node, topic: str, message: Any) -> Iterator[None]:
 
 
 @contextmanager
-def managed_nodes(names: list[str], *, with_diagnostics: bool) -> Iterator[None]:
-    """Nodes called `names` that look like managed ones and answer nothing.
+def managed_nodes(names: list[str], *, like_detectors: bool) -> Iterator[None]:
+    """Nodes called `names` that are managed, publish diagnostics and answer nothing.
 
-    They publish on /diagnostics, `with_diagnostics` what a detector would.
+    `like_detectors`: they have all services of a detector.
     """
     with lone_node("crowd") as crowd:
         nodes = [rclpy.create_node(name, context=crowd.context) for name in names]
         try:
-            publishers = [_disguise(node) for node in nodes]
-            statuses = [DiagnosticStatus(name=f"{name}: detection", hardware_id=f"/{name}") for name in names]
-
-            def send() -> None:
-                while not is_over.wait(0.5):
-                    for publisher, status in zip(publishers, statuses, strict=True):
-                        publisher.publish(DiagnosticArray(status=[status]))
-
-            is_over = threading.Event()
-            thread = threading.Thread(target=send)
-            if with_diagnostics:
-                thread.start()
-            try:
-                yield
-            finally:
-                is_over.set()
-                if with_diagnostics:
-                    thread.join()
+            for node in nodes:
+                _disguise(node, _SERVICES | ({"collect": Trigger} if like_detectors else {}))
+            yield
         finally:
             for node in nodes:
                 node.destroy_node()
 
 
-def _disguise(node: Node) -> Any:
-    for service, kind in _SERVICES.items():
+def _disguise(node: Node, services: dict[str, Any]) -> None:
+    for service, kind in services.items():
         node.create_service(kind, f"{node.get_fully_qualified_name()}/{service}", lambda _, answer: answer)
-    return node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    node.create_publisher(DiagnosticArray, "/diagnostics", 10)

@@ -12,13 +12,20 @@ from threading import Barrier
 
 import pytest
 
-from yolov5_lifecycle.ros.console.addresses import Addresses
 from yolov5_lifecycle.ros.console.budget import Budget, Budgets
-from yolov5_lifecycle.ros.console.options import is_loopback
-from yolov5_lifecycle.ros.console.sessions import SESSION_S, Sessions, TooManyTriesError
-from yolov5_lifecycle.ros.console.token_file import MIN_LENGTH, TokenFileError, kept_token, usual_path
+from yolov5_lifecycle.ros.console.gate import Addresses
+from yolov5_lifecycle.ros.console.options import ConsoleOptions
+from yolov5_lifecycle.ros.console.sessions import (
+    MIN_TOKEN_LENGTH,
+    SESSION_S,
+    Sessions,
+    TokenFileError,
+    TooManyTriesError,
+    kept_token,
+    usual_path,
+)
 
-TOKEN = "t" * MIN_LENGTH
+TOKEN = "t" * MIN_TOKEN_LENGTH
 LOOPBACK = Addresses(scheme="http", is_loopback=True)
 NETWORK = Addresses(scheme="http", is_loopback=False, public_urls=("https://robot.example",))
 HERE = ("127.0.0.1", 8080)
@@ -98,7 +105,7 @@ def test_an_origin_leaves_out_the_usual_port() -> None:
     ],
 )
 def test_loopback_addresses_are_known(host: str, *, expected: bool) -> None:
-    assert is_loopback(host) is expected
+    assert ConsoleOptions(host=host).is_loopback is expected
 
 
 def test_a_token_is_made_once_and_kept_for_its_user_alone(tmp_path: Path) -> None:
@@ -109,7 +116,7 @@ def test_a_token_is_made_once_and_kept_for_its_user_alone(tmp_path: Path) -> Non
     finally:
         os.umask(before)
     assert is_new
-    assert len(token) >= MIN_LENGTH
+    assert len(token) >= MIN_TOKEN_LENGTH
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
     assert kept_token(path) == (token, False)

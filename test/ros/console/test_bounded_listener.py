@@ -8,13 +8,14 @@ from contextlib import ExitStack, suppress
 
 import pytest
 
-from yolov5_lifecycle.ros.console.bounded_listener import (
+from yolov5_lifecycle.ros.console.options import ConsoleOptions
+from yolov5_lifecycle.ros.console.web_server import (
     MAX_CONNECTIONS,
     MAX_CONNECTIONS_OF_ADDRESS,
     BoundedListener,
+    ListenError,
+    listening_socket,
 )
-from yolov5_lifecycle.ros.console.options import ConsoleOptions
-from yolov5_lifecycle.ros.console.web_server import ListenError, listening_socket
 
 
 class Clients:

@@ -13,28 +13,28 @@ from support.lone_node import lone_node
 from support.preparations import Preparations
 from support.served_node import PATIENCE_S, ServedNode
 
-from yolov5_lifecycle.ros.console.camera_view import StatusView
-from yolov5_lifecycle.ros.console.detector import REFRESH_S, SILENCE_S, Detector
-from yolov5_lifecycle.ros.console.detector_link import DetectorLink
-from yolov5_lifecycle.ros.console.ros_thread import NotReachedError, RosThread
+from yolov5_lifecycle.ros.console.detector import SILENCE_S, Detector
+from yolov5_lifecycle.ros.console.ros_thread import RosThread
+from yolov5_lifecycle.ros.console.views import StatusView
 from yolov5_lifecycle.settings.camera_names import NODE_STATUS
 
 STATUSES = [StatusView(NODE_STATUS, level=0, message="", values={"state": "unconfigured"})]
 
 
-class HeldLink(DetectorLink):
-    """A link whose answer about parameters arrives when `gate` is open; `is_answered`: one is on its way."""
+class HeldDetector(Detector):
+    """Takes an answer about parameters once `gate` is open; `is_answered`: one is on its way."""
 
-    def __init__(self, ros: RosThread, name: str) -> None:
-        super().__init__(ros, name)
+    def __init__(self, ros: RosThread, **options: Any) -> None:
+        super().__init__(ros, NODE, **options)
         self.gate = asyncio.Event()
         self.gate.set()
         self.is_answered = asyncio.Event()
 
-    async def parameters(self, known: Any) -> Any:
-        answer = await super().parameters(known)
-        self.is_answered.set()
-        await self.gate.wait()
+    async def _call(self, service: str, *request: Any) -> Any:
+        answer = await super()._call(service, *request)
+        if service == "get_parameters":
+            self.is_answered.set()
+            await self.gate.wait()
         return answer
 
 
@@ -43,12 +43,9 @@ class KnownDetector:
 
     def __init__(self, served: ServedNode, ros: RosThread) -> None:
         self.served = served
-        self.link = HeldLink(ros, NODE)
         self.now_s = 0.0
         self._changed = asyncio.Event()
-        self.detector = Detector(
-            self.link, frozenset(), on_change=lambda _: self._changed.set(), clock=lambda: self.now_s
-        )
+        self.detector = HeldDetector(ros, on_change=lambda _: self._changed.set(), clock=lambda: self.now_s)
 
     async def set(self, name: str, value: float) -> None:
         """Set the parameter in the node; the event that tells it does not arrive."""
@@ -85,11 +82,11 @@ def play(served: ServedNode, act: Callable[[KnownDetector], Awaitable[None]]) ->
 
 def test_a_value_that_changes_while_parameters_are_queried_is_shown(served: ServedNode) -> None:
     async def act(known: KnownDetector) -> None:
-        known.link.gate.clear()
-        await asyncio.wait_for(known.link.is_answered.wait(), PATIENCE_S)
+        known.detector.gate.clear()
+        await asyncio.wait_for(known.detector.is_answered.wait(), PATIENCE_S)
         await known.set("max_rate", 7.0)
-        known.detector.want_parameters()
-        known.link.gate.set()
+        known.detector.ask_soon()
+        known.detector.gate.set()
         await known.wait_for(lambda: known.value("max_rate") == 7.0)
 
     play(served, act)
@@ -100,7 +97,6 @@ def test_a_change_whose_event_was_lost_is_shown_after_a_while(served: ServedNode
     async def act(known: KnownDetector) -> None:
         await known.wait_for(lambda: known.value("max_rate") == 0.0)
         await known.set("max_rate", 7.0)
-        known.now_s += REFRESH_S
         await known.wait_for(lambda: known.value("max_rate") == 7.0)
 
     play(served, act)
@@ -144,10 +140,9 @@ def test_a_request_whose_detector_ends_is_answered_at_once(served: ServedNode, p
 def test_a_detector_that_has_ended_is_asked_nothing(served: ServedNode) -> None:
     async def act(known: KnownDetector) -> None:
         await known.detector.close()
-        with pytest.raises(NotReachedError, match=f"{NODE} is lost"):
-            await known.link.state()
         assert await known.detector.set({"max_rate": 3.0}) == f"{NODE} is lost"
         assert await known.detector.change_state("configure") == f"{NODE} is lost"
         assert await known.detector.change_state("shutdown") == ""
+        assert await known.detector.collect() == (False, f"{NODE} is lost")
 
     play(served, act)

@@ -265,6 +265,17 @@ def test_a_detector_that_ends_is_gone_and_comes_back(console: ConsoleBesideNode,
 
 
 @pytest.mark.long
+def test_a_detector_that_is_restarted_before_it_is_missed_is_gone_for_a_moment(page: Page) -> None:
+    name = "/second"
+    words = ["--ros-args", "-r", "__node:=second"]
+    with ServedNode(Preparations(), arguments=words):
+        page.wait_for(lambda: name in page.nodes, "the detector")
+        with ServedNode(Preparations(), arguments=words):
+            page.wait_for(lambda: name in page.gone and name in page.nodes, "its new process")
+    page.wait_for(lambda: name not in page.nodes, "the end of both")
+
+
+@pytest.mark.long
 def test_only_the_nodes_that_are_asked_for_are_shown(console: ConsoleBesideNode, page: Page) -> None:
     name = "/robot/eyes"
     words = ["--ros-args", "-r", "__node:=eyes", "-r", "__ns:=/robot"]

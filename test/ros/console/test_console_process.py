@@ -37,7 +37,10 @@ def run(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
     [
         pytest.param(["extra"], "unrecognized arguments: extra", id="unknown"),
         pytest.param(
-            ["--port", "http"], "--port: invalid int value", id="port is no number", marks=pytest.mark.long
+            ["--port", "http"],
+            "--port: expected a number from 0 to 65535",
+            id="port is no number",
+            marks=pytest.mark.long,
         ),
         pytest.param(
             ["--port", "65536"],

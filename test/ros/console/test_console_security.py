@@ -102,7 +102,7 @@ def test_a_request_on_loopback_is_answered_with(
         pytest.param("/ws", {"Origin": ""}, 403, id="no origin"),
         pytest.param("/image?node=/yolov5", {"Origin": FOREIGN}, 403, id="image of a foreign origin"),
         pytest.param("/nowhere", {}, 403, id="unknown socket"),
-        pytest.param("/ws", {"X-Long": "a" * 10_000}, 400, id="long header"),
+        pytest.param("/ws", {f"X-{number}": "a" for number in range(200)}, 400, id="many headers"),
     ],
 )
 def test_a_socket_is_refused(

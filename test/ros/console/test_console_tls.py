@@ -7,7 +7,6 @@ import shutil
 import socket
 import ssl
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
@@ -23,12 +22,12 @@ from websockets.frames import Frame, Opcode
 from websockets.typing import Origin
 from websockets.uri import parse_uri
 
-from yolov5_lifecycle.ros.console.bounded_listener import MAX_CONNECTIONS_OF_ADDRESS
+from yolov5_lifecycle.ros.console.web_server import MAX_CONNECTIONS_OF_ADDRESS
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 
 SHORTER_S = 20.0
-"""Less than asyncio waits for the begin (60 s) or end (30 s) of TLS, much more than the console does."""
+"""Less than asyncio waits for the begin of TLS (60 s)."""
 
 
 @dataclass(frozen=True)
@@ -118,20 +117,3 @@ def test_excess_connections_that_begin_no_tls_are_closed(encrypted: EncryptedCon
         excess = [stack.enter_context(encrypted.silent_connection(SHORTER_S)) for _ in range(100)]
         assert encrypted.status_of_page("127.0.0.2") == 200
         assert all(map(is_closed, excess))
-
-
-@pytest.mark.long
-def test_a_connection_that_begins_no_tls_is_closed(encrypted: EncryptedConsole) -> None:
-    with encrypted.silent_connection(SHORTER_S) as silent:
-        assert is_closed(silent)
-
-
-@pytest.mark.long
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="asyncio has no such limit before Python 3.11")
-def test_a_connection_that_does_not_answer_the_end_of_tls_is_closed(encrypted: EncryptedConsole) -> None:
-    silent = encrypted.silent_connection(SHORTER_S)
-    with encrypted.context.wrap_socket(silent, server_hostname="127.0.0.1") as begun:
-        deaf = socket.socket(fileno=begun.detach())
-    with deaf:
-        deaf.settimeout(SHORTER_S)
-        assert is_closed(deaf)

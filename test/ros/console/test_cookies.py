@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from yolov5_lifecycle.ros.console.cookies import cookie_name, of_consoles, values_of
+from yolov5_lifecycle.ros.console.gate import cookie_name, values_of
 
 OWN = "console_8080=abc-_123"
 ODD = {
@@ -38,7 +38,6 @@ ODD = {
 def test_an_odd_cookie_of_another_program_hides_nothing(odd: str, order: str) -> None:
     header = order.format(odd=odd, own=OWN)
     assert values_of("console_8080", [header]) == ["abc-_123"]
-    assert OWN in of_consoles(header).split("; ")
 
 
 @pytest.mark.parametrize(
@@ -60,8 +59,3 @@ def test_all_values_of_the_name_are_found(headers: list[str], values: list[str])
 def test_with_tls_the_name_binds_the_cookie_to_the_host() -> None:
     assert cookie_name(8080, is_secure=False) == "console_8080"
     assert cookie_name(8080, is_secure=True) == "__Host-console_8080"
-
-
-def test_only_the_cookies_of_consoles_remain() -> None:
-    header = f"a={'b' * 9000}; console_8080=1; __Host-console_443=2; other=3"
-    assert of_consoles(header) == "console_8080=1; __Host-console_443=2"

@@ -122,7 +122,7 @@ def test_without_a_difference_the_text_is_a_remark(call: Call) -> None:
     ("value", "limit"), [(0, 1), (0.02, 0.02), (0.3, 0.5), (1, 1), (15.2, 20), (50, 50), (51, 100)]
 )
 def test_a_plot_ends_at_the_next_round_number(call: Call, value: float, limit: float) -> None:
-    assert call("history.js", "roundedUp", value) == pytest.approx(limit)
+    assert call("history_view.js", "roundedUp", value) == pytest.approx(limit)
 
 
 @pytest.mark.long
@@ -138,7 +138,7 @@ def test_a_plot_ends_at_the_next_round_number(call: Call, value: float, limit: f
 def test_a_line_has_gaps_where_nothing_was_known(
     call: Call, values: list[int | None], runs: list[list[list[int]]]
 ) -> None:
-    assert call("history.js", "runs", values) == runs
+    assert call("history_view.js", "runs", values) == runs
 
 
 @pytest.mark.long

@@ -8,10 +8,9 @@ import pytest
 from rclpy.logging import get_logger
 from starlette.types import Message, Scope
 
-from yolov5_lifecycle.ros.console.addresses import Addresses
 from yolov5_lifecycle.ros.console.application import WebApplication
-from yolov5_lifecycle.ros.console.gate import Gate
-from yolov5_lifecycle.ros.console.page_socket import Pages
+from yolov5_lifecycle.ros.console.gate import Addresses, Gate
+from yolov5_lifecycle.ros.console.pages import Pages
 from yolov5_lifecycle.ros.console.sessions import SESSION_S, Sessions
 
 COOKIE = "console_8080"
@@ -57,7 +56,6 @@ def test_an_open_socket_is_closed_when_its_session_expires(path: str) -> None:
     now_s = SESSION_S - 0.01
     pages = Pages(lambda name: None, list, view_only=False)
     application = WebApplication(
-        {},
         page=pages.serve,
         image=pages.serve,
         sessions=sessions,

@@ -55,8 +55,8 @@ async def connected() -> AsyncIterator[Client]:
     sock = listening_socket(options)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 14)  # as its connections will have
     port = sock.getsockname()[1]
-    server = WebServer(listen, options, sock)
-    serving = asyncio.create_task(server.serve_until_exit())
+    server = WebServer(listen, options)
+    serving = asyncio.create_task(server.serve([sock]))
     reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1 << 12)
     try:
         writer.write(UPGRADE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from importlib.resources import files
 from urllib.parse import parse_qs
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -17,48 +18,65 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from yolov5_lifecycle.ros.console.gate import METRICS, address_of
-from yolov5_lifecycle.ros.console.page_files import LOGIN, PAGE, PageFile
 from yolov5_lifecycle.ros.console.sessions import SESSION_S, Sessions, TooManyTriesError
 
+_TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
+_PAGE, _LOGIN = "index.html", "login.html"
 _MAX_FORM_BYTES = 4096
 _MAX_FIELDS = 10
 _FORM_S = 10.0
 _SESSION_ENDED = 4401
 
 Serve = Callable[[WebSocket], Awaitable[None]]
-Figures = Callable[[], bytes]
+
+
+def page_files() -> dict[str, Response]:
+    """All files of the page by name, read once: a request never reaches the file system.
+
+    Raises FileNotFoundError if the installation lacks them.
+    """
+    folder = files("yolov5_lifecycle.ros.console").joinpath("page")
+    kinds = ((file, _TYPES.get(file.name.rpartition(".")[2])) for file in folder.iterdir())
+    found = {file.name: Response(file.read_bytes(), media_type=kind) for file, kind in kinds if kind}
+    if missing := {_PAGE, _LOGIN} - found.keys():
+        raise FileNotFoundError(
+            f"{folder} lacks {', '.join(sorted(missing))}: install yolov5_lifecycle again"
+        )
+    return found
 
 
 class WebApplication:
-    """Serves `files`; `page` and `image` serve the WebSockets, `figures` creates the text of the metrics.
+    """Serves the files of the page; `page` and `image` serve WebSockets, `figures` gives the metrics' text.
 
     Without `sessions` there is no login, without `figures` there are no metrics.
     """
 
     def __init__(
         self,
-        files: dict[str, PageFile],
         *,
         page: Serve,
         image: Serve,
         sessions: Sessions | None,
-        figures: Figures | None,
+        figures: Callable[[], bytes] | None,
         logger: RcutilsLogger,
     ) -> None:
-        self._files = files
+        self._files = page_files()
         self._sessions = sessions
-        self._figures = figures
         self._logger = logger
         routes: list[BaseRoute] = [
-            Route("/", lambda _: self._file(PAGE)),
-            Route("/login", self._login_page, methods=["GET"]),
-            Route("/login", self._login, methods=["POST"]),
-            Route("/page/{name}", lambda request: self._file(request.path_params["name"])),
+            Route("/", lambda _: self._files[_PAGE]),
+            Route("/page/{name}", self._file),
             WebSocketRoute("/ws", _within_session(page)),
             WebSocketRoute("/image", _within_session(image)),
         ]
+        if sessions is None:
+            routes.append(Route("/login", lambda _: _to("/"), methods=["GET", "POST"]))
+        else:
+            routes.append(Route("/login", lambda _: self._files[_LOGIN], methods=["GET"]))
+            routes.append(Route("/login", self._login, methods=["POST"]))
         if figures is not None:
-            routes.append(Route(METRICS, self._metrics))
+            kind = "text/plain; version=0.0.4; charset=utf-8"
+            routes.append(Route(METRICS, lambda _: Response(figures(), media_type=kind)))
         self._starlette = Starlette(routes=routes)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -73,18 +91,12 @@ class WebApplication:
             )
             raise
 
-    def _file(self, name: str) -> Response:
-        file = self._files.get(name)
-        if file is None:
-            raise HTTPException(404, "page not found")
-        return Response(file.content, media_type=file.media_type)
-
-    async def _login_page(self, _: Request) -> Response:
-        return self._file(LOGIN) if self._sessions else RedirectResponse("/", status_code=303)
+    def _file(self, request: Request) -> Response:
+        name = request.path_params["name"]
+        return self._files.get(name) or PlainTextResponse("page not found\n", status_code=404)
 
     async def _login(self, request: Request) -> Response:
-        if self._sessions is None:
-            return RedirectResponse("/", status_code=303)
+        assert self._sessions is not None
         try:
             token = await asyncio.wait_for(_token(request), _FORM_S)
             is_right = self._sessions.knows_token(token, address_of(request.scope))
@@ -93,22 +105,21 @@ class WebApplication:
         except TooManyTriesError:
             text = "too many wrong tokens: wait a minute\n"
             return PlainTextResponse(text, status_code=429, headers={"Retry-After": "60"})
-        if not is_right:
-            return RedirectResponse("/login?wrong", status_code=303)
-        response = RedirectResponse("/", status_code=303)
-        response.set_cookie(
-            request.state.cookie,
-            self._sessions.begin(),
-            max_age=int(SESSION_S),
-            httponly=True,
-            samesite="strict",
-            secure=bool(request.state.is_secure),
-        )
+        response = _to("/" if is_right else "/login?wrong")
+        if is_right:
+            response.set_cookie(
+                request.state.cookie,
+                self._sessions.begin(),
+                max_age=int(SESSION_S),
+                httponly=True,
+                samesite="strict",
+                secure=request.state.is_secure,
+            )
         return response
 
-    def _metrics(self, _: Request) -> Response:
-        assert self._figures is not None
-        return Response(self._figures(), media_type="text/plain; version=0.0.4; charset=utf-8")
+
+def _to(path: str) -> Response:
+    return RedirectResponse(path, status_code=303)
 
 
 def _within_session(serve: Serve) -> Serve:

@@ -1,4 +1,4 @@
-"""Command `console`: the server until a signal, then its exit code."""
+"""Command `console`: a node in its own thread and the web server until a signal, then the exit code."""
 
 from __future__ import annotations
 
@@ -16,10 +16,16 @@ import rclpy
 from yolov5_lifecycle.commands.entry_points import EXIT_UNABLE
 from yolov5_lifecycle.process.standard_streams import complain, flush_output, write_output
 from yolov5_lifecycle.process.termination import TERMINATION_SIGNALS
-from yolov5_lifecycle.ros.console.console import Console
+from yolov5_lifecycle.ros.console.application import WebApplication
+from yolov5_lifecycle.ros.console.detectors import Detectors
+from yolov5_lifecycle.ros.console.gate import Addresses, Gate
+from yolov5_lifecycle.ros.console.images import Viewers
+from yolov5_lifecycle.ros.console.metrics import figures
 from yolov5_lifecycle.ros.console.options import ConsoleOptions, parsed
-from yolov5_lifecycle.ros.console.token_file import TokenFileError, kept_token, usual_path
-from yolov5_lifecycle.ros.console.web_server import ListenError, listening_socket, url_of
+from yolov5_lifecycle.ros.console.pages import Pages
+from yolov5_lifecycle.ros.console.ros_thread import RosThread
+from yolov5_lifecycle.ros.console.sessions import Sessions, TokenFileError, kept_token, usual_path
+from yolov5_lifecycle.ros.console.web_server import ListenError, WebServer, listening_socket
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
 from yolov5_lifecycle.ros.services import harden
 from yolov5_lifecycle.ros.start_arguments import initialize, refuse, start_arguments
@@ -52,9 +58,7 @@ def _run(arguments: list[str]) -> int:
         return refuse(_NAME, f"cannot start: {error}")
     harden(node, {})
     try:
-        token = _token(options)
-        sock = listening_socket(options)
-        asyncio.run(_serve(node, options, sock, token))
+        asyncio.run(_serve(node, options, listening_socket(options), _sessions(options)))
     except (ListenError, TokenFileError, FileNotFoundError) as error:
         complain(_NAME, error)
         return EXIT_UNABLE
@@ -62,36 +66,65 @@ def _run(arguments: list[str]) -> int:
     return 0
 
 
-async def _serve(node: PrintableNode, options: ConsoleOptions, sock: socket.socket, token: str) -> None:
-    console = Console(node, options, sock, token=token)
-    loop = asyncio.get_running_loop()
+async def _serve(
+    node: PrintableNode, options: ConsoleOptions, sock: socket.socket, sessions: Sessions | None
+) -> None:
+    """Serve until a signal; afterwards the node may be destroyed."""
+    ros = RosThread(node, asyncio.get_running_loop())
+    pages = Pages(lambda name: detectors.find(name), lambda: detectors.known, view_only=options.view_only)
+    detectors = Detectors(
+        ros, options.nodes, on_change=pages.changed, on_gone=pages.gone, on_omitted=pages.omitted
+    )
+    viewers = Viewers(ros, detectors.find)
+    application = WebApplication(
+        page=pages.serve,
+        image=viewers.serve,
+        sessions=sessions,
+        figures=figures(lambda: detectors.known, lambda: viewers.count) if options.has_metrics else None,
+        logger=node.get_logger(),
+    )
+    addresses = Addresses(
+        scheme=options.scheme, public_urls=options.public_urls, is_loopback=options.is_loopback
+    )
+    server = WebServer(Gate(application, addresses, sessions, port=sock.getsockname()[1]), options)
+    _end_on_signals(server)
+    _announce(options, sock)
+    ros.start()
+    try:
+        await detectors.open()
+        await server.serve([sock])
+        await detectors.close()
+    finally:
+        ros.stop()
 
+
+def _end_on_signals(server: WebServer) -> None:
     def end() -> None:
         timer = threading.Timer(_END_S, os._exit, (0,))
         timer.daemon = True
         timer.start()
-        console.stop()
+        server.should_exit = True
 
     for number in TERMINATION_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # SIGHUP is, under nohup
-            loop.add_signal_handler(number, end)
-    _announce(options, sock)
-    await console.serve()
+            asyncio.get_running_loop().add_signal_handler(number, end)
 
 
-def _token(options: ConsoleOptions) -> str:
-    """The token, if `options` need one; a new one is printed. Raises TokenFileError."""
+def _sessions(options: ConsoleOptions) -> Sessions | None:
+    """Those of the token, if `options` need one; a new one is printed. Raises TokenFileError."""
     if not options.needs_token:
-        return ""
+        return None
     path = options.token_file or usual_path(os.environ)
     token, is_new = kept_token(path)
     _say(f"token: {token}\n(shown once; stored in {path})" if is_new else f"the token is in {path}")
-    return token
+    return Sessions(token)
 
 
 def _announce(options: ConsoleOptions, sock: socket.socket) -> None:
-    scheme = "https" if options.certificate else "http"
-    _say(f"{_NAME}: {url_of(sock, scheme)}")
+    """Print the address of the page; of all addresses of the machine, under its name."""
+    address, port = sock.getsockname()[:2]
+    host = socket.gethostname() if address in ("0.0.0.0", "::") else address
+    _say(f"{_NAME}: {options.scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
     if not options.is_loopback and not options.certificate:
         _say(
             "Anyone on the network can read the traffic, including the token: use --cert and --key, or put a "

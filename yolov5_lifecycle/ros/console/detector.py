@@ -6,105 +6,154 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from typing import Any
 
+from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParametersAtomically,
+)
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import Trigger
+from vision_msgs.msg import LabelInfo
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.console.camera_view import StatusView, camera_views
-from yolov5_lifecycle.ros.console.detector_link import DetectorLink
-from yolov5_lifecycle.ros.console.log_view import LogView
 from yolov5_lifecycle.ros.console.parameter_view import (
     ParameterView,
     ValueRefusedError,
     parameter_message,
     shown_values,
 )
-from yolov5_lifecycle.ros.console.ros_thread import NotReachedError
+from yolov5_lifecycle.ros.console.ros_thread import Mailbox, NotReachedError, RosThread
+from yolov5_lifecycle.ros.console.views import (
+    LogView,
+    StatusView,
+    camera_as_json,
+    cameras_of,
+    class_names_of,
+)
+from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, NODE_STATUS, camera_names_rule
 
 SILENCE_S = 5.0
 """A detector that sends no diagnostics (usually one per second) for longer than this is gone."""
 LOST = "lost"
 """Shown instead of the state of a detector that is gone."""
-REFRESH_S = 5.0
+SERVICES = {
+    "get_state": GetState,
+    "get_available_transitions": GetAvailableTransitions,
+    "change_state": ChangeState,
+    "list_parameters": ListParameters,
+    "describe_parameters": DescribeParameters,
+    "get_parameters": GetParameters,
+    "set_parameters_atomically": SetParametersAtomically,
+    "collect": Trigger,
+}
+_REFRESH_S = 5.0
 """The node is asked again after this time, in case that a message about a change was lost or false."""
+_ASK_S = 3.0
+"""Timeout of what a node answers at once, such as a query, which is then repeated."""
+_ACT_S = 300.0
+"""Timeout of a transition or change, which may load a model on a slow machine."""
 _PACE_S = 0.1
 """Pause between two queries, however many messages tell of changes."""
 _RETRY_S = 0.5
 _REASON_S = 1.5
 """How long to watch the log for the reason of a refusal, which is not in the response."""
 _SLOW_CHANGES = ("reload",)
+_MAX_TRANSITIONS, _MAX_LABEL, _MAX_WORDS = 30, 100, 5_000
+_NO_REASON = "the node gave no reason"
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Detector:
-    """The detector at the end of `link`, for the event loop's thread; `on_change(self)` after each change.
+    """The detector called `name`, for the event loop's thread; `on_change(self)` after each change.
 
     Messages of topics only tell that something may have changed, as anybody can send them: what is shown of
     state and parameters are answers of the node's services.
 
-    `publishers`: those of its processes so far; a new one means that it was restarted. `log`: its lines, also
-    those from before it was known.
+    `log`: its lines, also those from before it was known.
     """
 
     def __init__(
         self,
-        link: DetectorLink,
-        publishers: frozenset[bytes],
+        ros: RosThread,
+        name: str,
         *,
         on_change: Callable[[Detector], object],
         log: LogView | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.name = link.name
-        self.publishers = publishers
+        self.name = name
+        self.state = ""
+        self.statuses: list[StatusView] = []
+        """The last diagnostics."""
+        self.log = LogView() if log is None else log
+        self._ros = ros
         self._on_change = on_change
         self._clock = clock
-        self._link = link
-        self._state = ""
+        self._clients: dict[str, Any] = {}
+        self._subscriptions: list[Any] = []
+        self._end: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._transitions: list[str] = []
         self._descriptors: dict[str, ParameterDescriptor] = {}
         self._views: dict[str, ParameterView] = {}
         self._values: dict[str, object] = {}
         self._parameters: list[dict[str, object]] = []
-        self._statuses: list[StatusView] = []
-        self._log = LogView() if log is None else log
+        self._class_names: list[str] = []
         self._busy: list[str] = []
-        self._wants_state = self._wants_parameters = True
-        self._asked_s = clock()
         self._wanted = asyncio.Event()
-        self._wanted.set()
         self._heard_s: float | None = None
         self._task: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        """Start querying the node."""
-        await self._link.open(on_transition=self._want_state, on_labels=self._wanted.set)
+        """Start querying the node. Raises NameValidationException."""
+        await self._ros.run(self._create)
         self._task = asyncio.create_task(self._keep_up_to_date())
 
     async def close(self) -> None:
-        if self._task is not None:
-            self._task.cancel()
-            self._task = None
-            await self._link.close()
+        """End the requests that wait for an answer, with a reason."""
+        if not self._end.done():
+            self._end.set_result(None)
+            if self._task is not None:
+                self._task.cancel()
+            await self._ros.run(self._destroy)
+
+    def _create(self) -> None:
+        create_client, subscribe = self._ros.node.create_client, self._ros.node.create_subscription
+        for service, kind in SERVICES.items():
+            self._clients[service] = create_client(kind, f"{self.name}/{service}")
+        transitions = Mailbox[TransitionEvent](self._ros, lambda _: self.ask_soon())
+        labels = Mailbox(self._ros, self._take_labels)
+        self._subscriptions = [
+            subscribe(TransitionEvent, f"{self.name}/transition_event", transitions.put, 10),
+            subscribe(LabelInfo, f"{self.name}/label_info", labels.put, _LATCHED),
+        ]
+
+    def _destroy(self) -> None:
+        for subscription in self._subscriptions:
+            self._ros.node.destroy_subscription(subscription)
+        for client in self._clients.values():
+            self._ros.node.destroy_client(client)
 
     def invalidate(self) -> None:
         """Discard what the node has answered; its next diagnostics may come from a restarted process."""
-        self._state, self._statuses, self._views, self._descriptors = "", [], {}, {}
-        self._wants_state = self._wants_parameters = True
+        self.state, self.statuses, self._views, self._descriptors = "", [], {}, {}
+        self.ask_soon()
 
     @property
     def is_known(self) -> bool:
         """Whether the node has answered and is a detector: it has settings and publishes its status."""
-        return bool(self._state and self._views and self.status(NODE_STATUS))
+        return bool(self.state and self._views and self.status)
 
     @property
     def is_silent(self) -> bool:
         """Whether its diagnostics have stopped."""
         return self._heard_s is not None and self._clock() - self._heard_s > SILENCE_S
-
-    @property
-    def state(self) -> str:
-        return self._state
 
     @property
     def camera_names(self) -> list[str]:
@@ -114,30 +163,29 @@ class Detector:
         return [name for name in given if not camera_names_rule([name], ())]
 
     @property
-    def statuses(self) -> list[StatusView]:
-        """The last diagnostics."""
-        return list(self._statuses)
+    def cameras(self) -> list[tuple[str, StatusView | None]]:
+        """Names of the cameras with their last diagnostics."""
+        return cameras_of(self.camera_names, self.statuses)
 
-    def status(self, name: str) -> StatusView | None:
-        """The diagnostics of a camera, or of the node with NODE_STATUS."""
-        return next((status for status in self._statuses if status.name == name), None)
+    @property
+    def status(self) -> StatusView | None:
+        """The last diagnostics of the node as a whole."""
+        return next((status for status in self.statuses if status.name == NODE_STATUS), None)
 
     def as_json(self, *, is_lost: bool = False) -> dict[str, object]:
         """Everything that the page shows of the detector; of a lost one, nothing old looks current."""
-        cameras = camera_views(self.camera_names, self._statuses)
-        statuses = [status.as_lost if is_lost else status for status in self._statuses]
         transitions = [] if is_lost else self._transitions
         return {
             "name": self.name,
-            "state": LOST if is_lost else self._state,
-            "last_state": self._state,
+            "state": LOST if is_lost else self.state,
+            "last_state": self.state,
             "transitions": [{"label": label} for label in transitions],
             "busy": self._busy[0] if self._busy and not is_lost else "",
             "parameters": self._parameters,
-            "cameras": [camera.as_json(is_lost=is_lost) for camera in cameras],
-            "diagnostics": [status.as_json() for status in statuses],
-            "class_names": self._link.class_names(),
-            "log": self._log.as_json(),
+            "cameras": [camera_as_json(*camera, is_lost=is_lost) for camera in self.cameras],
+            "diagnostics": [status.as_json(is_lost=is_lost) for status in self.statuses],
+            "class_names": self._class_names,
+            "log": self.log.as_json(),
         }
 
     async def set(self, values: Mapping[str, object]) -> str:
@@ -148,26 +196,29 @@ class Detector:
             return str(error)
         is_slow = any(name in self._views and self._views[name].change in _SLOW_CHANGES for name in values)
         what = f"set {', '.join(in_one_line(name, 100) for name in values)} ..."
-        self._begin(what if is_slow and self._state == "active" else "")
+        self._begin(what if is_slow and self.state == "active" else "")
         try:
-            return await self._link.set_parameters(messages)
+            request = SetParametersAtomically.Request(parameters=messages)
+            result = (await self._call("set_parameters_atomically", request, _ACT_S)).result
         except NotReachedError as error:
             return str(error)
         finally:
-            self.want_parameters()
-            self._end(what)
+            self.ask_soon()
+            self._end_of(what)
+        return "" if result.successful else in_one_line(result.reason, _MAX_WORDS) or _NO_REASON
 
     async def change_state(self, label: str) -> str:
         """Request a transition; returns the reason for a refusal, "" on success."""
-        count = self._log.count
+        count = self.log.count
         what = f"{in_one_line(label, 100)} ..."
         self._begin(what)
         try:
             await self._ask_state()
             if label not in self._transitions:
                 possible = ", ".join(self._transitions) or "none"
-                return f"{what[:-4]} is not possible while {self._state}; possible now: {possible}"
-            if await self._link.change_state(label):
+                return f"{what[:-4]} is not possible while {self.state}; possible now: {possible}"
+            request = ChangeState.Request(transition=Transition(label=label))
+            if (await self._call("change_state", request, _ACT_S)).success:
                 await self._ask_state()
                 return ""
             return await self._reason(count) or f"the node refused to {label}; its log says why"
@@ -175,74 +226,74 @@ class Detector:
             # The process ends soon after this transition, possibly before it has sent the response.
             return "" if label == "shutdown" else str(error)
         finally:
-            self._want_state()
-            self._end(what)
+            self.ask_soon()
+            self._end_of(what)
 
     async def collect(self) -> tuple[bool, str]:
         """Have the next image of each camera kept: whether the node agrees, and its answer in words."""
         try:
-            return await self._link.collect()
+            answer = await self._call("collect", Trigger.Request())
         except NotReachedError as error:
             return False, str(error)
+        return bool(answer.success), in_one_line(answer.message, _MAX_WORDS) or _NO_REASON
+
+    async def _call(self, service: str, request: Any, timeout_s: float = _ASK_S) -> Any:
+        """The response of the node; raises NotReachedError."""
+        if self._end.done():
+            raise NotReachedError(f"{self.name} is lost")
+        return await self._ros.call(self._clients[service], request, timeout_s=timeout_s, end=self._end)
+
+    def _take_labels(self, message: LabelInfo) -> None:
+        self._class_names = class_names_of(message)
+        self._on_change(self)
 
     def take_diagnostics(self, statuses: list[StatusView]) -> None:
         self._heard_s = self._clock()
-        self._statuses = statuses
-        status = self.status(NODE_STATUS)
-        if status is not None and status.values.get("state", self._state) != self._state:
-            self._want_state()
+        self.statuses = statuses
+        if self.status is not None and self.status.values.get("state", self.state) != self.state:
+            self.ask_soon()
         self._on_change(self)
 
-    def want_parameters(self) -> None:
-        """Query the parameters soon: they may have changed."""
-        self._wants_parameters = True
-        self._wanted.set()
-
-    def _want_state(self) -> None:
-        self._wants_state = True
+    def ask_soon(self) -> None:
+        """Query state and parameters: they may have changed."""
         self._wanted.set()
 
     async def _keep_up_to_date(self) -> None:
         while True:
-            with suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(self._wanted.wait(), REFRESH_S)
             self._wanted.clear()
-            if self._clock() - self._asked_s >= REFRESH_S:
-                self._asked_s = self._clock()
-                self._wants_state = self._wants_parameters = True
-            try:
-                await self._ask()
-            except NotReachedError:
-                self._wanted.set()
-                await asyncio.sleep(_RETRY_S)
-            else:
-                await asyncio.sleep(_PACE_S)
-
-    async def _ask(self) -> None:
-        if self._wants_state:
-            self._wants_state = False
             try:
                 await self._ask_state()
-            except NotReachedError:
-                self._wants_state = True
-                raise
-        if self._wants_parameters:
-            self._wants_parameters = False
-            try:
                 await self._ask_parameters()
             except NotReachedError:
-                self._wants_parameters = True
-                raise
-        self._on_change(self)
+                await asyncio.sleep(_RETRY_S)
+                continue
+            self._on_change(self)
+            await asyncio.sleep(_PACE_S)
+            with suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._wanted.wait(), _REFRESH_S)
 
     async def _ask_state(self) -> None:
-        self._state, self._transitions = await self._link.state()
+        state = await self._call("get_state", GetState.Request())
+        answer = await self._call("get_available_transitions", GetAvailableTransitions.Request())
+        possible = answer.available_transitions[:_MAX_TRANSITIONS]
+        self.state = in_one_line(state.current_state.label, _MAX_LABEL)
+        self._transitions = [in_one_line(found.transition.label, _MAX_LABEL) for found in possible]
 
     async def _ask_parameters(self) -> None:
-        found = await self._link.parameters(self._descriptors)
-        self._descriptors = {str(one.name): one for one, _ in found}
-        self._views = {view.name: view for one, _ in found if (view := ParameterView.of(one)) is not None}
-        self._values = shown_values({str(one.name): value for one, value in found if one.name in self._views})
+        listed = await self._call("list_parameters", ListParameters.Request())
+        names = listed.result.names[:MAX_ITEMS]
+        descriptors = self._descriptors
+        if new := [name for name in names if name not in descriptors]:
+            answer = await self._call("describe_parameters", DescribeParameters.Request(names=new))
+            descriptors = descriptors | {str(one.name): one for one in answer.descriptors}
+        values = (await self._call("get_parameters", GetParameters.Request(names=names))).values
+        if len(values) != len(names) or not descriptors.keys() >= set(names):
+            raise NotReachedError(f"{self.name} has changed its parameters meanwhile")
+        self._descriptors = {name: descriptors[name] for name in names}
+        views = map(ParameterView.of, self._descriptors.values())
+        self._views = {view.name: view for view in views if view is not None}
+        found = zip(names, values, strict=True)
+        self._values = shown_values({name: value for name, value in found if name in self._views})
         self._parameters = [
             view.as_json(self._values.get(name), is_shown=name in self._values)
             for name, view in self._views.items()
@@ -252,18 +303,17 @@ class Detector:
         """The problems that the node has logged since line number `count`; waits a little for them."""
         end_s = self._clock() + _REASON_S
         while self._clock() < end_s:
-            if texts := [line.text for line in self._log.problems_since(count)]:
+            if texts := self.log.problems_since(count):
                 return "\n".join(texts[-3:])
             await asyncio.sleep(0.05)
-        status = self.status(NODE_STATUS)
-        return status.values.get("last problem", "") if status is not None else ""
+        return self.status.values.get("last problem", "") if self.status is not None else ""
 
     def _begin(self, what: str) -> None:
         if what:
             self._busy.append(what)
             self._on_change(self)
 
-    def _end(self, what: str) -> None:
+    def _end_of(self, what: str) -> None:
         if what in self._busy:
             self._busy.remove(what)
             self._on_change(self)

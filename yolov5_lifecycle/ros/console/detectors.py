@@ -3,24 +3,36 @@
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import Callable, Iterable
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Log, ParameterEvent
 from rclpy.exceptions import NameValidationException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from yolov5_lifecycle.ros.console.broadcasts import Broadcasts
-from yolov5_lifecycle.ros.console.camera_view import StatusView
-from yolov5_lifecycle.ros.console.detector import Detector
-from yolov5_lifecycle.ros.console.detector_link import DetectorLink
-from yolov5_lifecycle.ros.console.graph import Candidate, candidates
-from yolov5_lifecycle.ros.console.log_view import LogLine, Logs, logger_name
-from yolov5_lifecycle.ros.console.ros_thread import RosThread
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros.console.detector import SERVICES, Detector
+from yolov5_lifecycle.ros.console.ros_thread import Mailbox, RosThread
+from yolov5_lifecycle.ros.console.views import (
+    LogLine,
+    LogView,
+    StatusView,
+    line_of,
+    logger_name,
+    statuses_of,
+)
 
 SCAN_S = 1.0
 MAX_DETECTORS = 32
-TRIAL_S = 10.0
-"""A node that does not answer as a detector for so long makes room for others that may be detectors."""
+_MAX_LOGGERS = 64
+"""Of which no detector is known yet: a node logs as it starts."""
+_MAX_WAITING = 1000
+_MAX_NAME = 300
+_LOG_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""The QoS of nodes' log publishers: late subscribers get the messages of the last seconds."""
 
 
 class Detectors:
@@ -33,7 +45,7 @@ class Detectors:
     def __init__(
         self,
         ros: RosThread,
-        names: tuple[str, ...],
+        names: Sequence[str],
         *,
         on_change: Callable[[Detector], object],
         on_gone: Callable[[Detector], object],
@@ -44,28 +56,21 @@ class Detectors:
         self._on_change = on_change
         self._on_gone = on_gone
         self._on_omitted = on_omitted
-        self._candidates: dict[str, Candidate] = {}
-        self._sent_diagnostics: set[str] = set()
-        self._is_new = asyncio.Event()
+        self._candidates: dict[str, frozenset[bytes]] = {}
         self._followed: dict[str, Detector] = {}
-        self._followed_s: dict[str, float] = {}
-        """When a candidate was followed last."""
-        self._shown: set[str] = set()
+        self._shown: dict[str, frozenset[bytes]] = {}
+        """Publishers of those that are shown, empty until the next scan: a new one means a restart."""
         self._omitted: list[str] = []
-        self._unconfirmed: set[str] = set()  # hidden until a scan tells whether they were restarted
-        self._by_logger: dict[str, str] = {}
-        self._logs = Logs(self._by_logger.__contains__)
-        self._broadcasts = Broadcasts(
-            ros,
-            lambda name: name in self._candidates,
-            on_parameters=self._take_hint,
-            on_diagnostics=self._take_diagnostics,
-            on_log=self._take_log,
-        )
+        self._by_logger: dict[str, Detector] = {}
+        self._logs: OrderedDict[str, LogView] = OrderedDict()
+        """Of loggers that are of no detector that is followed."""
+        self._diagnostics = Mailbox(ros, self._take_diagnostics, size=_MAX_WAITING)
+        self._lines = Mailbox(ros, self._take_line, size=_MAX_WAITING)
+        self._changed_names = Mailbox(ros, self._take_event, size=_MAX_WAITING)
         self._task: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        await self._broadcasts.open()
+        await self._ros.run(self._subscribe, self._ros.node)
         self._task = asyncio.create_task(self._follow())
 
     async def close(self) -> None:
@@ -85,109 +90,105 @@ class Detectors:
 
     async def _follow(self) -> None:
         while True:
-            were_silent = (self._followed[name] for name in self._unconfirmed)
-            returned = [detector for detector in were_silent if not detector.is_silent]
-            found = await self._ros.run(candidates, self._ros.node, self._names)
-            self._candidates = {candidate.name: candidate for candidate in found}
+            self._candidates = await self._ros.run(candidates, self._ros.node, self._names)
             await self._update()
-            self._show_again(returned)
-            with suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(self._is_new.wait(), SCAN_S)
-            self._is_new.clear()
+            await asyncio.sleep(SCAN_S)
 
     async def _update(self) -> None:
-        """Adapt those that are followed to the candidates."""
-        present = self._candidates
-        self._sent_diagnostics &= present.keys()
-        for name in self._followed_s.keys() - present.keys():
-            del self._followed_s[name]
+        """Adapt those that are followed to the candidates; those that are followed stay."""
         for name, detector in list(self._followed.items()):
-            if name not in present or present[name].publishers - detector.publishers:
-                self._followed_s.pop(name, None)  # restarted, it comes before others
+            found = self._candidates.get(name, frozenset())
+            if not found or (self._shown.get(name) and found - self._shown[name]):
                 await self._forget(detector)
-            elif detector.is_silent and name in self._shown:
+            elif name in self._shown and detector.is_silent:
                 self._hide(detector)
                 detector.invalidate()
-                self._unconfirmed.add(name)
-        waiting = self._waiting
-        await self._make_room(len(waiting))
+            elif name in self._shown:
+                self._shown[name] = found
+        waiting = [name for name in self._candidates if name not in self._followed]
         room = MAX_DETECTORS - len(self._followed)
         for name in waiting[:room]:
-            await self._begin(present[name])
-        self._omit(waiting[room:])
+            await self._begin(name)
+        if waiting[room:] != self._omitted:
+            self._omitted = waiting[room:]
+            self._on_omitted(self._omitted)
 
-    @property
-    def _waiting(self) -> list[str]:
-        """Candidates that send diagnostics as a detector does and are not followed, the next one first."""
-        names = self._sent_diagnostics - self._followed.keys()
-        return sorted(names, key=lambda name: (self._followed_s.get(name, 0.0), name))
-
-    async def _make_room(self, wanted: int) -> None:
-        """Give up at most `wanted` nodes that have not answered as a detector in their time."""
-        now_s = time.monotonic()
-        for name, detector in list(self._followed.items()):
-            is_over = now_s - self._followed_s[name] > TRIAL_S
-            is_useless = is_over and name not in self._shown | self._unconfirmed
-            if is_useless and len(self._followed) + wanted > MAX_DETECTORS:
-                await self._forget(detector)
-
-    async def _begin(self, candidate: Candidate) -> None:
-        name = candidate.name
-        self._by_logger[logger_name(name)] = name
-        self._followed_s[name] = time.monotonic()
-        log = self._logs.of(logger_name(name))
-        link = DetectorLink(self._ros, name)
-        detector = Detector(link, candidate.publishers, on_change=self._changed, log=log)
-        self._followed[name] = detector
+    async def _begin(self, name: str) -> None:
+        log = self._logs.pop(logger_name(name), None)
+        detector = Detector(self._ros, name, on_change=self._changed, log=log)
+        self._followed[name] = self._by_logger[logger_name(name)] = detector
         try:
             await detector.open()
         except NameValidationException as error:
             self._ros.node.get_logger().warning(f"{name} cannot be shown: {error}")
-            await self._forget(detector)
-
-    def _omit(self, names: list[str]) -> None:
-        if names != self._omitted:
-            self._omitted = names
-            self._on_omitted(names)
-
-    def _show_again(self, returned: Iterable[Detector]) -> None:
-        """Show those whose process is still the one that was silent; the others have been forgotten."""
-        for detector in returned:
-            if self._followed.get(detector.name) is detector:
-                self._unconfirmed.discard(detector.name)
-                self._changed(detector)
 
     async def _forget(self, detector: Detector) -> None:
         self._hide(detector)
-        self._unconfirmed.discard(detector.name)
         del self._followed[detector.name]
         del self._by_logger[logger_name(detector.name)]
+        self._logs[logger_name(detector.name)] = detector.log
         await detector.close()
 
     def _hide(self, detector: Detector) -> None:
-        if detector.name in self._shown:
-            self._shown.remove(detector.name)
+        if self._shown.pop(detector.name, None) is not None:
             self._on_gone(detector)
 
     def _changed(self, detector: Detector) -> None:
-        is_current = self._followed.get(detector.name) is detector and detector.name not in self._unconfirmed
-        if not is_current or not detector.is_known or detector.is_silent:
-            return
-        self._shown.add(detector.name)
-        self._on_change(detector)
+        is_followed = self._followed.get(detector.name) is detector
+        if is_followed and detector.is_known and not detector.is_silent:
+            self._shown.setdefault(detector.name, frozenset())
+            self._on_change(detector)
 
-    def _take_hint(self, name: str) -> None:
-        if name in self._followed:
-            self._followed[name].want_parameters()
+    def _subscribe(self, node: Node) -> None:
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear_diagnostics, 100)
+        node.create_subscription(Log, "/rosout", self._hear_log, _LOG_QOS)
+        node.create_subscription(ParameterEvent, "/parameter_events", self._hear_event, 100)
 
-    def _take_diagnostics(self, name: str, statuses: list[StatusView]) -> None:
-        if name not in self._sent_diagnostics:
-            self._sent_diagnostics.add(name)
-            self._is_new.set()
+    def _hear_diagnostics(self, message: DiagnosticArray) -> None:
+        name = message.status[0].hardware_id if message.status else ""
+        if name in self._candidates:
+            self._diagnostics.put((name, statuses_of(message)))
+
+    def _hear_log(self, message: Log) -> None:
+        self._lines.put((in_one_line(message.name, _MAX_NAME), line_of(message)))
+
+    def _hear_event(self, message: ParameterEvent) -> None:
+        if message.node in self._candidates:
+            self._changed_names.put(message.node)
+
+    def _take_diagnostics(self, news: tuple[str, list[StatusView]]) -> None:
+        name, statuses = news
         if name in self._followed:
             self._followed[name].take_diagnostics(statuses)
 
-    def _take_log(self, logger: str, line: LogLine) -> None:
-        self._logs.of(logger).add(line)
-        if name := self._by_logger.get(logger):
-            self._changed(self._followed[name])
+    def _take_line(self, news: tuple[str, LogLine]) -> None:
+        logger, line = news
+        if detector := self._by_logger.get(logger):
+            detector.log.add(line)
+            self._changed(detector)
+        else:
+            self._logs.setdefault(logger, LogView()).add(line)
+            self._logs.move_to_end(logger)
+            if len(self._logs) > _MAX_LOGGERS:
+                self._logs.popitem(last=False)
+
+    def _take_event(self, name: str) -> None:
+        if name in self._followed:
+            self._followed[name].ask_soon()
+
+
+def candidates(node: Node, names: Sequence[str]) -> dict[str, frozenset[bytes]]:
+    """The nodes that look like detectors to `node`, by name, with their publishers of diagnostics.
+
+    They have a detector's services. `names`: full names of the wanted ones; empty: all.
+    """
+    publishers: dict[str, set[bytes]] = {}
+    for endpoint in node.get_publishers_info_by_topic("/diagnostics"):
+        name = f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
+        publishers.setdefault(name, set()).add(bytes(endpoint.endpoint_gid))
+    services = {name for name, _ in node.get_service_names_and_types()}
+    return {
+        name: frozenset(found)
+        for name, found in sorted(publishers.items())
+        if (name in names or not names) and services.issuperset(f"{name}/{each}" for each in SERVICES)
+    }

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import ipaddress
+import socket
+from collections.abc import Iterable, Sequence
+from urllib.parse import urlsplit
+
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from yolov5_lifecycle.ros.console.addresses import Addresses
 from yolov5_lifecycle.ros.console.budget import Budget, Budgets
-from yolov5_lifecycle.ros.console.cookies import cookie_name, values_of
 from yolov5_lifecycle.ros.console.sessions import Sessions, TooManyTriesError
 
 METRICS = "/metrics"
@@ -21,6 +24,7 @@ _TLS_ONLY = "max-age=2592000"
 _OPEN_TO_ALL = ("/login", "/page/")
 """Served without a session: the login page and public files."""
 _SAFE = ("GET", "HEAD")
+_DEFAULT_PORTS = {"http": 80, "https": 443}
 
 
 class Gate:
@@ -143,3 +147,83 @@ def _over_tls_only(send: Send) -> Send:
 
 def _text(status: int, text: str, headers: dict[str, str] | None = None) -> Response:
     return PlainTextResponse(text + "\n", status_code=status, headers=headers)
+
+
+def cookie_name(port: int, *, is_secure: bool) -> str:
+    """Name of the cookie with the id of a session at the console on `port`.
+
+    Browsers accept `__Host-` only over TLS, and from this host alone (RFC 6265bis, 4.1.3.2).
+    """
+    return f"{'__Host-' if is_secure else ''}console_{port}"
+
+
+def values_of(name: str, headers: Iterable[str]) -> list[str]:
+    """All values of the cookie `name` in the Cookie `headers`.
+
+    Browsers send the cookies of all programs on a host to every port, and others' may be malformed:
+    http.cookies.SimpleCookie discards everything after the first pair that it cannot read.
+    """
+    pairs = (pair.partition("=") for header in headers for pair in header.split(";"))
+    return [value.strip(" \t") for found, equals, value in pairs if equals and found.strip(" \t") == name]
+
+
+class Addresses:
+    """The addresses of one console: where it listens, the name of this machine, and `public_urls`.
+
+    `scheme`: http or https, as the console itself serves it.
+    """
+
+    def __init__(self, *, scheme: str, public_urls: Sequence[str] = (), is_loopback: bool) -> None:
+        self._scheme = scheme
+        parts = [urlsplit(url) for url in public_urls]
+        self._public = {(part.scheme, _authority(part.scheme, part.netloc)) for part in parts}
+        name = socket.gethostname().lower()
+        self._names = {"localhost"} if is_loopback else {"localhost", name, f"{name}.local"}
+
+    def scheme_of(self, host: str, server: tuple[str, int]) -> str:
+        """Scheme of the page under the Host header `host`, "" for a foreign one.
+
+        `server`: address and port of this machine at which the request arrived.
+        """
+        for scheme in _DEFAULT_PORTS:
+            if (scheme, _authority(scheme, host)) in self._public:
+                return scheme
+        address, port = _split(host, _DEFAULT_PORTS[self._scheme])
+        is_own = port == server[1] and (address in self._names or _same_address(address, server[0]))
+        return self._scheme if is_own else ""
+
+    def is_own_origin(self, origin: str, host: str, scheme: str) -> bool:
+        """Whether the Origin header is that of the page under the accepted `host`, served as `scheme`."""
+        found, _, authority = origin.lower().partition("://")
+        return found == scheme and _authority(scheme, authority) == _authority(scheme, host)
+
+
+def _authority(scheme: str, netloc: str) -> tuple[str, int]:
+    return _split(netloc, _DEFAULT_PORTS[scheme])
+
+
+def _split(netloc: str, default_port: int) -> tuple[str, int]:
+    """Name or address in lower case without brackets, and port; ("", 0) for what is neither."""
+    text = netloc.lower()
+    if text.startswith("["):
+        name, closing, rest = text[1:].partition("]")
+        colon, port = rest[:1], rest[1:]
+        if not closing or colon not in ("", ":"):
+            return "", 0
+    else:
+        name, colon, port = text.partition(":")
+    if not colon:
+        return name, default_port
+    return (name, int(port)) if port.isascii() and port.isdigit() and len(port) <= 5 else ("", 0)
+
+
+def _same_address(given: str, own: str) -> bool:
+    try:
+        return ipaddress.ip_address(given) == _unmapped(ipaddress.ip_address(own.partition("%")[0]))
+    except ValueError:
+        return False
+
+
+def _unmapped(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> object:
+    """The IPv4 address that a socket of IPv6 shows as `::ffff:192.0.2.1`, or `address` itself."""
+    return getattr(address, "ipv4_mapped", None) or address

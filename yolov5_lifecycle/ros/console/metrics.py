@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from yolov5_lifecycle.ros.console.camera_view import CameraView, StatusView, camera_views
 from yolov5_lifecycle.ros.console.detector import Detector
-from yolov5_lifecycle.settings.camera_names import NODE_STATUS
 
-STATES = ("unconfigured", "inactive", "active", "finalized")
 _PREFIX = "yolov5"
+_STATES = ("unconfigured", "inactive", "active", "finalized")
+_CAMERA = ("node", "camera")
 _OF_CAMERA = {
     "rate Hz": ("rate_hertz", "Frames with detections per second"),
     "latency median ms": ("latency_median_milliseconds", "Median time from an image's arrival to its result"),
@@ -33,6 +32,8 @@ _OF_NODE = {
     "resident memory MB": ("resident_memory_megabytes", "Memory of the detector's process"),
     "abandoned threads": ("abandoned_threads", "Inference threads that hang"),
 }
+_SUMS = ("received", "pending")
+"""Outcomes that are not counters: the sum of the others, and one that shrinks."""
 
 
 class _DetectorCollector(Collector):
@@ -41,10 +42,22 @@ class _DetectorCollector(Collector):
         self._viewers = viewers
 
     def collect(self) -> Iterator[Metric]:
-        detectors = list(self._detectors())
-        yield _states(detectors)
-        yield from _node_gauges(detectors)
-        yield from _camera_metrics(detectors)
+        found = list(self._detectors())
+        states = [((one.name, state), float(one.state == state)) for one in found for state in _STATES]
+        yield _gauge("state", "1 for the current lifecycle state", ("node", "state"), states)
+        nodes = [((one.name,), one.status) for one in found if one.status]
+        for key, (name, text) in _OF_NODE.items():
+            yield _gauge(name, text, ("node",), [(place, status.number(key)) for place, status in nodes])
+        cameras = [((one.name, camera), status) for one in found for camera, status in one.cameras if status]
+        for key, (name, text) in _OF_CAMERA.items():
+            yield _gauge(name, text, _CAMERA, [(place, status.number(key)) for place, status in cameras])
+        levels = [(place, status.level) for place, status in cameras]
+        yield _gauge("status_level", "Diagnostics: 0 OK, 1 WARN, 2 ERROR, 3 STALE", _CAMERA, levels)
+        frames = CounterMetricFamily(f"{_PREFIX}_frames", "Frames by outcome", labels=[*_CAMERA, "outcome"])
+        for place, status in cameras:
+            for outcome in status.balance.keys() - _SUMS:
+                frames.add_metric([*place, re.sub(r"\W", "_", outcome)], status.balance[outcome])
+        yield frames
         yield GaugeMetricFamily(f"{_PREFIX}_console_viewers", "Images being shown", self._viewers())
 
 
@@ -55,53 +68,12 @@ def figures(detectors: Callable[[], Iterable[Detector]], viewers: Callable[[], i
     return lambda: bytes(generate_latest(registry))
 
 
-def _states(detectors: Iterable[Detector]) -> Metric:
-    metric = GaugeMetricFamily(
-        f"{_PREFIX}_state", "1 for the current lifecycle state", labels=["node", "state"]
-    )
-    for detector in detectors:
-        for state in STATES:
-            metric.add_metric([detector.name, state], float(detector.state == state))
-    return metric
-
-
-def _node_gauges(detectors: Iterable[Detector]) -> Iterator[Metric]:
-    for key, (name, text) in _OF_NODE.items():
-        metric = GaugeMetricFamily(f"{_PREFIX}_{name}", text, labels=["node"])
-        for detector in detectors:
-            status = detector.status(NODE_STATUS)
-            if status is not None and (number := status.number(key)) is not None:
-                metric.add_metric([detector.name], number)
-        yield metric
-
-
-def _camera_metrics(detectors: Iterable[Detector]) -> Iterator[Metric]:
-    labels = ["node", "camera"]
-    cameras = [(detector.name, camera) for detector in detectors for camera in _cameras(detector)]
-    for key, (name, text) in _OF_CAMERA.items():
-        gauge = GaugeMetricFamily(f"{_PREFIX}_{name}", text, labels=labels)
-        for node, camera in cameras:
-            if camera.status is not None and (number := camera.status.number(key)) is not None:
-                gauge.add_metric([node, camera.name], number)
-        yield gauge
-    level = GaugeMetricFamily(
-        f"{_PREFIX}_status_level", "Diagnostics: 0 OK, 1 WARN, 2 ERROR, 3 STALE", labels=labels
-    )
-    frames = CounterMetricFamily(f"{_PREFIX}_frames", "Frames by outcome", labels=[*labels, "outcome"])
-    for node, camera in cameras:
-        if camera.status is not None:
-            level.add_metric([node, camera.name], camera.status.level)
-            for outcome, count in _outcomes(camera.status):
-                frames.add_metric([node, camera.name, outcome], count)
-    yield from (level, frames)
-
-
-def _outcomes(status: StatusView) -> Iterator[tuple[str, int]]:
-    """The counts that only grow: without pending frames, and without `received`, their sum."""
-    for outcome, count in status.balance.items():
-        if outcome not in ("received", "pending"):
-            yield re.sub(r"\W", "_", outcome), count
-
-
-def _cameras(detector: Detector) -> list[CameraView]:
-    return camera_views(detector.camera_names, detector.statuses)
+def _gauge(
+    name: str, text: str, labels: Sequence[str], samples: Iterable[tuple[Sequence[str], float | None]]
+) -> Metric:
+    """A gauge with those of `samples` that have a number."""
+    gauge = GaugeMetricFamily(f"{_PREFIX}_{name}", text, labels=labels)
+    for values, number in samples:
+        if number is not None:
+            gauge.add_metric(values, number)
+    return gauge

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import argparse
 import ipaddress
+import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import urlsplit
 
 from yolov5_lifecycle.commands.command_line import CommandParser
 
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8080
 _MAX_PORT = 65_535
+_URL = re.compile(r"https?://(\[[0-9a-f:.]+\]|[^\s:/?#@\[\]]+)(:[0-9]{1,5})?")
 
 
 @dataclass(frozen=True)
@@ -27,18 +29,24 @@ class ConsoleOptions:
 
     host: str = DEFAULT_HOST
     port: int = DEFAULT_PORT
-    nodes: tuple[str, ...] = ()
+    nodes: Sequence[str] = ()
     view_only: bool = False
     has_metrics: bool = False
-    public_urls: tuple[str, ...] = ()
+    public_urls: Sequence[str] = ()
     token_file: Path | None = None
     certificate: Path | None = None
     key: Path | None = None
 
     @property
+    def scheme(self) -> str:
+        return "https" if self.certificate else "http"
+
+    @property
     def is_loopback(self) -> bool:
         """Whether only this machine can connect."""
-        return is_loopback(self.host)
+        with suppress(ValueError):
+            return ipaddress.ip_address(self.host.partition("%")[0]).is_loopback
+        return self.host == "localhost"
 
     @property
     def needs_token(self) -> bool:
@@ -46,41 +54,13 @@ class ConsoleOptions:
         return not self.is_loopback or bool(self.public_urls)
 
 
-def is_loopback(host: str) -> bool:
-    """Whether `host` is an address of this machine that no other can reach."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.partition("%")[0]).is_loopback
-    except ValueError:
-        return False
-
-
 def parsed(words: Sequence[str]) -> ConsoleOptions:
     """The options in the arguments `words`; exits with code 2 for invalid ones."""
     parser = _parser()
-    given = parser.parse_args(list(words))
-    if not 0 <= given.port <= _MAX_PORT:
-        parser.error(f"--port: expected a number from 0 to {_MAX_PORT}, found {given.port}")
-    if (given.cert is None) != (given.key is None):
+    options = ConsoleOptions(**vars(parser.parse_args(list(words))))
+    if (options.certificate is None) != (options.key is None):
         parser.error("--cert and --key: expected both or neither, found one")
-    for name in given.node:
-        if not name.startswith("/"):
-            parser.error(f"--node: expected a full name such as /yolov5, found '{name}'")
-    for url in given.public_url:
-        if problem := _url_problem(url):
-            parser.error(f"--public-url: {problem}, found '{url}'")
-    return ConsoleOptions(
-        host=given.host,
-        port=given.port,
-        nodes=tuple(given.node),
-        view_only=given.view_only,
-        has_metrics=given.metrics,
-        public_urls=tuple(url.rstrip("/").lower() for url in given.public_url),
-        token_file=given.token_file,
-        certificate=given.cert,
-        key=given.key,
-    )
+    return options
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -95,18 +75,22 @@ def _parser() -> argparse.ArgumentParser:
         default=DEFAULT_HOST,
         help="address to listen on (default %(default)s: this machine only); any other requires a token",
     )
-    add("--port", type=int, default=DEFAULT_PORT, help="port (default %(default)s); 0: any free port")
+    add("--port", type=_port, default=DEFAULT_PORT, help="port (default %(default)s); 0: any free port")
     add(
         "--node",
+        dest="nodes",
+        type=_full_name,
         action="append",
         default=[],
         metavar="/NAME",
         help="full name of a detector to show; may be repeated (default: all that are found)",
     )
     add("--view-only", action="store_true", help="disable all changes from the page")
-    add("--metrics", action="store_true", help="serve metrics for Prometheus on /metrics")
+    add("--metrics", dest="has_metrics", action="store_true", help="serve metrics for Prometheus on /metrics")
     add(
         "--public-url",
+        dest="public_urls",
+        type=_url,
         action="append",
         default=[],
         metavar="URL",
@@ -119,19 +103,32 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="file that stores the token (default: yolov5_console/token in $XDG_STATE_HOME or ~/.ros)",
     )
-    add("--cert", type=Path, metavar="FILE", help="certificate chain (PEM) for TLS; requires --key")
+    add(
+        "--cert",
+        dest="certificate",
+        type=Path,
+        metavar="FILE",
+        help="certificate chain (PEM) for TLS; requires --key",
+    )
     add("--key", type=Path, metavar="FILE", help="private key (PEM) of the certificate, without a password")
     return parser
 
 
-def _url_problem(url: str) -> str:
-    try:
-        parts = urlsplit(url)
-        _ = parts.port  # raises for a port that is none
-    except ValueError:
-        return "expected a URL such as https://robot.example"
-    if parts.scheme.lower() not in ("http", "https") or not parts.hostname:
-        return "expected a URL such as https://robot.example"
-    if parts.path.strip("/") or parts.query or parts.fragment or parts.username:
-        return "expected scheme, name and port only"
-    return ""
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > _MAX_PORT:
+        raise argparse.ArgumentTypeError(f"expected a number from 0 to {_MAX_PORT}, found '{text}'")
+    return int(text)
+
+
+def _full_name(text: str) -> str:
+    if not text.startswith("/"):
+        raise argparse.ArgumentTypeError(f"expected a full name such as /yolov5, found '{text}'")
+    return text
+
+
+def _url(text: str) -> str:
+    url = text.rstrip("/").lower()
+    if not _URL.fullmatch(url):
+        expected = "a URL such as https://robot.example: scheme, name and port only"
+        raise argparse.ArgumentTypeError(f"expected {expected}, found '{text}'")
+    return url

@@ -38,10 +38,8 @@ _CONSTRAINTS = re.compile(
 _CHOICES = "one of "
 _MAX_CONSTRAINTS = 5_000
 _MAX_NAME = 200
-_MAX_TEXT = 5_000
-_MAX_ENTRIES = 10_000
 _MAX_LENGTH = 1 << 20
-"""Characters of all values of a detector that are shown."""
+"""Characters and entries of lists of all values of a detector that are shown."""
 
 
 class ValueRefusedError(ValueError):
@@ -49,18 +47,24 @@ class ValueRefusedError(ValueError):
 
 
 class ParameterView:
-    """A declared parameter of a detector, from its descriptor."""
+    """A declared parameter of a detector, from its descriptor; `constraints` are its additional ones."""
 
-    def __init__(
-        self, descriptor: ParameterDescriptor, allowed: str, default: object, change: str, *, per_camera: bool
-    ) -> None:
+    def __init__(self, descriptor: ParameterDescriptor, constraints: re.Match[str]) -> None:
         self.name = str(descriptor.name)
         self.type = _TYPES.get(descriptor.type, "string")
-        self.change = change
-        self._descriptor = descriptor
-        self._allowed = allowed
-        self._default = default
-        self._per_camera = per_camera
+        self.change = constraints["change"].replace("-", " ")
+        self._json = {
+            "name": self.name,
+            "type": self.type,
+            "default": self._of_own_type(_parsed(constraints["default"])),
+            "description": in_one_line(descriptor.description),
+            "constraints": in_one_line(constraints["allowed"]),
+            "range": _range(descriptor),
+            "choices": _choices(constraints["allowed"]) if self.type == "string" else None,
+            "change": self.change,
+            "per_camera": constraints["scope"] is not None,
+            "read_only": bool(descriptor.read_only),
+        }
 
     @classmethod
     def of(cls, descriptor: ParameterDescriptor) -> ParameterView | None:
@@ -69,11 +73,7 @@ class ParameterView:
         if len(constraints) > _MAX_CONSTRAINTS or len(name) > _MAX_NAME or not name.isprintable():
             return None
         found = _CONSTRAINTS.fullmatch(constraints)
-        if found is None:
-            return None
-        change = found["change"].replace("-", " ")
-        per_camera = found["scope"] is not None
-        return cls(descriptor, found["allowed"], _parsed(found["default"]), change, per_camera=per_camera)
+        return cls(descriptor, found) if found else None
 
     def as_json(self, value: object, *, is_shown: bool = True) -> dict[str, object]:
         """The parameter with its current `value`, for JSON.
@@ -81,38 +81,23 @@ class ParameterView:
         null with `is_shown`: not set; without: its value is of another type or cannot be shown.
         """
         own = self._of_own_type(value)
-        return {
-            "name": self.name,
-            "type": self.type,
-            "value": own,
-            "is_shown": is_shown and (own is not None or value is None),
-            "default": self._of_own_type(self._default),
-            "description": in_one_line(self._descriptor.description),
-            "constraints": in_one_line(self._allowed),
-            "range": self._range,
-            "choices": self._choices,
-            "change": self.change,
-            "per_camera": self._per_camera,
-            "read_only": bool(self._descriptor.read_only),
-        }
+        return self._json | {"value": own, "is_shown": is_shown and (own is not None or value is None)}
 
     def _of_own_type(self, value: object) -> object:
         return value if _is_of(value, self.type) else None
 
-    @property
-    def _range(self) -> dict[str, float] | None:
-        ranges = [*self._descriptor.floating_point_range, *self._descriptor.integer_range]
-        if not ranges:
-            return None
-        first, last, step = ranges[0].from_value, ranges[0].to_value, ranges[0].step
+
+def _range(descriptor: ParameterDescriptor) -> dict[str, float] | None:
+    for found in (*descriptor.floating_point_range, *descriptor.integer_range):
+        first, last, step = found.from_value, found.to_value, found.step
         is_usable = all(map(math.isfinite, (first, last, step))) and first <= last
         return {"from": first, "to": last, "step": step} if is_usable else None
+    return None
 
-    @property
-    def _choices(self) -> list[str] | None:
-        if self.type != "string" or not self._allowed.startswith(_CHOICES):
-            return None
-        return printable(self._allowed).removeprefix(_CHOICES).split(", ")
+
+def _choices(allowed: str) -> list[str] | None:
+    is_list = allowed.startswith(_CHOICES)
+    return printable(allowed).removeprefix(_CHOICES).split(", ") if is_list else None
 
 
 def shown_values(values: Mapping[str, ParameterValue]) -> dict[str, object]:
@@ -120,31 +105,22 @@ def shown_values(values: Mapping[str, ParameterValue]) -> dict[str, object]:
     shown, length = dict[str, object](), 0
     for name, value in values.items():
         plain = plain_value(value)
+        texts = plain if isinstance(plain, list) else [plain] if isinstance(plain, str) else []
+        total = length + len(texts) + sum(map(len, texts))
         is_known = plain is not None or value.type == ParameterType.PARAMETER_NOT_SET
-        if is_known and length + _length(plain) <= _MAX_LENGTH:
-            length += _length(plain)
-            shown[name] = plain
+        if is_known and total <= _MAX_LENGTH:
+            shown[name], length = plain, total
     return shown
 
 
 def plain_value(value: ParameterValue) -> object:
-    """`value` for JSON, printable.
-
-    None if it is not set, of a type that no setting has, not a finite number, or longer than any setting.
-    """
-    if value.type not in _TYPES or len(value.string_array_value) > _MAX_ENTRIES:
-        return None
-    plain: object = parameter_value_to_python(value)
-    if isinstance(plain, float) and not math.isfinite(plain):
-        return None
-    texts = [plain] if isinstance(plain, str) else list(plain) if isinstance(plain, (list, tuple)) else []
-    if any(len(text) > _MAX_TEXT for text in texts):
-        return None
-    return printable(plain) if isinstance(plain, str) else list(map(printable, texts)) if texts else plain
-
-
-def _length(plain: object) -> int:
-    return len(plain) if isinstance(plain, str) else sum(map(len, plain)) if isinstance(plain, list) else 0
+    """`value` for JSON, printable; None if it is not set, of a type that no setting has, or not finite."""
+    plain: object = parameter_value_to_python(value) if value.type in _TYPES else None
+    if isinstance(plain, float):
+        return plain if math.isfinite(plain) else None
+    if isinstance(plain, (list, tuple)):
+        return list(map(printable, plain))
+    return printable(plain) if isinstance(plain, str) else plain
 
 
 def parameter_message(name: str, value: object, views: Mapping[str, ParameterView]) -> ParameterMessage:

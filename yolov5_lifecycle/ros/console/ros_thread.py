@@ -6,14 +6,16 @@ import asyncio
 import threading
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from yolov5_lifecycle.ros.spin import spin
 
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 _END_S = 1.0
 """Max wait for the callback in progress at the end."""
@@ -59,80 +61,64 @@ class RosThread:
 
     def run(self, function: Callable[..., Result], *arguments: object) -> asyncio.Future[Result]:
         """Call `function` soon in the thread of ROS; the future has its result or exception."""
-        answer: asyncio.Future[Result] = self._loop.create_future()
+        answer: Future[Result] = Future()
 
         def job() -> None:
-            try:
-                result = function(*arguments)
-            except Exception as error:  # noqa: BLE001 - raised where the future is awaited
-                self.post(_fail, answer, error)
-            else:
-                self.post(_resolve, answer, result)
+            if answer.set_running_or_notify_cancel():
+                try:
+                    answer.set_result(function(*arguments))
+                except Exception as error:  # noqa: BLE001 - raised where the future is awaited
+                    answer.set_exception(error)
 
         self._jobs.append(job)
-        self._executor.create_task(self._work)
-        return answer
+        # rclpy runs tasks in any order; a later change of a parameter must not overtake an earlier one.
+        self._executor.create_task(lambda: self._jobs.popleft()())
+        return asyncio.wrap_future(answer, loop=self._loop)
 
     async def call(self, client: Any, request: Any, *, timeout_s: float, end: asyncio.Future[None]) -> Any:
         """The response of the service of `client`; raises NotReachedError, at the latest at `end`."""
-        answer: asyncio.Future[Any] = self._loop.create_future()
+        answer: Future[Any] = Future()
 
         def send() -> Any:
             if not client.service_is_ready():
                 raise NotReachedError(f"service {client.srv_name} not found")
             future = client.call_async(request)
-            future.add_done_callback(lambda done: self.post(_resolve, answer, done.result()))
+            future.add_done_callback(lambda done: answer.set_result(done.result()))
             return future
 
         pending = await self.run(send)
+        answered = asyncio.wrap_future(answer, loop=self._loop)
         try:
-            await asyncio.wait((answer, end), timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
-            if answer.done():
-                return answer.result()
+            await asyncio.wait((answered, end), timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
+            if answered.done():
+                return answered.result()
             if end.done():
                 raise NotReachedError(f"{client.srv_name} was lost before it answered")
             raise NotReachedError(f"{client.srv_name} did not answer within {timeout_s:g} s")
         finally:
-            self.run(client.remove_pending_request, pending).add_done_callback(_observed)
-
-    def _work(self) -> None:
-        # rclpy runs tasks in any order; a later change of a parameter must not overtake an earlier one.
-        self._jobs.popleft()()
+            self.run(client.remove_pending_request, pending)
 
     def _spin(self) -> None:
         spin(self._executor, self.node, until=self._is_stopping.is_set)
 
 
-class Hint:
-    """Calls `take()` soon in the thread of the event loop; once, however often it is called until then."""
+class Mailbox(Generic[Item]):
+    """Hands what is put in to `take(item)`, soon in the thread of the event loop; keeps the newest `size`."""
 
-    def __init__(self, ros: RosThread, take: Callable[[], object]) -> None:
+    def __init__(self, ros: RosThread, take: Callable[[Item], object], *, size: int = 1) -> None:
         self._ros = ros
         self._take = take
-        self._is_given = False
+        self._items: deque[Item] = deque(maxlen=size)
+        self._is_announced = False
 
-    def __call__(self, *_: object) -> None:
-        """May be called in any thread, such as by a subscription with its message."""
-        if not self._is_given:
-            self._is_given = True
-            self._ros.post(self._answer)
+    def put(self, item: Item) -> None:
+        """May be called in the thread of ROS, such as by a subscription with its message."""
+        self._items.append(item)
+        if not self._is_announced:
+            self._is_announced = True
+            self._ros.post(self._empty)
 
-    def _answer(self) -> None:
-        self._is_given = False
-        self._take()
-
-
-def _resolve(future: asyncio.Future[Any], result: object) -> None:
-    if not future.done():
-        future.set_result(result)
-
-
-def _fail(future: asyncio.Future[Any], error: Exception) -> None:
-    if not future.done():
-        future.set_exception(error)
-
-
-def _observed(future: asyncio.Future[Any]) -> None:
-    """Retrieve the outcome, as nobody else does, so that asyncio does not report it."""
-    if not future.cancelled():
-        future.exception()
+    def _empty(self) -> None:
+        self._is_announced = False  # first, so that an item that comes now is announced
+        for _ in range(len(self._items)):
+            self._take(self._items.popleft())

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import errno
 import socket
 import ssl
-import sys
 from collections.abc import Iterator
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import h11
 import uvicorn
+import websockets.http11
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import CloseCode, Frame
 
-from yolov5_lifecycle.ros.console.bounded_listener import BoundedListener
-from yolov5_lifecycle.ros.console.cookies import of_consoles
 from yolov5_lifecycle.ros.console.gate import MAX_HEADER_BYTES
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
 
@@ -34,33 +32,25 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Of every response."""
-MAX_BUSY_CONNECTIONS = 96
-"""With more connections, requests are answered with 503."""
-FIRST_REQUEST_S = 5.0
-"""A connection that has finished no TLS handshake, or sent no complete request, by then is closed."""
-MAX_MESSAGE_BYTES = 256 * 1024
-"""Of a page to the console; the longest list of class names fits."""
+MAX_CONNECTIONS, MAX_CONNECTIONS_OF_ADDRESS = 128, 64
+"""Further ones are closed at once."""
 MAX_FRAGMENTS = 1024
 """Of a message; one without data costs memory, too."""
+_MAX_BUSY_CONNECTIONS = 96
+"""With more connections, requests are answered with 503."""
+_MAX_MESSAGE_BYTES = 256 * 1024
+"""Of a page to the console; the longest list of class names fits."""
 _MAX_UNREAD_BYTES = 1 << 20
 """With more to send to a client, its pings are not answered."""
-_UNREADABLE = b"\r\n".join(
-    [
-        b"HTTP/1.1 400 Bad Request",
-        b"Connection: close",
-        b"Content-Length: 0",
-        *(f"{name}: {value}".encode() for name, value in HEADERS.items()),
-        b"\r\n",
-    ]
-)
+_REQUEST_S = 5.0
+"""A connection that has sent no complete request by then is closed."""
+_UNREAD_S = 5.0
+"""A connection whose client takes nothing of what it was sent for so long is ended by the kernel."""
 _PING_S, _PONG_S = 5.0, 15.0
 """A page or viewer that does not answer a ping is closed; on a slow link, the ping comes after an image."""
 _END_S = 1
 _BACKLOG = 64
-_TLS_LIMITS: dict[str, Any] = {"ssl_handshake_timeout": FIRST_REQUEST_S}
-if sys.version_info >= (3, 11):
-    # Or else a client that does not answer the end of TLS keeps its connection for half a minute.
-    _TLS_LIMITS["ssl_shutdown_timeout"] = FIRST_REQUEST_S
+_UNREADABLE = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
 class ListenError(Exception):
@@ -68,9 +58,9 @@ class ListenError(Exception):
 
 
 class WebServer(uvicorn.Server):
-    """Serves `application` on `sock` until `should_exit` is set; leaves signals alone."""
+    """Serves `application` until `should_exit` is set; leaves signals alone. Raises ListenError."""
 
-    def __init__(self, application: ASGIApp, options: ConsoleOptions, sock: socket.socket) -> None:
+    def __init__(self, application: ASGIApp, options: ConsoleOptions) -> None:
         config = uvicorn.Config(
             application,
             http=_PromptProtocol,
@@ -83,16 +73,18 @@ class WebServer(uvicorn.Server):
             proxy_headers=False,
             server_header=False,
             headers=list(HEADERS.items()),
-            ws_max_size=MAX_MESSAGE_BYTES,
+            ws_max_size=_MAX_MESSAGE_BYTES,
             ws_ping_interval=_PING_S,
             ws_ping_timeout=_PONG_S,
             ws_per_message_deflate=False,
-            limit_concurrency=MAX_BUSY_CONNECTIONS,
+            limit_concurrency=_MAX_BUSY_CONNECTIONS,
             h11_max_incomplete_event_size=MAX_HEADER_BYTES,
             timeout_graceful_shutdown=_END_S,
             ssl_certfile=options.certificate,
             ssl_keyfile=options.key,
         )
+        # The cookies of other programs on this host may be longer than the 8 KiB of websockets.
+        websockets.http11.MAX_LINE_LENGTH = MAX_HEADER_BYTES
         try:
             config.load()
         except (OSError, ssl.SSLError) as error:
@@ -101,53 +93,30 @@ class WebServer(uvicorn.Server):
                 "certificate chain and its private key, both PEM, the key without a password."
             ) from error
         super().__init__(config)
-        self._sock = sock
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         """The process handles them."""
         yield
 
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen, as uvicorn does, but limit the time that TLS takes, for which it has no option."""
-        await self.lifespan.startup()
-        server = await asyncio.get_running_loop().create_server(
-            self._protocol,
-            sock=self._sock,
-            ssl=self.config.ssl,
-            backlog=self.config.backlog,
-            **(_TLS_LIMITS if self.config.ssl else {}),
-        )
-        self.servers = [server]
-        self.started = True
-
-    def _protocol(self) -> asyncio.Protocol:
-        return _PromptProtocol(self.config, self.server_state, self.lifespan.state)
-
-    async def serve_until_exit(self) -> None:
-        await self.serve([self._sock])
-
 
 class _PromptProtocol(H11Protocol):
-    """Closes connections that send no complete request for too long."""
+    """Closes connections that send no complete request for too long.
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        super().connection_made(transport)
-        self.loop.call_later(FIRST_REQUEST_S, self._close_if_idle)
+    uvicorn has no timer for the first request, and stops that for the next one with its first byte.
+    """
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
-        # uvicorn stops its timer with the first byte of the next request, which may never be complete.
-        if self.conn.our_state is h11.IDLE:
-            self.loop.call_later(FIRST_REQUEST_S, self._close_if_idle)
+        self._close_unless_prompt()
 
-    def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        # websockets refuses a header of more than 8 KiB, and the cookies of other programs may be longer.
-        self.headers = [
-            (name, of_consoles(value.decode("latin-1")).encode("latin-1") if name == b"cookie" else value)
-            for name, value in self.headers
-        ]
-        super().handle_websocket_upgrade(event)
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._close_unless_prompt()
+
+    def _close_unless_prompt(self) -> None:
+        if self.conn.our_state is h11.IDLE:
+            self.loop.call_later(_REQUEST_S, self._close_if_idle)
 
     def _close_if_idle(self) -> None:
         is_idle = self.conn.our_state is h11.IDLE and self in self.connections
@@ -158,7 +127,7 @@ class _PromptProtocol(H11Protocol):
 class _BoundedWebSocket(WebSocketsSansIOProtocol):
     """Bounds what uvicorn keeps for a client: fragments of a message, and pongs that it does not read.
 
-    Answers an upgrade that websockets cannot read, such as one with a very long header: uvicorn waits for the
+    Answers an upgrade that websockets cannot read, such as one with very many headers: uvicorn waits for the
     event of such a request, which does not come, and leaves the connection open.
     """
 
@@ -183,6 +152,33 @@ class _BoundedWebSocket(WebSocketsSansIOProtocol):
             super().handle_ping()
         else:
             self.conn.data_to_send()  # the pong, which is not sent
+
+
+class BoundedListener(socket.socket):
+    """Takes over `listening`; closes excess connections when they are accepted, before any TLS handshake,
+    and those whose clients read nothing.
+
+    asyncio calls a protocol's `connection_made` only after the handshake, so a limit there would not apply to
+    connections that never begin one.
+    """
+
+    def __init__(self, listening: socket.socket) -> None:
+        super().__init__(fileno=listening.detach())
+        self._address_of: WeakKeyDictionary[socket.socket, str] = WeakKeyDictionary()
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """The next connection and its address; raises ConnectionAbortedError for an excess one."""
+        connection, place = super().accept()
+        address = str(place[0])
+        addresses = [other for known, other in self._address_of.items() if known.fileno() >= 0]
+        if len(addresses) >= MAX_CONNECTIONS or addresses.count(address) >= MAX_CONNECTIONS_OF_ADDRESS:
+            connection.close()
+            # asyncio goes on with the next one.
+            raise ConnectionAbortedError(f"{address} has too many connections")
+        # Closing alone would not do: asyncio keeps a closed connection until its buffer is empty.
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(_UNREAD_S * 1000))
+        self._address_of[connection] = address
+        return connection, place
 
 
 def listening_socket(options: ConsoleOptions) -> BoundedListener:
@@ -212,12 +208,3 @@ def _listen_problem(options: ConsoleOptions, error: OSError) -> str:
     if error.errno == errno.EADDRNOTAVAIL:
         return f"--host {options.host} is not an address of this machine; 0.0.0.0 stands for all of them"
     return f"{place} cannot be used: {error.strerror}"
-
-
-def url_of(sock: socket.socket, scheme: str) -> str:
-    """Address of the page; with 0.0.0.0, under the name of this machine."""
-    address, port = sock.getsockname()[:2]
-    if address in ("0.0.0.0", "::"):
-        address = socket.gethostname()
-    host = f"[{address}]" if ":" in address else address
-    return f"{scheme}://{host}:{port}/"

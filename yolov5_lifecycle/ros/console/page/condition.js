@@ -5,6 +5,7 @@ const OF_NODE = "detection";
 const DETECTING = "detecting";
 /** The state of a detector of which nothing is heard; its last one is `last_state`. */
 export const LOST = "lost";
+const UNKNOWN = { rate_hz: null, latency_ms: null, latency_p95_ms: null, message: "" };
 const STALE = "Diagnostics have stopped: the detector's process hangs, has ended, or cannot be reached.";
 const SYMBOLS = { ok: "✓", note: "i", idle: "○", warning: "!", error: "✕", stale: "?", lost: "✕" };
 const WORDS = { idle: "not detecting" };
@@ -50,4 +51,10 @@ export function summaryOf(node) {
 function lastProblem({ message, values }) {
   const problem = values["last problem"] ?? "";
   return message.includes(problem) ? "" : problem;
+}
+
+/** A detector as the console itself tells of one that is gone, for when the console is not heard either. */
+export function asLost(node) {
+  const cameras = node.cameras.map((camera) => ({ ...camera, ...UNKNOWN }));
+  return { ...node, state: LOST, transitions: [], busy: "", cameras };
 }

@@ -31,7 +31,7 @@ class StatusView {
   #values;
 
   constructor() {
-    this.#values = new KeyedViews(this.#rows, () => new ValueView());
+    this.#values = new KeyedViews(this.#rows, valueView);
     this.element = element(
       "details",
       { class: "status" },
@@ -51,16 +51,8 @@ class StatusView {
   }
 }
 
-class ValueView {
-  #key = element("dt");
-  #value = element("dd");
-
-  constructor() {
-    this.element = element("div", {}, this.#key, this.#value);
-  }
-
-  update([key, value]) {
-    setText(this.#key, key);
-    setText(this.#value, value === "" ? "-" : value);
-  }
+function valueView([key]) {
+  const value = element("dd");
+  const update = ([, text]) => setText(value, text === "" ? "-" : text);
+  return { element: element("div", {}, element("dt", {}, key), value), update };
 }

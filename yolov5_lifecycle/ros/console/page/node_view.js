@@ -2,12 +2,11 @@
 
 import { CameraViews } from "./camera_view.js";
 import { DiagnosticsView } from "./diagnostics_view.js";
-import { conditionCalled, LOST, summaryOf } from "./condition.js";
+import { asLost, conditionCalled, LOST, summaryOf } from "./condition.js";
 import { element, setText } from "./element.js";
 import { FrameBalance } from "./frame_balance.js";
 import { HistoryView } from "./history_view.js";
 import { LogView } from "./log_view.js";
-import { asLost } from "./lost_node.js";
 import { ParameterList } from "./parameter_list.js";
 import { ReasonView } from "./reason_view.js";
 import { StateView } from "./state_view.js";

@@ -56,7 +56,7 @@ export class ParameterList {
     this.#groups.forEach((group) => group.restore(name, value));
   }
 
-  /** Request a change, see UndoStack.record, and keep it to be undone. */
+  /** Request a change, see UndoBar.record, and keep it to be undone. */
   async #set(request, change) {
     const answer = await request({ type: "set", values: { [change.name]: change.after } });
     if (answer.ok || answer.isUnknown) {
@@ -82,11 +82,7 @@ class ParameterGroup {
   constructor({ change, title, meaning, set, isViewOnly }) {
     this.#change = change;
     const list = element("div");
-    const context = {
-      isViewOnly,
-      set,
-      classNames: () => this.#node.class_names,
-    };
+    const context = { isViewOnly, set, classNames: () => this.#node.class_names };
     this.#rows = new KeyedViews(list, (parameter) => new ParameterRow(parameter, context));
     this.element = element(
       "details",

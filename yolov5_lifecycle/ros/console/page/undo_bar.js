@@ -2,14 +2,17 @@
 
 import { element, setText } from "./element.js";
 import { shownValue } from "./fixed_value.js";
-import { UndoStack } from "./undo_stack.js";
+import { isSame } from "./yaml_text.js";
 
+/** Changes that can be undone. */
+const KEPT = 200;
 const MAX_SHOWN = 60;
 /** How long an undone change is reported. */
 const OUTCOME_MS = 10_000;
 
 export class UndoBar {
-  #changes = new UndoStack();
+  /** The newest last. */
+  #changes = [];
   #request;
   #restored;
   #isPending = false;
@@ -34,16 +37,24 @@ export class UndoBar {
     );
   }
 
-  /** See UndoStack.record. */
-  record(change) {
-    this.#changes.record(change);
+  /**
+   * Remember that the parameter `name` was changed from `before` to `after`.
+   *
+   * Values are those of JSON; null: not set. Changes of one `gesture`, such as the drag of a slider, are one change; undefined: of none.
+   */
+  record({ name, before, after, gesture }) {
+    const last = this.#changes.at(-1);
+    const isContinued = gesture !== undefined && last?.gesture === gesture && last.name === name;
+    const kept = isContinued ? this.#changes.slice(0, -1) : this.#changes;
+    const change = isContinued ? { ...last, after } : { name, before, after, gesture };
+    this.#changes = (isSame(change.before, after) ? kept : [...kept, change]).slice(-KEPT);
     setText(this.#refusal, "");
     this.#show();
   }
 
   /** Send the value before the last change; the change is kept if the node refuses it. */
   async undo() {
-    const change = this.#changes.last;
+    const change = this.#changes.at(-1);
     if (change === undefined || this.#isPending) {
       return;
     }
@@ -52,7 +63,7 @@ export class UndoBar {
     const { ok, reason } = await this.#request({ type: "set", values: { [name]: before } });
     this.#setPending(false);
     if (ok) {
-      this.#changes.remove(change);
+      this.#changes = this.#changes.filter((kept) => kept !== change);
       this.#restored(name, before);
     }
     setText(this.#refusal, ok ? "" : reason || "refused without a reason");
@@ -75,7 +86,8 @@ export class UndoBar {
   }
 
   #draw() {
-    const { last, count } = this.#changes;
+    const last = this.#changes.at(-1);
+    const count = this.#changes.length;
     // A button that has the keyboard stays: focus would be lost.
     const hasKeyboard = this.#button.matches(":focus-visible");
     this.element.hidden = last === undefined && !hasKeyboard && this.#outcome === "";

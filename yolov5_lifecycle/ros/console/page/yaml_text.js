@@ -17,11 +17,6 @@ export function isOverride(name) {
   return name.includes(".");
 }
 
-/** The camera of an override; "" of a parameter of the node. */
-export function cameraOf(name) {
-  return name.slice(0, Math.max(name.indexOf("."), 0));
-}
-
 /** Whether two values of parameters are equal. */
 export function isSame(a, b) {
   return JSON.stringify(a) === JSON.stringify(b);
@@ -37,16 +32,7 @@ export function yamlText(parameters) {
 }
 
 function line({ name, type, value, is_shown: isShown }) {
-  return isShown ? `    ${key(name)}: ${written(type, value)}\n` : `    # ${name}: not shown by the console\n`;
-}
-
-function key(name) {
-  return /^[A-Za-z_][\w.]*$/.test(name) && !isReserved(name) ? name : quoted(name);
-}
-
-/** YAML 1.1 reads these words as booleans or null. */
-function isReserved(name) {
-  return /^(y|n|yes|no|on|off|true|false|null)$/i.test(name);
+  return isShown ? `    ${name}: ${written(type, value)}\n` : `    # ${name}: not shown by the console\n`;
 }
 
 function written(type, value) {

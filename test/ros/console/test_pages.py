@@ -8,7 +8,7 @@ import json
 from starlette.types import Message
 from starlette.websockets import WebSocket
 
-from yolov5_lifecycle.ros.console.page_socket import Pages
+from yolov5_lifecycle.ros.console.pages import Pages
 
 AT_ONCE, REQUESTS_PER_S = 50, 25
 """Fewer than a page may send."""

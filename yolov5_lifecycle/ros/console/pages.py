@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -24,8 +23,6 @@ _MAX_UNREAD = 100
 _MAX_VALUES = 400
 _MAX_NAMES = 8
 _UPDATE_S = 0.25
-_REST = 4.0
-"""Times as long as the last text took to make, no other is made: a fifth of the event loop's time at most."""
 _OMITTED = ""
 """Key of the message about detectors that are left out; no detector has this name."""
 
@@ -43,9 +40,8 @@ class Pages:
         self._known = known
         self._view_only = view_only
         self._open: set[_Page] = set()
-        self._due: dict[str, asyncio.TimerHandle] = {}
-        self._sent_s: dict[str, float] = {}
-        self._rest_until_s = 0.0
+        self._changed: set[str] = set()
+        self._timer: asyncio.TimerHandle | None = None
         self._omitted: list[str] = []
 
     @property
@@ -54,22 +50,14 @@ class Pages:
 
     def changed(self, detector: Detector) -> None:
         """Send the detector to all pages soon."""
-        name = detector.name
-        if not self._open or name in self._due:
-            return
-        wait_s = self._sent_s.get(name, 0.0) + _UPDATE_S - time.monotonic()
-        loop = asyncio.get_running_loop()
-        self._due[name] = loop.call_later(max(wait_s, 0.0), self._send, name)
+        self._changed.add(detector.name)
+        if self._timer is None:
+            self._send_changed()
 
     def gone(self, detector: Detector) -> None:
         """Notify all pages that the detector is gone, with what was last known of it."""
-        name = detector.name
-        self._sent_s.pop(name, None)
-        if timer := self._due.pop(name, None):
-            timer.cancel()
-        if self._open:
-            last = detector.as_json(is_lost=True)
-            self._show(name, {"type": "gone", "name": name, "node": last})
+        last = detector.as_json(is_lost=True)
+        self._show(detector.name, {"type": "gone", "name": detector.name, "node": last})
 
     def omitted(self, names: list[str]) -> None:
         """Notify all pages of the detectors that are not shown because there are too many."""
@@ -85,29 +73,23 @@ class Pages:
         page = _Page(websocket, self._find, view_only=self._view_only)
         self._open.add(page)
         try:
-            texts = {detector.name: _node_text(detector) for detector in self._known()}
+            texts = {detector.name: json.dumps(_node(detector)) for detector in self._known()}
             if self._omitted:
                 texts[_OMITTED] = json.dumps(_omission(self._omitted))
             await page.serve(texts)
         finally:
             self._open.discard(page)
 
-    def _send(self, name: str) -> None:
-        begun_s = time.monotonic()
-        if begun_s < self._rest_until_s:
-            loop = asyncio.get_running_loop()
-            self._due[name] = loop.call_later(self._rest_until_s - begun_s, self._send, name)
-            return
-        self._due.pop(name, None)
-        detector = self._find(name)
-        if detector is not None:
-            self._sent_s[name] = begun_s
-            self._show(name, _node_message(detector))
-            now_s = time.monotonic()
-            self._rest_until_s = now_s + _REST * (now_s - begun_s)
+    def _send_changed(self) -> None:
+        self._timer = None
+        if self._changed and self._open:
+            self._timer = asyncio.get_running_loop().call_later(_UPDATE_S, self._send_changed)
+            for detector in filter(None, map(self._find, self._changed)):
+                self._show(detector.name, _node(detector))
+        self._changed.clear()
 
     def _show(self, name: str, message: dict[str, object]) -> None:
-        text = json.dumps(message)
+        text = json.dumps(message) if self._open else ""
         for page in self._open:
             page.show(name, text)
 
@@ -156,10 +138,7 @@ class _Page:
             pass  # the page is closed; `_receive` ends, too
 
     async def _receive(self) -> None:
-        while True:
-            message = await self._websocket.receive()
-            if message["type"] == "websocket.disconnect":
-                return
+        while (message := await self._websocket.receive())["type"] != "websocket.disconnect":
             if not self._budget.spend():
                 await self._websocket.close(CloseCode.POLICY_VIOLATION, "too many messages")
                 return
@@ -192,7 +171,7 @@ class _Page:
             reason = await detector.change_state(request["label"])
         else:
             is_done, words = await detector.collect()
-            reason, result = ("", words) if is_done else (words or "the node gave no reason", "")
+            reason, result = ("", words) if is_done else (words, "")
         self._answer(request.get("id"), reason, result)
 
     def _answer(self, request_id: object, reason: str, result: str = "") -> None:
@@ -202,11 +181,7 @@ class _Page:
         self._news.set()
 
 
-def _node_text(detector: Detector) -> str:
-    return json.dumps(_node_message(detector))
-
-
-def _node_message(detector: Detector) -> dict[str, object]:
+def _node(detector: Detector) -> dict[str, object]:
     return {"type": "node", "node": detector.as_json()}
 
 
