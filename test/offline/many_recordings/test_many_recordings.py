@@ -35,7 +35,7 @@ from yolov5_lifecycle.offline.many_recordings.recording_task import NoRoomError,
 from yolov5_lifecycle.offline.many_recordings.supervisor import Tally, detect_recordings
 from yolov5_lifecycle.offline.many_recordings.worker_pool import ProcessWorkers
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
-from yolov5_lifecycle.ros.demo.child_process import entry_point
+from yolov5_lifecycle.ros.child_process import entry_point
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
