@@ -21,10 +21,9 @@ from vision_msgs.msg import Detection2DArray
 from benchmark import light_camera, misbehaving_camera
 from benchmark.process_memory import proportional_mb, resident_mb
 from benchmark.process_time import cpu_s
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
-from yolov5_lifecycle.ros.demo.ground_truth import stamp_ns
-from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
+from yolov5_lifecycle.ros.messages import stamp_ns
+from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 
 Layout = Literal["one node", "a node each"]
 LAYOUTS: tuple[Layout, Layout] = ("one node", "a node each")

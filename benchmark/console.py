@@ -13,7 +13,7 @@ import struct
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import AsyncExitStack, ExitStack, contextmanager
+from contextlib import AsyncExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,9 +22,9 @@ from websockets.typing import Origin
 
 from benchmark.process_time import cpu_s
 from benchmark.report import Goal, goal_table, row, table, write_report
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import own_domain
-from yolov5_lifecycle.ros.demo.processes import project_file, started
+from yolov5_lifecycle.ros.child_process import ChildProcess
+from yolov5_lifecycle.ros.demo.one_camera import COMMANDS
+from yolov5_lifecycle.ros.demo.stage import started
 
 REPORT = Path(__file__).parents[1] / "build" / "bench" / "console.json"
 VIEWERS = (1, 4)
@@ -58,16 +58,12 @@ class Viewing:
 @contextmanager
 def robot(rate_hz: float) -> Iterator[ChildProcess]:
     """Camera, detector and console; the last of them, serving."""
-    camera = ["--ros-args", "-r", f"image_raw:={NODE}/image_raw", "-p", f"rate:={rate_hz}"]
-    parameters = ["--ros-args", "--params-file", str(project_file("config/demo.yaml"))]
     commands = {
-        "camera": [entry_point("camera"), *camera],
-        "detector": [entry_point("detector"), *parameters, "-p", "autostart:=true"],
-        "console": [entry_point("console"), "--port", "0"],
+        "camera": f"camera --ros-args -r image_raw:={NODE}/image_raw -p rate:={rate_hz}",
+        "detector": f"{COMMANDS['detector']} -p autostart:=true",
+        "console": "console --port 0",
     }
-    with ExitStack() as stack:
-        domain = stack.enter_context(own_domain())
-        _, detector, console = stack.enter_context(started(commands, domain))
+    with started(commands) as (_, detector, console):
         detector.wait_for_output("active with weights", _START_S)
         console.wait_for_output("console: http", _START_S)
         yield console

@@ -17,10 +17,9 @@ from benchmark import light_camera
 from benchmark.process_memory import peak_resident_mb
 from benchmark.process_time import cpu_s
 from benchmark.work import scene_image
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting
-from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
+from yolov5_lifecycle.ros.messages import stamp_ns
+from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 
 _PROFILE = Path(__file__).parents[1] / "config" / "shm.xml"
 _NODE = "/yolov5"
@@ -63,10 +62,13 @@ class MeasuredDetector:
 
     def watch(self, image: Path, *, rate_hz: float, frames: int) -> Passage:
         """Publish `image` repeatedly until `frames` detections are received."""
-        seen: list[Sighting] = []
+        seen: list[tuple[int, int]] = []  # stamp and arrival in ns
         topic = f"{_NODE}/detections"
         subscription = self._observer.create_subscription(
-            Detection2DArray, topic, lambda message: seen.append(Sighting.now(message)), 10
+            Detection2DArray,
+            topic,
+            lambda message: seen.append((stamp_ns(message.header), time.time_ns())),
+            10,
         )
         with self._camera(image, rate_hz):
             self._observer.wait_for(lambda: bool(seen), "the first detections")
@@ -76,8 +78,8 @@ class MeasuredDetector:
             self._observer.wait_for(lambda: len(seen) >= frames, f"{frames} detections")
             used_s = self._cpu_s() - cpu_begun_s
         self._observer.destroy_subscription(subscription)
-        latencies_ms = [sighting.latency_ms for sighting in seen]
-        taken_s = (seen[-1].stamp_ns - seen[0].stamp_ns) / 1e9
+        latencies_ms = [(arrival - stamp) / 1e6 for stamp, arrival in seen]
+        taken_s = (seen[-1][0] - seen[0][0]) / 1e9
         return Passage(latencies_ms, (len(seen) - 1) / taken_s, 1e3 * used_s / len(seen))
 
     def idle_cpu_share(self, image: Path, *, rate_hz: float, duration_s: float) -> float:

@@ -13,7 +13,7 @@ from support.detector_process import NODE
 
 from soak.finding import Finding, number_of
 from soak.subject import Subject
-from yolov5_lifecycle.ros.demo.observer import NoAnswerError
+from yolov5_lifecycle.ros.observer import NoAnswerError
 
 LIFECYCLE_QUEUE = 10
 """Queue length of each rcl_lifecycle service; older requests are overwritten."""

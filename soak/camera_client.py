@@ -14,7 +14,7 @@ from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from soak.subject import Subject
 from soak.track_ids import TrackIds
-from yolov5_lifecycle.ros.demo.ground_truth import stamp_ns
+from yolov5_lifecycle.ros.messages import stamp_ns
 
 _KEPT = 1000
 _ANSWER_S = 2.0

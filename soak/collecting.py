@@ -23,8 +23,7 @@ from soak.track_ids import TrackIds
 from yolov5_lifecycle.collecting.collected_folder import IMAGES, LABELS
 from yolov5_lifecycle.collecting.collector import IDLE_S, RETRY_S
 from yolov5_lifecycle.collecting.frame_list import read_frame_list
-from yolov5_lifecycle.ros.demo.child_process import entry_point
-from yolov5_lifecycle.ros.demo.domain import own_domain
+from yolov5_lifecycle.ros.child_process import entry_point, own_domain
 
 _CAMERAS = [f"camera_{number}" for number in range(1, 9)]
 _MAX_MB, _MAX_FRAMES, _DISK_MB = 1, 60, 8

@@ -14,8 +14,7 @@ from typing import Any
 
 from soak.finding import Finding, none_wrong, number_of, problem
 from soak.subject import Subject, exceptions_in, subject, subject_in
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
 
 _LIMIT_S = 5.0
 _TRANSITION_S = 0.001, 0.3

@@ -15,7 +15,7 @@ from soak.answer_times import ROUNDS_NOTE, asked, usual_p99
 from soak.finding import Finding, none_wrong, number_of
 from soak.flooding_client import FLOODS
 from soak.subject import Subject, subject
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess
+from yolov5_lifecycle.ros.child_process import ChildProcess
 
 _LIMIT_MS = 50.0
 _END_S = 5.0

@@ -17,7 +17,7 @@ from support.special_cache_files import SPECIAL_CACHE_FILES
 
 from soak.finding import Finding, none_wrong, number_of, problem
 from soak.subject import Subject, subject_in
-from yolov5_lifecycle.ros.demo.domain import own_domain
+from yolov5_lifecycle.ros.child_process import own_domain
 from yolov5_lifecycle.unfinished import FOLDER_PREFIX
 
 _MAX_GROWN_MB = 300.0

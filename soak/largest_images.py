@@ -14,7 +14,7 @@ from soak.finding import Finding
 from soak.sender import Sender
 from soak.subject import Subject
 from yolov5_lifecycle.images.jpeg_structure import MAX_SCANNED_PX, MAX_SCANS
-from yolov5_lifecycle.ros.demo.observer import NoAnswerError
+from yolov5_lifecycle.ros.observer import NoAnswerError
 
 LARGEST_SIDE_PX = 8192
 _MB_PER_MPX = 13  # coefficients of four components, the image and a copy of it

@@ -11,7 +11,7 @@ from support.detector_process import NODE, scene_image
 from soak.finding import Finding, none_wrong_nor_escaped
 from soak.sender import Sender
 from soak.subject import Subject
-from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.observer import Observer
 
 _QUALITIES = [
     QoSProfile(depth=1, reliability=reliability, durability=durability)

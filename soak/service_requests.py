@@ -14,7 +14,7 @@ from support.detector_process import NODE
 
 from soak.finding import Finding, none_wrong_nor_escaped
 from soak.subject import Subject
-from yolov5_lifecycle.ros.demo.observer import NoAnswerError
+from yolov5_lifecycle.ros.observer import NoAnswerError
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 _SERVICES = 12

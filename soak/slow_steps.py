@@ -26,8 +26,7 @@ from soak.sender import TRANSPORTS
 from soak.subject import Subject, subject_of
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess
-from yolov5_lifecycle.ros.demo.domain import own_domain
+from yolov5_lifecycle.ros.child_process import ChildProcess, own_domain
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 
 _WEIGHTS = "package://yolov5_lifecycle/weights/shapes-seg.safetensors"

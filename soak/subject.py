@@ -22,10 +22,9 @@ from vision_msgs.msg import Detection2DArray
 
 from soak import faulty_detector
 from soak.balance import BalanceWatch
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import own_domain
-from yolov5_lifecycle.ros.demo.ground_truth import stamp_ns
-from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, own_domain
+from yolov5_lifecycle.ros.messages import stamp_ns
+from yolov5_lifecycle.ros.observer import Observer
 
 _UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
 _START_S = 120.0

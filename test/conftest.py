@@ -25,7 +25,7 @@ from support.colcon_workspace import REPOSITORY, build_workspace
 from support.whole_run import WholeRun, Worker
 from support.worker import made_once, run_folder, suitable_count, worker_domain
 
-from yolov5_lifecycle.ros.demo.domain import isolated
+from yolov5_lifecycle.ros.child_process import isolated
 
 # The variables of the `make` that starts the tests would reach each `make` that a test starts.
 for name in [*re.findall(r"^(\w+) \?=", (REPOSITORY / "Makefile").read_text(), re.MULTILINE), "MFLAGS"]:

@@ -48,8 +48,8 @@ from tools.shapes import dataset
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.commands import convert, fetch_weights, official_weights
 from yolov5_lifecycle.commands.entry_points import MODULES
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.parameters.values import coerced
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validated
 

@@ -21,8 +21,8 @@ from support.colcon_workspace import PACKAGE, REPOSITORY
 from support.detector_process import PARAMETERS, environment
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess
-from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.child_process import ChildProcess
+from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 
 pytestmark = pytest.mark.long
 

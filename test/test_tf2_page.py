@@ -18,8 +18,8 @@ from support.detector_process import environment
 from support.pages import blocks
 from vision_msgs.msg import Detection3D, Detection3DArray, ObjectHypothesisWithPose
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess
-from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.child_process import ChildProcess
+from yolov5_lifecycle.ros.observer import Observer
 
 (PROGRAM,) = blocks(REPOSITORY / "docs" / "tf2.md", "python")
 FROM_ROS = ("tf2_ros", "tf2_geometry_msgs")

@@ -22,7 +22,7 @@ from support.console_process import address, console_process
 from support.detector_process import NODE, detector_process
 
 from tools.palette_image import write_palette_image
-from yolov5_lifecycle.ros.demo.command import SEED
+from yolov5_lifecycle.ros.demo.one_camera import SEED
 
 REPOSITORY = Path(__file__).parents[1]
 _CAMERA = ("--ros-args", "-p", f"seed:={SEED}", "-p", "rate:=15.0", "-r", f"image_raw:={NODE}/image_raw")

@@ -17,7 +17,7 @@ from support.doctor_process import command, doctor
 
 from yolov5_lifecycle.doctor.command import main
 from yolov5_lifecycle.doctor.examinations import NAMES, TIME_S, planned
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 
 
 def test_the_report_ends_with_a_summary_and_says_the_remedy_below_the_line(tmp_path: Path) -> None:

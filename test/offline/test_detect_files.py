@@ -22,10 +22,10 @@ from support.recorded_scene import (
     shown,
     video,
 )
+from support.sighting import Sighting
 
 from yolov5_lifecycle.process.standard_streams import EXIT_NOBODY_READS
-from yolov5_lifecycle.ros.demo.child_process import entry_point
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting
+from yolov5_lifecycle.ros.child_process import entry_point
 
 
 def test_images_become_lines_and_annotated_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -39,7 +39,7 @@ def test_images_become_lines_and_annotated_images(tmp_path: Path, capsys: pytest
     assert [line["file"] for line in lines] == [str(folder / "0.png"), str(folder / "2.png")]
     assert [(line["height"], line["width"]) for line in lines] == [SIZE_HW] * 2
     found = published(Image(height=240, width=320, encoding="rgb8", step=960, data=shown(0)[0].tobytes()))[0]
-    seen = Sighting.now(found)
+    seen = Sighting.of(found)
     assert [one["class_name"] for one in lines[0]["detections"]] == list(seen.class_names)
     assert [one["score"] for one in lines[0]["detections"]] == list(seen.scores)
     boxes_xyxy = [one["box_xyxy"] for one in lines[0]["detections"]]

@@ -24,12 +24,12 @@ from support.recorded_scene import (
     shown,
     stamp_s,
 )
+from support.sighting import Sighting
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.ros import messages
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting
 from yolov5_lifecycle.ros.detector.session import label_info
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth
 
@@ -52,7 +52,7 @@ def as_ros(path: Path) -> list[tuple[str, int, object]]:
 
 def true_sighting(truth: Truth, message: Detection2DArray) -> Sighting:
     certain = Detections(truth.boxes_xyxy, np.ones(len(truth.class_ids), np.float32), truth.class_ids)
-    return Sighting.now(messages.detection_array(certain, CLASS_NAMES, message.header))
+    return Sighting.of(messages.detection_array(certain, CLASS_NAMES, message.header))
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_what_is_shown_is_found(drive: Path, tmp_path: Path) -> None:
     arrays = [message for _, _, message in as_ros(tmp_path / "found")][1:]
     for number, array in enumerate(arrays):
         _, truth = shown(number)
-        assert Sighting.now(array).found_of(true_sighting(truth, array)) == len(truth.class_ids)
+        assert Sighting.of(array).found_of(true_sighting(truth, array)) == len(truth.class_ids)
 
 
 def test_one_file_of_a_recording_is_enough_and_the_node_has_the_name_that_is_given(

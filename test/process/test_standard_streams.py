@@ -13,8 +13,8 @@ import pytest
 from support.detector_process import NODE, environment
 from support.started import started
 
-from yolov5_lifecycle.ros.demo.child_process import entry_point
-from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.child_process import entry_point
+from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 
 
 @pytest.mark.long

@@ -13,8 +13,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.namesakes import namesakes
+from yolov5_lifecycle.ros.observer import Observer
 
 HERE, THERE = b"\x01\x0f\x12\x34", b"\x01\x0f\x56\x78"
 OWN = ("yolov5", "/robot")

@@ -18,9 +18,9 @@ from support.detector_process import NODE, environment, scene_image
 from support.worker import worker_domain
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.observer import PATIENCE_S, Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer, RemoteLifecycleNode
 
 TOO_MANY_ABANDONED = "exiting (code 4): 1 inference threads hang, the limit is 0"
 DEVICE_LOST = "exiting (code 3) because the device is lost: DeviceLostError: the GPU fell off the bus"

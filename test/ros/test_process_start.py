@@ -11,7 +11,7 @@ from importlib.metadata import version
 import pytest
 from support.colcon_workspace import REPOSITORY
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 
 
 @pytest.mark.long

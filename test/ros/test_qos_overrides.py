@@ -17,11 +17,11 @@ from support.detector_process import NODE, PARAMETERS, as_arguments, detector_pr
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.depth_input import DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
 from yolov5_lifecycle.ros.detector.outputs import Outputs, label_info_publisher
+from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.qos_overrides import qos_problems
 from yolov5_lifecycle.ros.topics import full_name, published, subscribed
 

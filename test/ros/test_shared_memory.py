@@ -13,8 +13,8 @@ import pytest
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import environment
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.ros.shared_memory import (
     PROCESS_BYTES,
     TRACER_BYTES,

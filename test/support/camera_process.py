@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from support.detector_process import environment
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 
 END_S = 60.0
 """How long its end is waited for."""

@@ -16,8 +16,7 @@ from support.console_process import ConsoleClient, address, console_process
 from support.preparations import Preparations
 from support.served_node import ServedNode
 from support.worker import worker_domain
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess
-from yolov5_lifecycle.ros.demo.domain import isolated
+from yolov5_lifecycle.ros.child_process import ChildProcess, isolated
 
 
 @dataclass

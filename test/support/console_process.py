@@ -17,8 +17,8 @@ from urllib.parse import urlencode, urlsplit
 from websockets.sync.client import ClientConnection, connect
 
 from support.detector_process import NODE, environment
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 
 _ADDRESS = re.compile(r"console: (http\S+)")
 _STAMP = struct.Struct("<d")

@@ -26,14 +26,13 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
+from support.sighting import Sighting
 from support.worker import worker_domain
 from yolov5_lifecycle.images.encodings import encoded
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import isolated
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
-from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
-from yolov5_lifecycle.ros.messages import image_message
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated
+from yolov5_lifecycle.ros.messages import image_message, stamp_ns
+from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import SETTINGS
 from yolov5_lifecycle.settings.synonyms import QOS_PREFIX
@@ -151,7 +150,7 @@ class DetectorProcess:
 
     def look(self, index: int = 0) -> Sighting:
         """What the node finds in image number `index` of the scene, sent now."""
-        return Sighting.now(self.detect(scene_image(index)))
+        return Sighting.of(self.detect(scene_image(index)))
 
     def late_label_info(self) -> LabelInfo:
         """What a subscriber gets that comes after the message was sent."""
@@ -231,7 +230,7 @@ def scene_truth(index: int = 0, *, scene: Scene = SCENE) -> Sighting:
     """What that image shows."""
     truth = scene.frame(index)[1]
     names = tuple(CLASS_NAMES[class_id] for class_id in truth.class_ids)
-    return Sighting(0, 0.0, names, (1.0,) * len(names), truth.boxes_xyxy.astype(np.float64))
+    return Sighting(names, (1.0,) * len(names), truth.boxes_xyxy.astype(np.float64))
 
 
 def is_balanced(status: Mapping[str, str]) -> bool:

@@ -17,7 +17,7 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.clock import Clock, ClockType
 
-from yolov5_lifecycle.ros.demo.observer import Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 
 HEARTBEAT_S = 0.1
 _DEAD_PUBLISH_S = 0.05

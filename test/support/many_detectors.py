@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from support.detector_process import environment
 from support.preparations import Preparations
 from support.worker import worker_domain
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess
+from yolov5_lifecycle.ros.child_process import ChildProcess
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.spin import stop_event
 

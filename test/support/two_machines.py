@@ -16,8 +16,8 @@ from xml.etree import ElementTree
 
 from support.detector_process import NODE, PARAMETERS, SEED, DetectorProcess, as_arguments, is_balanced
 from support.started import started
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.observer import Observer
 
 CABLE = "cable"
 ADDRESSES = ("10.77.0.1", "10.77.0.2")

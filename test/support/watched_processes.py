@@ -22,8 +22,8 @@ from pathlib import Path
 from vision_msgs.msg import Detection2DArray
 
 from support.detector_process import NODE, PARAMETERS, as_arguments, environment
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.observer import Observer
 
 DOMAIN = 1  # nobody else is in this network
 ROS_PORTS = range(7400 + 250 * DOMAIN, 7400 + 250 * (DOMAIN + 1))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from yolov5_lifecycle.ros.demo.domain import DOMAINS, own_domain
+from yolov5_lifecycle.ros.child_process import DOMAINS, own_domain
 
 _NUMBER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 _COUNT = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))

@@ -134,6 +134,11 @@ def _detection_3d(detection: Detection2D, box: Box3D, header: Header) -> Detecti
     return Detection3D(header=header, results=results, bbox=bbox, id=detection.id)
 
 
+def stamp_ns(header: Header) -> int:
+    """Stamp in nanoseconds."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
 def stamp_s(header: Header) -> float:
     """Stamp in seconds, exact to less than a microsecond."""
     return float(header.stamp.sec) + float(header.stamp.nanosec) * 1e-9

@@ -29,7 +29,7 @@ from yolov5_lifecycle.offline.calibrate.calibration_frames import (
 from yolov5_lifecycle.offline.calibrate.command import main, report, verdict
 from yolov5_lifecycle.offline.image_files import VideoFrame
 from yolov5_lifecycle.quantization.calibration_file import path_beside
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 

@@ -37,7 +37,7 @@ from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recording
 from yolov5_lifecycle.offline.many_recordings.tally import Tally
 from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
-from yolov5_lifecycle.ros.demo.child_process import entry_point
+from yolov5_lifecycle.ros.child_process import entry_point
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 

@@ -19,7 +19,7 @@ from support.recorded_scene import COUNT, video
 from yolov5_lifecycle.atomic_file import has_unfinished_outputs
 from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE
 from yolov5_lifecycle.process.missing_package import absence_of
-from yolov5_lifecycle.ros.demo.child_process import entry_point
+from yolov5_lifecycle.ros.child_process import entry_point
 
 pytestmark = [
     pytest.mark.long,

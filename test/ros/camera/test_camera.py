@@ -21,15 +21,15 @@ from support.colcon_workspace import REPOSITORY
 from support.detector_process import PARAMETERS, SCENE, as_arguments, detector_process
 from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
 from support.lone_node import lone_node
+from support.sighting import Sighting
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded
 from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.ros.camera.outputs import IMAGE_FORMS, CameraOutputs, ImageForm, jpeg_message
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
-from yolov5_lifecycle.ros.demo.observer import Observer
-from yolov5_lifecycle.ros.messages import image_of_message
+from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
+from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 from yolov5_lifecycle.sources.source import open_source
 
@@ -119,7 +119,7 @@ def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer
     indices = [index_of[image_of_message(images[stamp]).pixels[..., ::-1].tobytes()] for stamp in stamps]
     assert indices == sorted(set(indices))
     for stamp, index in zip(stamps, indices, strict=True):
-        image, told, truth = images[stamp], Sighting.now(truths[stamp]), scene.frame(index)[1]
+        image, told, truth = images[stamp], Sighting.of(truths[stamp]), scene.frame(index)[1]
         assert (image.encoding, image.step, image.header.frame_id) == ("bgr8", 480, "lens")
         assert told.class_names == tuple(CLASS_NAMES[class_id] for class_id in truth.class_ids)
         assert np.allclose(told.boxes_xyxy, truth.boxes_xyxy, atol=1e-3)

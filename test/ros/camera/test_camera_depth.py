@@ -14,9 +14,8 @@ from support.camera_process import camera_process
 from support.detector_process import as_arguments
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
-from yolov5_lifecycle.ros.demo.ground_truth import stamp_ns
-from yolov5_lifecycle.ros.demo.observer import Observer
-from yolov5_lifecycle.ros.messages import image_of_message
+from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
+from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.sources.scene import Scene
 from yolov5_lifecycle.sources.scene_depth import SceneDepth
 from yolov5_lifecycle.spatial.depth_image import depth_image_of_message

@@ -13,11 +13,11 @@ from sensor_msgs.msg import Image
 from support.camera_process import camera_process
 from support.detector_process import as_arguments
 from support.grey_images import GREYS, grey_folder
+from support.sighting import Sighting
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
-from yolov5_lifecycle.ros.demo.observer import Observer
-from yolov5_lifecycle.ros.messages import image_of_message
+from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
+from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.sources.scene import Scene
 from yolov5_lifecycle.sources.scene_masks import label_image
 
@@ -65,7 +65,7 @@ def test_every_pixel_says_which_shape_of_the_truth_it_belongs_to(observer: Obser
         assert (masks.encoding, masks.is_bigendian, masks.header.frame_id) == ("16UC1", 0, "lens")
         labels = _labels(masks)
         np.testing.assert_array_equal(labels, label_image([shape.outline() for shape in shapes], SIZE_HW))
-        for label, box in enumerate(Sighting.now(truth).boxes_xyxy, start=1):
+        for label, box in enumerate(Sighting.of(truth).boxes_xyxy, start=1):
             rows, columns = np.nonzero(labels == label)
             filled = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
             # The last 1.3 pixels of a star are narrower than one, and the next centre is up to 1 away.

@@ -16,7 +16,7 @@ from support.console_process import ConsoleClient, Page, address, console_proces
 from support.detector_process import NODE, DetectorProcess, detector_process, environment
 from support.worker import worker_domain
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 
 
 def run(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:

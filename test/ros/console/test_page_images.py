@@ -18,12 +18,12 @@ from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.console_robot import ConsoleRobot
 from support.detector_process import NODE, detector_process, environment
+from support.sighting import Sighting
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
-from yolov5_lifecycle.ros.demo.observer import Observer
-from yolov5_lifecycle.ros.messages import image_of_message
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
+from yolov5_lifecycle.ros.observer import Observer
 
 pytestmark = pytest.mark.long
 
@@ -52,7 +52,7 @@ def test_the_image_shows_the_boxes_of_its_detections(robot: ConsoleRobot, page: 
         kept(observer, Detection2DArray, f"{NODE}/detections") as found,
     ):
         stamp, shown = shown_and_kept(observer, page, raw, found)
-    boxes = Sighting.now(found[stamp]).boxes_xyxy
+    boxes = Sighting.of(found[stamp]).boxes_xyxy
     pixels = image_of_message(raw[stamp]).pixels[..., ::-1]
     change = np.abs(shown.astype(np.int64) - pixels).max(axis=2)
     near, inside = around(boxes, change.shape, LINE_PX), around(boxes, change.shape, WRITING_PX)

@@ -17,7 +17,7 @@ from support.console_robot import CAMERA
 from support.detector_process import PARAMETERS, as_arguments, environment
 from support.worker import worker_domain
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 
 pytestmark = pytest.mark.long
 

@@ -13,8 +13,8 @@ from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.console_robot import ConsoleRobot
 from support.detector_process import NODE, PARAMETERS, detector_process
+from support.sighting import Sighting
 
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
 from yolov5_lifecycle.settings.settings import SETTINGS
 
@@ -29,7 +29,7 @@ def wait_for_detections(robot: ConsoleRobot, of: set[str]) -> None:
 
     def is_so() -> bool:
         found = robot.detector.detections[-1:]
-        return bool(found) and set(Sighting.now(found[0]).class_names) == of
+        return bool(found) and set(Sighting.of(found[0]).class_names) == of
 
     robot.detector.observer.wait_for(is_so, f"detections of {of}")
 

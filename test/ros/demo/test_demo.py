@@ -1,130 +1,247 @@
-"""`make demo`: the command as a user runs it."""
+"""`make demo` and `make demo-cameras`: the command as a user runs it, and what it compares."""
 
 from __future__ import annotations
 
 import os
+import re
 import signal
-import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import yaml
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from support.colcon_workspace import REPOSITORY
+from vision_msgs.msg import (
+    Detection2D,
+    Detection2DArray,
+    Detection3D,
+    Detection3DArray,
+    ObjectHypothesis,
+    ObjectHypothesisWithPose,
+)
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, ProcessError, entry_point
-from yolov5_lifecycle.ros.demo.command import main, table
-from yolov5_lifecycle.ros.demo.demonstration import Phase, longest_gap_s
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting, pairwise_iou, recall
-from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.command import main
+from yolov5_lifecycle.ros.demo.ground_truth import matched
+from yolov5_lifecycle.ros.demo.one_camera import mask_ious
+from yolov5_lifecycle.ros.demo.several_cameras import CAMERAS, figures, side_by_side
+from yolov5_lifecycle.ros.demo.stage import saved, together
+from yolov5_lifecycle.ros.messages import masks_message
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 
-NO_BOXES = np.zeros((0, 4))
+Objects = Sequence[tuple[str, float]]
+"""Class and left edge of squares of 10 pixels."""
+TRUTH: Objects = (("circle", 0.0), ("star", 20.0), ("star", 40.0))
+TRUE_IDS = ("1", "2", "3")
 
 
-def sighting(*objects: tuple[str, tuple[float, ...]], stamp_ns: int = 0, latency_ms: float = 0.0) -> Sighting:
-    names = tuple(name for name, _ in objects)
-    boxes = np.array([box for _, box in objects], np.float64).reshape(-1, 4)
-    return Sighting(stamp_ns, latency_ms, names, (0.9,) * len(names), boxes)
+def message(objects: Objects, ids: Sequence[str] = TRUE_IDS) -> Detection2DArray:
+    detections = []
+    for (name, left), object_id in zip(objects, ids, strict=False):
+        hypothesis = ObjectHypothesis(class_id=name, score=0.9)
+        found = Detection2D(id=object_id, results=[ObjectHypothesisWithPose(hypothesis=hypothesis)])
+        found.bbox.center.position.x, found.bbox.size_x, found.bbox.size_y = left + 5.0, 10.0, 10.0
+        detections.append(found)
+    return Detection2DArray(detections=detections)
+
+
+def places(ids: Sequence[str], scale: float = 1.0) -> Detection3DArray:
+    """One, two and three metres in front of the camera."""
+    placed = Detection3DArray()
+    for z, object_id in enumerate(ids, start=1):
+        found = Detection3D(id=object_id)
+        found.bbox.center.position.z = z * scale
+        placed.detections.append(found)
+    return placed
+
+
+def frame(
+    *,
+    camera: str = "front",
+    ids: Sequence[str] = ("7", "8", "9"),
+    objects: Objects = TRUTH,
+    placed: Detection3DArray | None = None,
+) -> tuple[Any, ...]:
+    """An image of TRUTH in which `objects` were found."""
+    found = message(objects, ids)
+    return camera, message(TRUTH), places(TRUE_IDS), found, places(ids) if placed is None else placed
 
 
 @pytest.mark.end_to_end
-def test_the_demo_passes_and_leaves_its_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("words", "image", "size_hw"),
+    [
+        pytest.param([], "annotated.png", (480, 640), id="one camera"),
+        pytest.param(["--cameras"], "cameras.png", (388, 888), id="two cameras"),
+    ],
+)
+def test_the_demo_passes_and_leaves_its_image(
+    words: list[str], image: str, size_hw: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    with ChildProcess("demo", [entry_point("demo")], os.environ) as demo:
+    with ChildProcess("demo", [entry_point("demo"), *words], os.environ) as demo:
         code = demo.wait(250.0)
-    lines = demo.output.splitlines()
     assert code == 0, demo.output
-    assert lines[-1].startswith("demo ok: ")
-    assert any("] mask IoU " in line for line in lines)
-    assert any(line.startswith("all classes") for line in lines)
-    drawn = cv2.imread(str(tmp_path / "build" / "demo" / "annotated.png"))
+    assert demo.output.splitlines()[-1].startswith("demo ok: ")
+    drawn = cv2.imread(str(tmp_path / "build" / "demo" / image))
     assert drawn is not None
-    assert drawn.shape == (480, 640, 3)
+    assert drawn.shape == (*size_hw, 3)
 
 
-def test_the_demo_says_why_it_cannot_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_demo_says_why_it_cannot_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "build").write_text("a file where a folder should be")
-    with ChildProcess("demo", [entry_point("demo")], os.environ) as demo:
-        assert demo.wait(PATIENCE_S) == 1
-    assert demo.output.startswith("demo failed: ")
-    assert "Traceback" not in demo.output
+    before = signal.getsignal(signal.SIGTERM)
+    assert main([]) == 1
+    signal.signal(signal.SIGTERM, before)
+    assert capsys.readouterr().out.startswith("demo failed: ")
 
 
-def test_the_demo_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        pytest.param(["--help"], 0, "usage: demo", id="help"),
+        pytest.param(["fast"], 2, "unrecognized arguments: fast", id="unknown"),
+        pytest.param(["--console", "--cameras"], 2, "not allowed with argument", id="two at once"),
+    ],
+)
+def test_the_arguments_are_explained(
+    words: list[str], code: int, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["--help"])
-    assert ended.value.code == 0
-    assert "usage: demo" in capsys.readouterr().out
-
-
-def test_a_word_that_the_demo_does_not_know_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["fast"])
-    assert ended.value.code == 2
-    assert "unrecognized arguments: fast" in capsys.readouterr().err
+        main(words)
+    assert ended.value.code == code
+    assert told in "".join(capsys.readouterr())
 
 
 @pytest.mark.long
 def test_the_end_of_the_demo_ends_what_it_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with ChildProcess("demo", [entry_point("demo")], os.environ) as demo:
-        demo.wait_for_output("started as processes", PATIENCE_S)
-        started = [int(word) for word in demo.output.splitlines()[0].split() if word.isdigit()]
+        demo.wait_for_output("] started", PATIENCE_S)
+        started = re.findall(r"process (\d+)", demo.output)
         assert demo.stop(signal.SIGTERM) == 143
     assert len(started) == 2
     assert not any(Path(f"/proc/{process_id}").exists() for process_id in started)
 
 
-def test_a_process_that_ends_too_early_is_reported_with_its_last_words() -> None:
-    program = "import sys; print('first'); sys.exit('out of coffee')"
-    with ChildProcess("coffee machine", [sys.executable, "-c", program], os.environ) as process:
-        assert process.wait(PATIENCE_S) == 1
-        with pytest.raises(ProcessError, match=r"coffee machine ended with exit code 1[^$]*out of coffee"):
-            process.check_running()
+def test_the_parameter_file_has_the_cameras_of_the_demo() -> None:
+    content = yaml.safe_load((REPOSITORY / "config" / "demo_cameras.yaml").read_text())
+    assert content["yolov5"]["ros__parameters"]["cameras"] == [*CAMERAS]
 
 
-def test_a_process_that_does_not_end_is_reported_and_killed() -> None:
-    ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)"
-    program = f"{ignore}; print('ready', flush=True); time.sleep(60)"
-    with ChildProcess("mule", [sys.executable, "-c", program], os.environ) as process:
-        process.wait_for_output("ready", PATIENCE_S)
-        with pytest.raises(ProcessError, match=r"mule did not end within 0\.1 s"):
-            process.stop(signal.SIGTERM, timeout_s=0.1)
-    assert not Path(f"/proc/{process.process_id}").exists()
+@pytest.mark.parametrize(
+    ("seen", "pairs"),
+    [
+        pytest.param(TRUTH, [(0, 0), (1, 1), (2, 2)], id="the same"),
+        pytest.param([*TRUTH[:0:-1], ("circle", 1.0)], [(2, 0), (1, 1), (0, 2)], id="in another order"),
+        pytest.param([("star", 21.0), ("star", 22.0)], [(1, 0)], id="found twice"),
+        pytest.param([("square", 0.0)], [], id="another class"),
+        pytest.param([("circle", 4.0)], [], id="beside it"),
+        pytest.param([], [], id="nothing found"),
+    ],
+)
+def test_objects_are_matched_one_to_one_and_within_their_class(
+    seen: Objects, pairs: list[tuple[int, int]]
+) -> None:
+    assert sorted(matched(message(TRUTH), message(seen))) == sorted(pairs)
+    assert matched(message([]), message(seen)) == []
 
 
-def test_boxes_overlap_by_their_shared_area() -> None:
-    boxes = np.array([[0, 0, 2, 2], [1, 0, 3, 2], [5, 5, 6, 6], [1, 1, 1, 1]], np.float64)
-    expected = np.array([[1, 1 / 3, 0, 0], [1 / 3, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]])
-    assert np.allclose(pairwise_iou(boxes, boxes), expected)
-    assert pairwise_iou(boxes, NO_BOXES).shape == (4, 0)
+def test_one_box_belongs_to_one_object_only() -> None:
+    assert matched(message([("star", 0.0), ("star", 2.0)]), message([("star", 0.5)])) == [(0, 0)]
 
 
-def test_an_object_is_found_by_a_box_of_its_class_in_its_place() -> None:
-    truth = sighting(("circle", (0, 0, 10, 10)), ("star", (20, 0, 30, 10)), ("square", (40, 0, 50, 10)))
-    seen = sighting(("circle", (1, 0, 10, 10)), ("circle", (20, 0, 30, 10)), ("square", (46, 0, 56, 10)))
-    assert seen.found_of(truth) == 1
-    assert sighting().found_of(truth) == 0
-    assert truth.found_of(sighting()) == 0
+def test_messages_are_put_together_by_their_stamps() -> None:
+    assert together({3: "c", 1: "a", 2: "b"}, {3: "C", 1: "A"}) == {1: ("a", "A"), 3: ("c", "C")}
 
 
-def test_recall_counts_the_objects_of_images_with_a_truth() -> None:
-    truth = sighting(("circle", (0, 0, 10, 10)), ("star", (20, 0, 30, 10)))
-    half = sighting(("circle", (0, 0, 10, 10)), stamp_ns=1)
-    unknown = sighting(("circle", (0, 0, 10, 10)), stamp_ns=9)
-    assert recall([half, unknown], {1: truth}) == 0.5
-    assert np.isnan(recall([unknown], {1: truth}))
+def masks(**columns: slice) -> Image:
+    """Labels of 8x20 pixels: the number written behind `of_` in each of these columns."""
+    labels = np.zeros((8, 20), np.uint16)
+    for name, part in columns.items():
+        labels[:, part] = int(name.removeprefix("of_"))
+    return masks_message(labels, Header())
 
 
-def test_the_longest_gap_lies_between_arrivals() -> None:
-    arrivals_s = (0.0, 0.1, 0.5, 0.6)
-    seen = [sighting(stamp_ns=0, latency_ms=arrival_s * 1e3) for arrival_s in arrivals_s]
-    assert longest_gap_s(seen) == pytest.approx(0.4)
-    assert longest_gap_s(seen[:1]) == 0.0
+@pytest.mark.parametrize(
+    ("pairs", "found", "ious"),
+    [
+        pytest.param(
+            [(0, 1), (1, 0)], masks(of_2=slice(0, 10), of_1=slice(10, 20)), [1.0, 1.0], id="in another order"
+        ),
+        pytest.param(
+            [(0, 0), (1, 1)],
+            masks(of_1=slice(0, 15), of_2=slice(15, 20)),
+            [10 / 15, 0.5],
+            id="border",
+        ),
+        pytest.param([(0, 0), (1, 1)], masks(), [0.0, 0.0], id="no pixels"),
+        pytest.param([(1, 0)], masks(of_1=slice(10, 20)), [1.0], id="one missed"),
+        pytest.param([], masks(), [], id="nothing found"),
+    ],
+)
+def test_the_pixels_of_objects_that_belong_together_are_compared(
+    pairs: list[tuple[int, int]], found: Image, ious: list[float]
+) -> None:
+    true = masks(of_1=slice(0, 10), of_2=slice(10, 20))
+    assert mask_ious(pairs, true, found) == pytest.approx(ious)
 
 
-def test_the_table_has_a_row_per_phase() -> None:
-    seen = tuple(sighting(("circle", (0, 0, 1, 1)), latency_ms=latency) for latency in (10.0, 20.0, 90.0))
-    lines = table([Phase("first", seen, 0.5), Phase("second", seen)]).split("\n")
-    assert lines[3].split() == ["first", "3", "3", "0", "0", "0", "50.0%", "20.0", "20.0"]
-    assert lines[4].split() == ["second", "3", "3", "0", "0", "0", "20.0", "20.0"]
+PERFECT = {
+    "precision": 1.0,
+    "recall": 1.0,
+    "identity switches": 0,
+    "placed in space": 1.0,
+    "median error in space": 0.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        pytest.param(frame(), {}, id="perfect"),
+        pytest.param(frame(ids=("7", "9", "8")), {"identity switches": 2}, id="exchanged ids"),
+        pytest.param(frame(ids=("7", "8", "5")), {"identity switches": 1}, id="a new id"),
+        pytest.param(frame(camera="rear", ids=("7", "5", "6")), {"identity switches": 1}, id="shared id"),
+        pytest.param(frame(ids=("", "8", "9")), {}, id="no id for a while"),
+        pytest.param(
+            frame(objects=[("star", 0.0), ("circle", 20.0), ("star", 40.0)]),
+            {"precision": 4 / 6, "recall": 4 / 6},
+            id="wrong classes",
+        ),
+        pytest.param(frame(objects=TRUTH[:1]), {"recall": 4 / 6}, id="missed"),
+        pytest.param(frame(objects=[*TRUTH, ("star", 60.0)], ids="789x"), {"precision": 6 / 7}, id="more"),
+        pytest.param(frame(placed=places("789", 1.2)), {"median error in space": 0.1}, id="wrong places"),
+        pytest.param(frame(placed=places("")), {"placed in space": 0.5}, id="no places"),
+    ],
+)
+def test_the_figures_show_what_is_wrong(changed: tuple[Any, ...], expected: dict[str, float]) -> None:
+    assert figures([frame(), changed]) == pytest.approx(PERFECT | expected)
+
+
+def test_without_places_the_error_in_space_is_infinite() -> None:
+    assert figures([frame(placed=places(""))])["median error in space"] == float("inf")
+
+
+def test_the_image_shows_both_images_below_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    high, low = np.full((60, 30, 3), (10, 20, 200), np.uint8), np.full((40, 20, 3), (250, 20, 10), np.uint8)
+    both = side_by_side({"front": high, "rear": low})
+    assert both.shape == (88, 58, 3)
+    assert (both[28:, :30] == high).all()
+    assert (both[28:68, 38:] == low).all()
+    assert (both[28:, 30:38] == 255).all()
+    assert (both[68:, 38:] == 255).all()
+    assert (both[:28, :30] < 255).any()
+    with pytest.raises(OSError, match="cannot be written"):
+        saved(both, "both.png")

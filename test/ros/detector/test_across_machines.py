@@ -13,7 +13,7 @@ from support.colcon_workspace import SUPPORT, SUPPORT_PATH
 from support.detector_process import environment
 from support.two_machines import ADDRESSES, DOMAIN
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess
+from yolov5_lifecycle.ros.child_process import ChildProcess
 
 pytestmark = pytest.mark.long
 

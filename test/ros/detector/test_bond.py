@@ -16,8 +16,8 @@ from support.lifecycle_manager import LifecycleManager
 from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode
 
-from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.bond import CONNECT_S, Bond, check_bond
+from yolov5_lifecycle.ros.observer import Observer
 
 MANY = 15
 """Heartbeats: more than can wait in a queue."""

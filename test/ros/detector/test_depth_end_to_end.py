@@ -21,9 +21,10 @@ from support.detector_process import (
     scene_image,
     scene_truth,
 )
+from support.sighting import Sighting
 from vision_msgs.msg import Detection2DArray, Detection3D, Detection3DArray
 
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
+from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.tracking.assignment import iou_matrix
 
 INDEX = 7
@@ -122,7 +123,7 @@ def test_detections_are_published_in_space_as_they_are_in_the_image(tracking: De
                 result.hypothesis for result in detection.results
             ]
     plain, placed = viewer.pairs()[-1]
-    boxes = Sighting.now(plain).boxes_xyxy
+    boxes = Sighting.of(plain).boxes_xyxy
     assert len(boxes) >= len(TRUTH.scores) - 1
     errors = [distance_from_truth(*pair) for pair in zip(boxes, placed.detections, strict=True)]
     assert max(errors) < 0.05

@@ -17,10 +17,10 @@ from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
 from yolov5_lifecycle.ros.camera.settings import declared_settings
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
+from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.sources.source import open_source
 
 FRONT, REAR = b"front", b"rear"

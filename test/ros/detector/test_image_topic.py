@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
+from yolov5_lifecycle.ros.observer import Observer
 
 
 @pytest.fixture

@@ -17,9 +17,9 @@ from std_msgs.msg import Header
 
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.image import ColourImage, ImageError, Order
-from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.messages import image_of_message
+from yolov5_lifecycle.ros.observer import Observer
 
 HEADER = Header(frame_id="lens")
 PIXELS = np.full((48, 64, 3), (10, 120, 240), np.uint8)

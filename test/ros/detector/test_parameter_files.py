@@ -14,7 +14,7 @@ from support.detector_process import (
     parameter_file,
 )
 
-from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 

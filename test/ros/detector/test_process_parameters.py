@@ -16,12 +16,13 @@ from support.detector_process import (
 )
 from support.random_model import blank_model
 from support.served_node import STATES
+from support.sighting import Sighting
 
 from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.architecture import SIZES
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting, pairwise_iou
 from yolov5_lifecycle.runtimes.cache import cache_folder
+from yolov5_lifecycle.tracking.assignment import iou_matrix
 
 
 def test_a_raised_threshold_applies_to_the_next_frame(active: DetectorProcess) -> None:
@@ -55,7 +56,7 @@ def test_agnostic_nms_applies_to_the_next_frame(active: DetectorProcess) -> None
 
 
 def _largest_overlap(found: Sighting) -> float:
-    ious = pairwise_iou(found.boxes_xyxy, found.boxes_xyxy)
+    ious = iou_matrix(found.boxes_xyxy, found.boxes_xyxy)
     return float(np.triu(ious, k=1).max(initial=0))
 
 
@@ -170,13 +171,13 @@ def test_deactivate_releases_the_memory_of_the_model(
 def test_a_damaged_compiled_model_is_recompiled(active: DetectorProcess) -> None:
     pytest.importorskip("onnxruntime")
     assert active.node.set_parameters(runtime="onnxruntime") == ""
-    expected = Sighting.now(active.detect(scene_image(7)))
+    expected = Sighting.of(active.detect(scene_image(7)))
     assert active.transition("deactivate")
     damaged = b"damaged"
     for file in cache_folder("compiled").iterdir():
         file.write_bytes(damaged)
     assert active.transition("activate")
-    found = Sighting.now(active.detect(scene_image(7)))
+    found = Sighting.of(active.detect(scene_image(7)))
     assert found.class_names == expected.class_names
     np.testing.assert_allclose(found.scores, expected.scores, atol=1e-5)
     assert any(file.read_bytes() != damaged for file in cache_folder("compiled").iterdir())

@@ -11,7 +11,7 @@ from support.detector_process import (
     detector_process,
 )
 
-from yolov5_lifecycle.ros.demo.observer import PATIENCE_S
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 
 
 @pytest.mark.end_to_end

@@ -11,12 +11,12 @@ from rcl_interfaces.msg import Log
 from rclpy.qos import ReliabilityPolicy
 from support.good_status import GOOD, GOOD_CAMERA, GOOD_INPUT, LARGE, OF_CAMERAS
 
-from yolov5_lifecycle.ros.demo.observer import Observer
 from yolov5_lifecycle.ros.detector.camera_status import EMPTY_S, SILENCE_S, SLOW_S
 from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics
 from yolov5_lifecycle.ros.detector.image_input import RecentImages
 from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S, TopicStatus
 from yolov5_lifecycle.ros.detector.status import Status
+from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameCounter, Outcome
 

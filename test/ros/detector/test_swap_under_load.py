@@ -19,8 +19,8 @@ from vision_msgs.msg import Detection2DArray
 from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.ground_truth import stamp_ns
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.messages import stamp_ns
 
 pytestmark = pytest.mark.long
 

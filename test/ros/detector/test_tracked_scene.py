@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.detector_process import NODE, SEED, DetectorProcess, as_arguments, environment
+from support.sighting import Sighting
 from vision_msgs.msg import Detection2DArray
 
 from benchmark.tracking.figures import JudgedFrame, track_counts
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.ground_truth import Sighting, stamp_ns
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 MESSAGES = 45
@@ -26,9 +27,9 @@ def judged(truth: Detection2DArray, found: Detection2DArray) -> JudgedFrame:
     tracked = [number for number, name in enumerate(ids_of(found)) if name]
     return JudgedFrame(
         truth_ids=[int(name) for name in ids_of(truth)],
-        truth_boxes_xyxy=Sighting.now(truth).boxes_xyxy.astype(np.float32),
+        truth_boxes_xyxy=Sighting.of(truth).boxes_xyxy.astype(np.float32),
         track_ids=[ids_of(found)[number] for number in tracked],
-        track_boxes_xyxy=Sighting.now(found).boxes_xyxy[tracked].astype(np.float32),
+        track_boxes_xyxy=Sighting.of(found).boxes_xyxy[tracked].astype(np.float32),
     )
 
 
@@ -58,7 +59,7 @@ def test_the_ids_of_the_scene_follow_its_shapes(detector: DetectorProcess) -> No
 
     shapes = [str(number) for number in range(1, 7)]
     assert all(ids_of(message) == shapes for message in truths.values())
-    assert {name for message in truths.values() for name in Sighting.now(message).class_names} == {
+    assert {name for message in truths.values() for name in Sighting.of(message).class_names} == {
         *CLASS_NAMES
     }
     given = [[name for name in ids_of(message) if name] for message in found]

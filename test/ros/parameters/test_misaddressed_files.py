@@ -12,7 +12,7 @@ from rclpy.node import Node
 from support.detector_process import environment
 from support.worker import worker_domain
 
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.start_arguments import ParameterFile, misaddressed_files, start_arguments
 
 PARAMETERS = "ros__parameters: {secret: hidden}"

@@ -21,11 +21,10 @@ from sensor_msgs.msg import Image
 
 from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
 from yolov5_lifecycle.input_file import resolve_package
-from yolov5_lifecycle.ros.demo.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.domain import isolated, own_domain
-from yolov5_lifecycle.ros.demo.ground_truth import stamp_ns
-from yolov5_lifecycle.ros.demo.observer import Observer
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
 from yolov5_lifecycle.ros.doctor.environment import PROFILE
+from yolov5_lifecycle.ros.messages import stamp_ns
+from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES
 from yolov5_lifecycle.unfinished import temporary_folder
 
