@@ -45,7 +45,8 @@ class Detector:
     `stride`, the largest stride of the model; else ValueError. `choice` and `precision_choice`: why this
     runtime and its precision were selected.
     `mask_coefficients`: their number per prediction, 0 if the model does not segment. `cost`: of an image of
-    `image_size` x `image_size`, None if it is unknown.
+    `image_size` x `image_size`, None if it is unknown. `fixed_hw`: the only size of the network input, if the
+    model takes no other.
     `selection`: the thresholds and classes of a call; may be replaced. `batches`: the batch sizes
     worth using; may be replaced.
     """
@@ -61,6 +62,7 @@ class Detector:
         precision_choice: str = "as set",
         mask_coefficients: int = 0,
         cost: Cost | None = None,
+        fixed_hw: tuple[int, int] | None = None,
     ) -> None:
         check_image_size(image_size, stride)
         self.runtime = runtime
@@ -72,6 +74,7 @@ class Detector:
         self.stride = stride
         self.mask_coefficients = mask_coefficients
         self.cost = cost
+        self.fixed_hw = fixed_hw
         self.selection = Selection()
         self._in_use = threading.RLock()
 
@@ -152,6 +155,8 @@ class Detector:
         return list(map(_result_of(self.detect), images, selections))
 
     def _letterbox(self, size_hw: tuple[int, int]) -> Letterbox:
+        if self.fixed_hw is not None:
+            return Letterbox.into(size_hw, self.fixed_hw)
         return Letterbox.fit(size_hw, image_size=self.image_size, stride=self.stride)
 
     def _detections(self, predictions: Predictions, letterbox: Letterbox, selection: Selection) -> Detections:
@@ -210,6 +215,7 @@ class Detector:
             precision_choice=self.precision_choice,
             mask_coefficients=self.mask_coefficients,
             cost=self.cost,
+            fixed_hw=self.fixed_hw,
         )
         twin.batches, twin.selection = self.batches, self.selection
         return twin
