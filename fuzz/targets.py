@@ -19,7 +19,7 @@ from support.small_families import EVERY_SMALL
 
 from fuzz import data_files, depth_stream, described_files, tracked_images
 from fuzz.refusals import taken
-from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
+from yolov5_lifecycle.checkpoints.onnx_file import export_cost, read_onnx
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
 from yolov5_lifecycle.detection.selection import model_problems, selection
@@ -27,9 +27,10 @@ from yolov5_lifecycle.images.compressed import decode_compressed
 from yolov5_lifecycle.images.encodings import ENCODINGS, decode_raw
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError
 from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
+from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.head import Segment
-from yolov5_lifecycle.models.model import Model, WeightsError
+from yolov5_lifecycle.models.model import MAX_CLASSES, Model, WeightsError
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
@@ -142,7 +143,20 @@ def check_safetensors(data: bytes) -> None:
 
 def check_export(data: bytes) -> None:
     """Check `data` as the graph of an otherwise valid ONNX file, without its weights."""
-    check_weights(read_onnx, hostile_onnx.glued(data))
+    check_onnx(hostile_onnx.glued(data))
+
+
+def check_onnx(data: bytes) -> None:
+    """Expect an export whose outputs are known, or a one-line error."""
+    export = taken(lambda: read_onnx(data), WeightsError)
+    if isinstance(export, WeightsError):
+        assert str(export).isprintable()
+        return
+    assert isinstance(export, Export)
+    assert 0 < len(export.class_names) <= MAX_CLASSES
+    assert (export.prototypes is None) == (export.mask_coefficients == 0)
+    side = export.size_hw or (128 // export.stride * export.stride or export.stride,) * 2
+    assert export_cost(export, side).weight_bytes < 4 * len(data)
 
 
 def check_settings(data: bytes) -> None:

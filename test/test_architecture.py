@@ -142,6 +142,7 @@ def test_settings_are_imported_at_the_edge_only() -> None:
     [
         pytest.param(WITHOUT_TORCH, ("torch", *ROS_MODULES), id="torch"),
         pytest.param(("spatial",), ("cv2", "torch", *ROS_MODULES), id="all but numpy"),
+        pytest.param(("commands", "detection"), ("onnx", "onnxruntime", "openvino"), id="ONNX"),
     ],
 )
 def test_what_does_not_need_a_library_imports_without_it(

@@ -1,144 +1,69 @@
-"""ONNX exports of every version are read as the network that they came from; others are refused."""
+"""Exports to ONNX of both layouts are told apart by their shapes and metadata; others are refused."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from numpy.typing import NDArray
 from onnx import numpy_helper
-from onnxruntime import InferenceSession
 from support import hostile_onnx
-from support.checkpoint_builder import SMALL, official_model, saved, stripped
-from support.onnx_exports import exported, model_of, serialized, valid
+from support.checkpoint_builder import SMALL
+from support.onnx_exports import NAMES, exported, model_of, serialized, small_export
 from support.random_model import random_network
-from support.small_families import EVERY_SMALL, SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints.locate import load_weights
-from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
-from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
+from yolov5_lifecycle.checkpoints.onnx_file import export_cost, read_onnx
 from yolov5_lifecycle.commands.convert import convert
-from yolov5_lifecycle.models.architecture import SIZES, Architecture
-from yolov5_lifecycle.models.geometry import size_multiple
-from yolov5_lifecycle.models.head import Segment
-from yolov5_lifecycle.models.model import Model, WeightsError
-from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.models.cost import cost_of
+from yolov5_lifecycle.models.export import Export
+from yolov5_lifecycle.models.model import WeightsError
 
-SEGMENT_N = dataclasses.replace(
-    SIZES["n"],
-    layers=(*SIZES["n"].layers[:-1], SIZES["n"].layers[-1]._replace(kind="Segment", args=(32, 256))),
-)
+NUMBERED = ("class 0", "class 1", "class 2")
 
 
-def pixels_for(architecture: Architecture) -> torch.Tensor:
-    side = 2 * size_multiple(architecture)
-    return torch.rand(1, architecture.image_channels, side, side, generator=torch.Generator().manual_seed(0))
+@pytest.mark.parametrize("masks", [0, 4])
+@pytest.mark.parametrize("has_objectness", [True, False])
+def test_the_layout_is_told_from_shapes_and_names(has_objectness: bool, masks: int) -> None:
+    export = read_onnx(small_export(has_objectness=has_objectness, masks=masks))
+    assert (export.has_objectness, export.mask_coefficients) == (has_objectness, masks)
+    assert (export.boxes, export.prototypes) == (0, 1 if masks else None)
+    assert export.class_names == NAMES
 
 
-def outputs(network: Network, pixels: torch.Tensor) -> list[torch.Tensor]:
-    """Predictions, and prototypes of masks if there are any."""
-    with torch.inference_mode():
-        features = network.eval().features(pixels)
-        found = [network.predictions(features)]
-        return [*found, network.head.proto(features[0])] if isinstance(network.head, Segment) else found
+@pytest.mark.parametrize("has_objectness", [True, False])
+def test_an_export_without_metadata_has_numbered_classes(has_objectness: bool) -> None:
+    export = read_onnx(small_export(has_objectness=has_objectness, metadata={}, size_hw=(320, 320)))
+    assert (export.class_names, export.has_objectness) == (NUMBERED, has_objectness)
 
 
-def assert_same(model: Model, network: Network, *, tolerance: float = 1e-4) -> None:
-    pixels = pixels_for(network.architecture)
-    for found, expected in zip(outputs(model.network(), pixels), outputs(network, pixels), strict=True):
-        torch.testing.assert_close(found, expected, rtol=tolerance, atol=tolerance)
+@pytest.mark.parametrize("batch", [None, 1, 2])
+@pytest.mark.parametrize("size_hw", [None, (64, 96)])
+def test_what_is_fixed_is_told(size_hw: tuple[int, int] | None, batch: int | None) -> None:
+    export = read_onnx(small_export(size_hw=size_hw, batch=batch))
+    assert (export.size_hw, export.batch) == (size_hw, batch)
 
 
-@pytest.mark.long
+def test_an_export_in_half_precision_is_fp16() -> None:
+    assert read_onnx(small_export(is_half=True)).precision == "fp16"
+
+
 @pytest.mark.parametrize(
-    ("architecture", "options"),
+    ("stride", "size_hw", "expected"),
     [
-        pytest.param(SMALL, {"era": "v6.0", "opset": 12}, id="v6.0"),
-        pytest.param(SMALL, {"era": "v7.0", "opset": 11}, id="v7.0, opset 11"),
-        pytest.param(SMALL, {"era": "v7.0", "opset": 13}, id="v7.0, opset 13"),
-        pytest.param(SMALL, {"era": "v7.0", "opset": 17}, id="v7.0, opset 17"),
-        pytest.param(SMALL, {"era": "raw with boxes"}, id="with raw outputs"),
-        pytest.param(SMALL, {"is_dynamic": True, "opset": 11}, id="dynamic, opset 11"),
-        pytest.param(SMALL, {"is_dynamic": True, "opset": 17}, id="dynamic, opset 17"),
-        pytest.param(SMALL_FAMILIES["segmentation"], {}, id="segmentation"),
-        pytest.param(SMALL_FAMILIES["segmentation"], {"is_dynamic": True}, id="dynamic segmentation"),
-        pytest.param(SMALL_FAMILIES["cross-stage"], {"era": "v6.0"}, id="as before v4"),
+        pytest.param("32", (64, 96), 32, id="as written"),
+        pytest.param("32.0", None, 32, id="as a decimal number"),
+        pytest.param(None, (64, 96), 32, id="not told, fixed size"),
+        pytest.param(None, None, 64, id="not told, any size: what every model takes"),
     ],
 )
-def test_an_export_predicts_what_its_network_predicts(
-    architecture: Architecture, options: dict[str, Any]
+def test_images_are_multiples_of_the_stride(
+    stride: str | None, size_hw: tuple[int, int] | None, expected: int
 ) -> None:
-    network = random_network(0, architecture)
-    model = read_onnx(exported(network, **options))
-    assert model.class_names == ("class 0", "class 1", "class 2")
-    assert_same(model, network)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("activation", "opset"),
-    [("Hardswish", 12), ("Hardswish", 14), ("LeakyReLU(0.1)", 12), ("ReLU", 12), ("Identity", 12)],
-)
-def test_activations_are_those_of_the_graph(activation: str, opset: int) -> None:
-    architecture = dataclasses.replace(
-        SMALL, activation=activation, other_activations=(("model.1.act", "SiLU"),)
-    )
-    network = random_network(0, architecture)
-    model = read_onnx(exported(network, opset=opset))
-    assert model.architecture.activation == activation
-    assert dict(model.architecture.other_activations) == {"model.1.act": "SiLU"}
-    assert_same(model, network)
-
-
-@pytest.mark.long
-def test_an_export_in_half_precision_has_the_rounded_weights() -> None:
-    network = random_network(0, SMALL)
-    model = read_onnx(exported(network, is_half=True))
-    assert model.state_dict["model.0.conv.weight"].dtype is torch.float32
-    assert_same(model, network, tolerance=2e-2)
-
-
-@pytest.mark.long  # a model of full size is exported and read
-@pytest.mark.parametrize(
-    ("architecture", "options"),
-    [
-        pytest.param(SIZES["n"], {"era": "v6.0"}, id="v6 n"),
-        pytest.param(SIZES["n"], {}, id="v7 n"),
-        pytest.param(SIZES["n6"], {}, id="v7 n6"),
-        pytest.param(SEGMENT_N, {}, id="v7 n-seg"),
-    ],
-)
-def test_an_export_of_an_official_model_is_that_of_its_pt(
-    architecture: Architecture, options: dict[str, Any]
-) -> None:
-    network = random_network(0, architecture)
-    names = [f"class {index}" for index in range(80)]
-    kind = "SegmentationModel" if architecture.mask_coefficients else "DetectionModel"
-    pickled = official_model(architecture, names, kind=f"models.yolo.{kind}", half=False, network=network)
-    expected = read_checkpoint(saved(stripped(pickled)))
-    model = read_onnx(exported(random_network(0, architecture), **options))
-    assert model.architecture == dataclasses.replace(expected.architecture, is_fused=True)
-    assert model.class_names == expected.class_names
-    assert_same(model, expected.network())
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("architecture", [SMALL, SEGMENT_N], ids=["own", "official"])
-def test_layers_have_the_multiples_of_an_official_size_or_none(architecture: Architecture) -> None:
-    read = read_onnx(valid(architecture)).architecture
-    expected = (0.33, 0.25, 8) if architecture is SEGMENT_N else (1, 1, 1)
-    assert (read.depth_multiple, read.width_multiple, read.channel_multiple) == expected
-
-
-def test_an_export_without_metadata_has_numbered_classes() -> None:
-    model = read_onnx(exported(random_network(0, SMALL), has_metadata=False))
-    assert model.class_names == ("class 0", "class 1", "class 2")
+    metadata = {"names": str(list(NAMES))} | ({"stride": stride} if stride else {})
+    assert read_onnx(small_export(size_hw=size_hw, metadata=metadata)).stride == expected
 
 
 @pytest.mark.parametrize(
@@ -146,149 +71,96 @@ def test_an_export_without_metadata_has_numbered_classes() -> None:
     [
         pytest.param("['a', 'b', 'c']", ("a", "b", "c"), id="list"),
         pytest.param("{2: 'c', 0: 'a', 1: 'b'}", ("a", "b", "c"), id="dict"),
+        pytest.param("{0: 'a', 2: 'c'}", ("a", "class 1", "c"), id="an index left out"),
         pytest.param("{0: \"it's\", 1: 'say \"x\"', 2: 'a, b'}", ("it's", 'say "x"', "a, b"), id="quotes"),
         pytest.param(r"['a\\b', '\'\"', '\xe9']", ("a\\b", "'\"", "é"), id="escapes"),
         pytest.param("['Fußgänger', '自転車', 'c',]", ("Fußgänger", "自転車", "c"), id="other scripts"),
     ],
 )
 def test_class_names_are_those_of_the_metadata(entry: str, names: tuple[str, ...]) -> None:
-    data = hostile_onnx.changed(hostile_onnx.set_metadata(names=entry))()
-    assert read_onnx(data).class_names == names
+    assert read_onnx(small_export(metadata={"names": entry})).class_names == names
 
 
 @pytest.mark.parametrize(
     "entry",
     [
         *("", "[", "a, b, c", "['a' 'b', 'c']", "['a', 'b', c]", "[['a'], 'b', 'c']", "{'a': 'b'}"),
-        *("['a\\N{DIGIT ONE}', 'b', 'c']", "['\\Uffffffff', 'b', 'c']"),
+        *("['a\\N{DIGIT ONE}', 'b', 'c']", "['\\Uffffffff', 'b', 'c']", "{'a', 'b', 'c'}"),
+        *("[__import__('os').system('true')]", "[" * 100_000, f"[{'1,' * 1_000_000}]"),
     ],
+    ids=lambda entry: entry[:20] or "empty",
 )
 def test_class_names_in_another_form_are_refused(entry: str) -> None:
-    data = hostile_onnx.changed(hostile_onnx.set_metadata(names=entry))()
     with pytest.raises(WeightsError, match="class names"):
-        read_onnx(data)
+        read_onnx(small_export(metadata={"names": entry}))
 
 
 def weights_as_constants(model: Any) -> None:
-    """As after a simplification: constants are arrays of the graph, and nodes have no names."""
-    kept = []
-    for node in model.graph.node:
-        node.name = ""
-        if node.op_type == "Constant":
-            array = model.graph.initializer.add()
-            array.CopyFrom(node.attribute[0].t)
-            array.name = node.output[0]
-        else:
-            kept.append(node)
-    del model.graph.node[:]
-    model.graph.node.extend(kept)
+    """As without a simplification: arrays are constants of the graph."""
+    for array in model.graph.initializer:
+        node = model.graph.node.add(op_type="Constant", output=[array.name])
+        node.attribute.add(name="value", type=4).t.CopyFrom(array)
+        model.graph.node.insert(0, model.graph.node.pop())
+    del model.graph.initializer[:]
 
 
-def weights_renamed(model: Any) -> None:
-    """As torch does it where it changes weights: the names of the nodes are left."""
-    for number, array in enumerate(model.graph.initializer):
-        for node in model.graph.node:
-            node.input[:] = [f"onnx::Conv_{number}" if name == array.name else name for name in node.input]
-        array.name = f"onnx::Conv_{number}"
-    for node in model.graph.node:
-        if node.op_type == "Conv" and node.name.startswith("/m."):  # the head is a module of its own there
-            node.name = f"/model.{len(SMALL.layers) - 1}{node.name}"
+def weights_as_inputs(model: Any) -> None:
+    """As torch did it before 1.5."""
+    for array in model.graph.initializer:
+        model.graph.input.add(name=array.name)
 
 
-@pytest.mark.parametrize("change", [weights_as_constants, weights_renamed])
-def test_an_export_that_was_rewritten_without_a_change_is_read(change: Callable[[Any], None]) -> None:
-    assert_same(read_onnx(hostile_onnx.changed(change)()), random_network(0, SMALL))
+def raw_outputs(model: Any) -> None:
+    """As before v6.2, beside the boxes."""
+    model.graph.initializer.append(numpy_helper.from_array(np.array([0, 1, 8, 2, 3]), "five"))
+    model.graph.node.add(op_type="Reshape", input=["cells", "five"], output=["raw"])
+    model.graph.output.add(name="raw")
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("family", ["ghost", "transformer", "convolutions", "resized"])
-def test_layers_that_are_not_read_are_refused_with_a_remedy(family: str) -> None:
-    with pytest.raises(WeightsError, match=r"exports of such a (layer|model) are not read; use the \.pt"):
-        read_onnx(valid(EVERY_SMALL[family], opset=14))
+@pytest.mark.parametrize("change", [weights_as_constants, weights_as_inputs, raw_outputs])
+def test_an_export_of_another_exporter_is_read(change: Callable[[Any], None]) -> None:
+    assert read_onnx(hostile_onnx.changed(change)()).class_names == NAMES
 
 
-def test_an_export_is_taken_wherever_weights_are(tmp_path: Path) -> None:
+def test_an_export_is_loaded_but_not_converted(tmp_path: Path) -> None:
     path = tmp_path / "best.ONNX"
-    path.write_bytes(valid())
-    assert load_weights(path).model.class_names == ("class 0", "class 1", "class 2")
-    converted = convert(path, tmp_path / "best.safetensors", overwrite=False)
-    assert_same(converted.model, random_network(0, SMALL))
+    path.write_bytes(small_export())
+    assert isinstance(load_weights(path).content, Export)
+    with pytest.raises(WeightsError, match=r"best\.ONNX: an export to ONNX .* use the \.pt"):
+        convert(path, tmp_path / "best.safetensors", overwrite=False)
 
 
-def changes_of(model: Any) -> list[Callable[[Any], None]]:
-    """For each node of `model` changes of its operator, its inputs and its settings."""
-    found: list[Callable[[Any], None]] = []
-    for place, node in enumerate(model.graph.node):
-        found.extend(partial(set_operator, place, operator) for operator in ("Relu", "Mul", "Add"))
-        if len(node.input) > 1:
-            found.append(partial(reverse_inputs, place))
-        found.extend(
-            partial(change, place, index)
-            for index, attribute in enumerate(node.attribute)
-            for kinds, change in (((2, 7), add_one), ((4,), double))
-            if attribute.type in kinds
-        )
-    return found
+@pytest.mark.parametrize("name", hostile_onnx.FILES)
+def test_a_hostile_file_is_refused(name: str) -> None:
+    make, told = hostile_onnx.FILES[name]
+    with pytest.raises(WeightsError) as refusal:
+        read_onnx(make())
+    assert told in str(refusal.value)
 
 
-def set_operator(place: int, operator: str, model: Any) -> None:
-    model.graph.node[place].op_type = operator
+def test_the_cost_is_that_of_the_convolution() -> None:
+    cost = export_cost(read_onnx(small_export(size_hw=None)), (320, 640))
+    assert cost.multiply_adds == pytest.approx(8 * 3 * 320 * 640, rel=0.01)
 
 
-def reverse_inputs(place: int, model: Any) -> None:
-    model.graph.node[place].input.reverse()
+def test_a_cost_that_grows_out_of_proportion_is_refused_at_the_size_of_images() -> None:
+    export = read_onnx(hostile_onnx.every_place_with_every_other())
+    with pytest.raises(WeightsError, match="elements are computed"):
+        export_cost(export, (4096, 4096))
 
 
-def add_one(place: int, index: int, model: Any) -> None:
-    attribute = model.graph.node[place].attribute[index]
-    if attribute.ints:
-        attribute.ints[0] += 1
-    else:
-        attribute.i += 1
+@pytest.mark.long  # torch exports a network
+def test_the_cost_is_that_of_the_network() -> None:
+    network = random_network(0, SMALL)
+    expected = cost_of(SMALL, (320, 320))
+    found = export_cost(read_onnx(exported(network, is_dynamic=True)), (320, 320))
+    assert 1 <= found.multiply_adds / expected.multiply_adds < 1.3  # sums and activations count, too
+    assert found.weight_bytes == pytest.approx(expected.weight_bytes, rel=0.05)
+    assert found.activation_bytes == pytest.approx(expected.activation_bytes, rel=0.5)
 
 
-def double(place: int, index: int, model: Any) -> None:
-    array = model.graph.node[place].attribute[index].t
-    array.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(array) * 2, array.name))
-
-
-def computed(data: bytes, pixels: torch.Tensor) -> list[NDArray[np.float32]] | None:
-    """What ONNX Runtime computes with the graph; None if it cannot."""
-    try:
-        session = InferenceSession(data, providers=["CPUExecutionProvider"])
-        found: list[NDArray[np.float32]] = session.run(None, {session.get_inputs()[0].name: pixels.numpy()})
-    except Exception:  # noqa: BLE001 - of any kind: its graph is invalid
-        return None
-    return found
-
-
-def assert_refused_or_read_as_computed(architecture: Architecture, changes: slice) -> int:
-    """Compare what is read out of changed graphs with what they compute; the number of those accepted."""
-    original, accepted = valid(architecture), 0
-    pixels = pixels_for(architecture)
-    for change in changes_of(model_of(original))[changes]:
-        model = model_of(original)
-        change(model)
-        try:
-            read = read_onnx(serialized(model))
-        except WeightsError:
-            continue
-        accepted += 1
-        expected = computed(serialized(model), pixels)
-        if expected is not None:
-            for found, wanted in zip(outputs(read.network(), pixels), expected, strict=True):
-                np.testing.assert_allclose(found.numpy(), wanted, rtol=1e-3, atol=1e-3)
-    return accepted
-
-
-@pytest.mark.long
-def test_a_graph_with_another_operation_is_refused_or_read_as_it_computes() -> None:
-    assert_refused_or_read_as_computed(SMALL, slice(None, None, 9))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("family", ["cross-stage", "segmentation"])
-def test_graphs_of_other_layers_with_another_operation_are_refused_or_read_as_they_compute(
-    family: str,
-) -> None:
-    assert_refused_or_read_as_computed(SMALL_FAMILIES[family], slice(None, None, 5))
+def test_a_large_array_is_read_without_a_copy_of_its_structure() -> None:
+    """Only what is not raw numbers counts as structure."""
+    model = model_of(small_export())
+    model.graph.initializer.append(numpy_helper.from_array(np.zeros(2 << 20, np.float32), "unused"))
+    assert read_onnx(serialized(model)).class_names == NAMES

@@ -100,6 +100,13 @@ def test_without_the_search_for_novel_images_such_a_frame_is_not_kept(disk: Disk
     assert disk.settled() == ()
 
 
+def test_a_frame_without_a_look_is_never_novel(disk: Disk) -> None:
+    """That of an export to ONNX, whose features nobody knows."""
+    disk.collector.offer(candidate(reasons={}, embedding=np.empty(0, np.float32)))
+    disk.collector.offer(candidate(embedding=np.empty(0, np.float32)))
+    assert [[*frame.reasons] for frame in disk.settled()] == [["class"]]
+
+
 def test_near_duplicates_are_not_kept_unless_somebody_asked_for_them(disk: Disk) -> None:
     near = look_of(0) + 0.01 * look_of(1)
     disk.collector.offer(candidate(embedding=look_of(0)))

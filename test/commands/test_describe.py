@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from support.checkpoint_builder import foreign, layers_of, official_model, saved, stripped
-from support.onnx_exports import valid
+from support.onnx_exports import small_export
 from support.small_families import EVERY_SMALL, SMALL_FAMILIES
 from support.wrong_models import MODELS, fuse_all
 from torch import nn
@@ -17,7 +17,6 @@ from torch import nn
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.commands.convert import main
-from yolov5_lifecycle.models.architecture import SIZES
 
 SCREEN_LINES, SCREEN_COLUMNS = 24, 110
 
@@ -124,17 +123,15 @@ def test_a_model_that_segments_is_told_with_its_masks(
     assert facts["masks"] == "8 prototypes, computed in 8 channels"
 
 
-@pytest.mark.long
-def test_an_export_is_told_with_the_multiples_of_its_size(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "best.onnx").write_bytes(valid(SIZES["n"]))
-    (tmp_path / "small.onnx").write_bytes(valid())
+def test_an_export_is_told_with_what_it_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "best.onnx").write_bytes(small_export(has_objectness=False, masks=4))
     facts = described(tmp_path / "best.onnx", capsys)
     assert facts["written by"] == "an export to ONNX"
-    assert facts["multiples"] == "depth 0.33, width 0.25, those of size n"
+    assert facts["boxes"] == "without objectness"
+    assert facts["images"] == "colour, 96x64, fp32, batches of 1"
+    assert facts["masks"] == "4 prototypes"
+    assert facts["classes"] == "3: cat, dog, cow"
     assert facts["usable"] == "yes"
-    assert described(tmp_path / "small.onnx", capsys)["multiples"] == "depth 1, width 1"
 
 
 def test_a_trained_model_is_told_with_its_date(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

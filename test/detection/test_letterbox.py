@@ -38,6 +38,24 @@ def test_numbers_are_those_of_yolov5(source_hw: tuple[int, int], stride: int, st
 
 
 @settings(deadline=None)
+@given(source_hw=sizes_hw, stride=strides, steps=st.integers(1, 20))
+def test_a_square_that_the_image_is_fitted_into_is_the_one_of_its_longer_side(
+    source_hw: tuple[int, int], stride: int, steps: int
+) -> None:
+    side = stride * steps
+    square = Letterbox.fit(source_hw, image_size=side, stride=side)
+    assert Letterbox.into(source_hw, (side, side)) == square
+
+
+def test_the_tighter_side_decides_the_scale_of_an_image_that_is_fitted_into_a_rectangle() -> None:
+    letterbox = Letterbox.into((100, 100), (64, 96))
+    assert (letterbox.resized_hw, letterbox.top, letterbox.left) == ((64, 64), 0, 16)
+    np.testing.assert_array_equal(letterbox.undo(np.array([[16, 0, 80, 64]], np.float32)), [[0, 0, 100, 100]])
+    with pytest.raises(ValueError, match="at least 1 pixel"):
+        Letterbox.into((0, 100), (64, 96))
+
+
+@settings(deadline=None)
 @given(source_hw=sizes_hw, stride=strides)
 def test_the_frame_is_a_multiple_of_the_stride_and_as_long_as_asked(
     source_hw: tuple[int, int], stride: int

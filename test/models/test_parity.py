@@ -10,14 +10,21 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.onnx_exports import exported
+from support.runtime_names import COMPILED_RUNTIMES
 
 from yolov5_lifecycle.checkpoints.locate import load_weights
+from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection, select
 from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.runtimes.registry import load_export
+from yolov5_lifecycle.runtimes.runtime import Runtime
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 
 CASE_NAMES = ("defaults", "square frame", "small with one class", "low threshold and agnostic")
@@ -28,9 +35,12 @@ def model(reference_dir: Path) -> Model:
     return load_weights(reference_dir / "weights" / "yolov5n.pt").model
 
 
-@pytest.fixture(scope="module")
-def runtime(model: Model) -> Iterator[TorchRuntime]:
-    runtime = TorchRuntime.load(model, device="cpu", precision="fp32")
+@pytest.fixture(scope="module", params=["torch", pytest.param("export", marks=pytest.mark.long)])
+def runtime(request: pytest.FixtureRequest, model: Model) -> Iterator[Runtime]:
+    runtime: Runtime = TorchRuntime.load(model, device="cpu", precision="fp32")
+    if request.param == "export":
+        export = read_onnx(exported(model.network(), is_dynamic=True))
+        runtime = load_export(export, "onnxruntime", device="cpu", precision="auto")
     yield runtime
     runtime.close()
 
@@ -90,7 +100,7 @@ def test_the_letterboxed_image_is_the_same(case: Any, bus: ColourImage) -> None:
     assert frame.sum(dtype=np.int64) == case["letterbox_uint8_sum"]
 
 
-def test_detections_in_source_pixels_are_the_same(case: Any, bus: ColourImage, runtime: TorchRuntime) -> None:
+def test_detections_in_source_pixels_are_the_same(case: Any, bus: ColourImage, runtime: Runtime) -> None:
     letterbox = letterbox_of(case, bus)
     found = select(runtime(letterbox.apply(bus.pixels), bus.order).rows, selection_of(case))
     in_source = Detections(letterbox.undo(found.boxes_xyxy), found.scores, found.class_ids)
@@ -102,10 +112,36 @@ def test_detections_in_source_pixels_are_the_same(case: Any, bus: ColourImage, r
 
 @pytest.mark.parametrize("case", [name for name in CASE_NAMES if name != "square frame"], indirect=True)
 def test_the_detector_puts_the_same_steps_together(
-    case: Any, bus: ColourImage, model: Model, runtime: TorchRuntime
+    case: Any, bus: ColourImage, model: Model, runtime: Runtime
 ) -> None:
     image_size = case["settings"]["imgsz"]
     detector = Detector(runtime, class_names=model.class_names, image_size=image_size, stride=32)
     for image in (bus, ColourImage(np.ascontiguousarray(bus.pixels[..., ::-1]), "rgb")):
         found = detector.detect(image, selection_of(case))
         assert_same(found, case["detections_source_px"], atol_px=0.6 * max(bus.size_hw) / image_size)
+
+
+@pytest.mark.parametrize("runtime_name", COMPILED_RUNTIMES)
+def test_the_official_export_predicts_what_its_pt_predicts(
+    runtime_name: str, reference_dir: Path, model: Model, bus: ColourImage
+) -> None:
+    export = load_weights(reference_dir / "onnx" / "yolov5n_480x640.onnx").content
+    assert isinstance(export, Export)
+    frame = Letterbox.into(bus.size_hw, (480, 640)).apply(bus.pixels)
+    expected = TorchRuntime.load(model, device="cpu", precision="fp32")(frame, bus.order).rows
+    found = load_export(export, runtime_name, device="cpu", precision="auto")(frame, bus.order).rows
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "image_size", "masks"),
+    [("yolov5u_tiny", 320, 0), ("yolov8_seg_tiny", 320, 32), ("yolo11_tiny_dynamic", 416, 0)],
+)
+def test_official_exports_without_objectness_are_detected_with(
+    name: str, image_size: int, masks: int, reference_dir: Path, bus: ColourImage
+) -> None:
+    export = load_weights(reference_dir / "onnx" / f"{name}.onnx").content
+    detector = load_detector(export, image_size=image_size)
+    assert detector.class_names == ("circle", "square", "triangle", "star")
+    assert detector.mask_coefficients == masks
+    assert len(detector.detect(bus, Selection(confidence_threshold=0.001, with_masks=True))) > 0

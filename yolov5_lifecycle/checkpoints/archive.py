@@ -134,7 +134,7 @@ def _check_records(records: list[zipfile.ZipInfo], file_bytes: int) -> str:
     if any(name.endswith("/constants.pkl") for name in sizes):  # first: torch.jit compresses some records
         raise WeightsError(
             "this is a TorchScript archive, which holds a program: use the .pt that it was exported from, or "
-            "an .onnx that YOLOv5 exported from that"
+            "an .onnx exported from that"
         )
     for record in records:
         _check_record(record)

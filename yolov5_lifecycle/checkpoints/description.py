@@ -13,6 +13,7 @@ from yolov5_lifecycle.checkpoints.locate import load_weights, read_once, shown_p
 from yolov5_lifecycle.checkpoints.pickled_facts import PickledFacts, counted, pickled_facts
 from yolov5_lifecycle.models.architecture import SIZES, Architecture
 from yolov5_lifecycle.models.cost import usual_cost
+from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model, WeightsError
 from yolov5_lifecycle.models.network import Network
@@ -45,7 +46,8 @@ class Description:
             facts.append(("usable", f"no: {reason}"))
         else:
             self.is_usable = True
-            facts.extend(_of_model(weights.model))
+            content = weights.content
+            facts.extend(_of_export(content) if isinstance(content, Export) else _of_model(content))
             facts += [("sha256", weights.sha256), ("usable", "yes")]
         self.text = "".join(_lines(label, value) for label, value in dict(facts).items() if value)
 
@@ -69,8 +71,11 @@ def _of_model(model: Model) -> Iterator[tuple[str, str]]:
     yield "multiples", f"depth {depth:g}, width {width:g}{_size(architecture)}"
     yield "parameters", f"{parameters:,}{', fused' if architecture.is_fused else ''}"
     yield "cost", str(usual_cost(architecture))
-    channels = "grey" if architecture.image_channels == 1 else "colour"
-    yield "images", f"{channels}, height and width multiples of {size_multiple(architecture)}"
+    yield (
+        "images",
+        f"{_colours(architecture.image_channels)}, height and width multiples of "
+        f"{size_multiple(architecture)}",
+    )
     yield "strides", ", ".join(map(str, architecture.strides))
     yield (
         "anchors",
@@ -82,6 +87,21 @@ def _of_model(model: Model) -> Iterator[tuple[str, str]]:
     if coefficients := architecture.mask_coefficients:
         yield "masks", f"{coefficients} prototypes, computed in {architecture.prototype_channels} channels"
     yield "classes", f"{architecture.classes}: {', '.join(model.class_names)}"
+
+
+def _of_export(export: Export) -> Iterator[tuple[str, str]]:
+    yield "boxes", "with objectness, as of YOLOv5" if export.has_objectness else "without objectness"
+    size = "{1}x{0}".format(*export.size_hw) if export.size_hw else f"sides multiples of {export.stride}"
+    yield (
+        "images",
+        f"{_colours(export.channels)}, {size}, {export.precision}, batches of {export.batch or 'any'}",
+    )
+    yield "masks", f"{export.mask_coefficients} prototypes" if export.mask_coefficients else ""
+    yield "classes", f"{len(export.class_names)}: {', '.join(export.class_names)}"
+
+
+def _colours(channels: int) -> str:
+    return "grey" if channels == 1 else "colour"
 
 
 def _size(architecture: Architecture) -> str:

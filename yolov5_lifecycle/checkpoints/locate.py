@@ -9,23 +9,38 @@ import os
 import re
 import shlex
 import stat
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
-from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
+from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.model import Model, UncheckedError, WeightsError, shown
 
 MAX_FILE_BYTES = 2 << 30
 _IRREGULAR = "expected a regular file, found a folder, pipe or device"
-_READERS: dict[str, Callable[[bytes], Model]] = {
+
+
+def _read_export(data: bytes) -> Export:
+    """See `read_onnx`, which needs an optional package."""
+    try:
+        from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
+    except ImportError as error:
+        raise UncheckedError(
+            f"an export to ONNX needs the packages onnx and onnxruntime, or onnx and openvino ({error}): "
+            f"install them with {sys.executable} -m pip install onnx onnxruntime"
+        ) from None
+    return read_onnx(data)
+
+
+_READERS: dict[str, Callable[[bytes], Model | Export]] = {
     ".safetensors": read_safetensors,
     ".pt": read_checkpoint,
     ".pth": read_checkpoint,
-    ".onnx": read_onnx,
+    ".onnx": _read_export,
 }
 _URL = re.compile(r"(?!package:)([a-z][a-z0-9+.-]+):/+(.*)", re.DOTALL | re.IGNORECASE)
 _OFFICIAL = re.compile(r".*/yolov5([nsmlx]6?|[nsmlx]-seg)\.pt", re.DOTALL | re.IGNORECASE)
@@ -43,11 +58,21 @@ _EXPORTS = {
 
 @dataclass(frozen=True, eq=False)
 class WeightsFile:
-    """A weights file: its path, the digest of the loaded bytes, and the model."""
+    """A weights file: its path, the digest of the loaded bytes, and what they hold."""
 
     path: Path
     sha256: str
-    model: Model
+    content: Model | Export
+
+    @property
+    def model(self) -> Model:
+        """The network, for what computes with its layers; raises WeightsError for an export to ONNX."""
+        if isinstance(self.content, Export):
+            raise WeightsError(
+                f"{self.path}: an export to ONNX is run as it is and has no layers that could be changed, "
+                "converted or calibrated: use the .pt that it was exported from."
+            )
+        return self.content
 
 
 def find_weights(
@@ -92,7 +117,7 @@ def confined(path: Path, folders: Sequence[Path]) -> Path:
 
 
 def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
-    """Read the file at `path` once and load its model; with `sha256`, only if its bytes have that digest.
+    """Read the file at `path` once and load what it holds; with `sha256`, only if its bytes have that digest.
 
     The path in the result has its links resolved. Raises WeightsError with the path in its message,
     UncheckedError if the failure does not depend on the content of the file.
@@ -101,8 +126,8 @@ def load_weights(path: Path, *, sha256: str = "") -> WeightsFile:
         reader = _reader(path)
         data = read_once(path)
         digest = _checked_digest(data, sha256) if sha256 else ""
-        model = reader(data)
-        return WeightsFile(Path(os.path.realpath(path)), digest or hashlib.sha256(data).hexdigest(), model)
+        content = reader(data)
+        return WeightsFile(Path(os.path.realpath(path)), digest or hashlib.sha256(data).hexdigest(), content)
     except (WeightsError, MemoryError, RuntimeError) as error:
         if is_out_of_memory(error):
             refusal: WeightsError = UncheckedError("there is not enough memory to read it; free some")
@@ -177,7 +202,7 @@ def _check_path(path: Path) -> None:
         raise WeightsError(advice)
 
 
-def _reader(path: Path) -> Callable[[bytes], Model]:
+def _reader(path: Path) -> Callable[[bytes], Model | Export]:
     _check_path(path)
     if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises if a parent folder cannot be read
         raise WeightsError(f"{_IRREGULAR}: name the file itself")
@@ -185,7 +210,7 @@ def _reader(path: Path) -> Callable[[bytes], Model]:
     if suffix in _EXPORTS:
         raise WeightsError(
             f"a file that ends in {suffix} is {_EXPORTS[suffix]}: use the .pt that it was exported from, or "
-            "an .onnx that YOLOv5 exported from that"
+            "an .onnx exported from that"
         )
     reader = _READERS.get(suffix)
     if reader is None:

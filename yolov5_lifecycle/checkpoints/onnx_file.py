@@ -1,162 +1,259 @@
-"""ONNX exports by YOLOv5, read as the network that they were exported from; their graphs are never run."""
+"""Exports to ONNX: checked, and told apart by their layout, before a runtime sees them."""
 
 from __future__ import annotations
 
+import ast
+import math
 import re
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from typing import Any, NamedTuple
 
-import torch
-from torch import Tensor
+import onnx
 
-from yolov5_lifecycle.checkpoints.exported_blocks import Convolution, Parts
-from yolov5_lifecycle.checkpoints.exported_boxes import ExportedBoxes, exported_boxes
-from yolov5_lifecycle.checkpoints.exported_layers import ExportedLayers, Row, exported_layers
-from yolov5_lifecycle.checkpoints.exported_metadata import check_stride, exported_names
-from yolov5_lifecycle.checkpoints.graph_steps import GraphSteps
-from yolov5_lifecycle.checkpoints.matched_graph import MatchedGraph
-from yolov5_lifecycle.checkpoints.network_steps import head_steps
-from yolov5_lifecycle.checkpoints.onnx_graph import Graph, read_graph
-from yolov5_lifecycle.checkpoints.pickled_activations import with_activations
-from yolov5_lifecycle.checkpoints.yaml_architecture import architecture_of
-from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
-from yolov5_lifecycle.models.model import (
-    Model,
-    WeightsError,
-    blueprint,
-    check_class_names,
-    check_fit,
-    checked_model,
-)
+from yolov5_lifecycle.checkpoints.onnx_trace import Shape, Trace
+from yolov5_lifecycle.checkpoints.protobuf_fields import check_structure, damaged
+from yolov5_lifecycle.models.cost import Cost
+from yolov5_lifecycle.models.export import Export
+from yolov5_lifecycle.models.model import MAX_CLASSES, WeightsError, check_class_names, shown
 
-_UNSCALED = {"depth_multiple": 1, "width_multiple": 1, "channel_multiple": 1}
+MAX_NODES = 5_000
+"""The export of YOLOv5x6 has about 1,000."""
+_MAX_DIMENSIONS = 8
+_MAX_BATCH = 64
+_ANY_STRIDE = 64
+"""What the largest models need; exports before v6.2 do not tell theirs."""
+_MAX_STRIDE, _SMALL_SIDE, _MAX_SIDE = 1024, 128, 4096
+_FLOAT, _HALF = 1, 10
+_BYTES = {_FLOAT: 4, 2: 1, 3: 1, 6: 4, 7: 8, 9: 1, _HALF: 2, 11: 8}
+"""Of an element, by TensorProto.DataType."""
+_MAX_UNPACKED = 65_536
+"""Numbers of an array that are not raw; no weights are stored like that."""
+OPERATIONS = frozenset({
+    "Abs", "Add", "And", "ArgMax", "AveragePool", "BatchNormalization", "Cast", "Ceil", "Clip", "Concat",
+    "Constant", "ConstantOfShape", "Conv", "ConvTranspose", "CumSum", "DepthToSpace", "Div", "Elu", "Equal",
+    "Erf", "Exp", "Expand", "Flatten", "Floor", "Gather", "Gelu", "Gemm", "GlobalAveragePool",
+    "GlobalMaxPool", "Greater", "GreaterOrEqual", "HardSigmoid", "HardSwish", "Identity",
+    "InstanceNormalization", "LayerNormalization", "LeakyRelu", "Less", "LessOrEqual", "Log", "MatMul",
+    "Max", "MaxPool", "Min", "Mish", "Mod", "Mul", "Neg", "Not", "Or", "PRelu", "Pad", "Pow", "Range",
+    "Reciprocal", "ReduceL2", "ReduceMax", "ReduceMean", "ReduceSum", "Relu", "Reshape", "Resize", "Round",
+    "ScatterND", "Shape", "Sigmoid", "Slice", "Softmax", "Softplus", "SpaceToDepth", "Split", "Sqrt",
+    "Squeeze", "Sub", "Sum", "Tanh", "Tile", "Transpose", "Unsqueeze", "Upsample", "Where",
+})  # fmt: skip
+"""Those of exports: their cost follows from shapes. Without loops, branches, and selections of boxes."""
 
-
-def read_onnx(data: bytes) -> Model:
-    """The model in the bytes of an export by YOLOv5's `export.py`; raises WeightsError.
-
-    It is accepted only if its graph computes features, prototypes and boxes in the same steps as the network.
-    """
-    graph = read_graph(data)
-    _check_exporter(graph)
-    steps = GraphSteps(graph)
-    layers = exported_layers(steps)
-    head = {path: part for path, part in layers.head.items() if re.fullmatch(r"m\.\d", path)}
-    levels = [part.made for _, part in sorted(head.items())]
-    boxes = exported_boxes(graph, levels)
-    check_stride(graph.metadata, boxes.strides)
-    names = check_class_names(exported_names(graph.metadata, boxes.classes), boxes.classes)
-    architecture = _architecture(layers, boxes)
-    matched = _matched(architecture, steps, layers.head, levels)
-    architecture = with_activations(architecture, matched.activations)
-    tensors = _tensors(matched.arrays, graph, architecture, len(data))
-    return checked_model(_official(architecture), names, tensors)
+_ESCAPE = r"\\(?:[\\'\"nrt]|x[0-9a-f]{2}|u[0-9a-f]{4}|U[0-9a-f]{8})"
+_NAME = rf"'(?:[^'\\\n]|{_ESCAPE})*'|\"(?:[^\"\\\n]|{_ESCAPE})*\"|-?\d{{1,18}}|True|False|None"
+_NAMES = re.compile(rf"[\[{{]\s*(?:(?:\d{{1,6}}\s*:\s*)?(?:{_NAME})\s*(?:,\s*|(?=[\]}}])))*[\]}}]")
+"""The text of a flat list, or of a dict by number: what can be parsed at a known cost."""
+_MAX_NAMES = 1 << 18
 
 
-def _check_exporter(graph: Graph) -> None:
-    if "task" in graph.metadata and "imgsz" in graph.metadata:
-        raise WeightsError(
-            "this export belongs to the ultralytics package (YOLOv8 or later, or a YOLOv5 'u' model); "
-            "expected one by YOLOv5's own export.py"
-        )
+class _Images(NamedTuple):
+    """What the graph reads; None where any number or size is taken."""
+
+    name: str
+    is_half: bool
+    batch: int | None
+    channels: int
+    size_hw: tuple[int, int] | None
 
 
-def _architecture(layers: ExportedLayers, boxes: ExportedBoxes) -> Architecture:
-    """The architecture with the channels and repeats of the graph, and multiples of 1."""
-    *body, (sources, repeats, _, _) = layers.rows
-    last: Row = [sources, repeats, "Detect", []]
-    if boxes.coefficients:
-        prototypes = _prototypes(layers.head)
-        arguments = ["nc", "anchors", boxes.coefficients, prototypes["cv1"].channels_out]
-        last = [sources, repeats, "Segment", arguments]
-    architecture = architecture_of(
-        _UNSCALED | {"backbone": [*body, last], "head": []},
-        classes=boxes.classes,
-        anchors_px=boxes.anchors_px,
-        strides=boxes.strides,
-        image_channels=layers.image_channels,
+def read_onnx(data: bytes) -> Export:
+    """The export in the bytes of an ONNX file, which is not run. Raises WeightsError."""
+    model = _parsed(data)
+    _check_graph(model)
+    metadata = {entry.key: entry.value for entry in model.metadata_props}
+    _check_task(metadata)
+    images = _images(model.graph)
+    stride = _stride(metadata, images.size_hw)
+    side = math.ceil(_SMALL_SIDE / stride) * stride
+    trace = Trace(model, images.name, _planes(images, images.size_hw or (side, side)))
+    shapes = [trace.shapes[output.name] for output in model.graph.output]
+    boxes, prototypes = _placed(shapes, images.batch or 1)
+    masks = 0 if prototypes is None else shapes[prototypes][1]
+    names = _told_names(metadata)
+    has_objectness, classes = _layout(shapes[boxes], masks, names)
+    return Export(
+        graph=data,
+        class_names=check_class_names(names or {}, classes, remedy="export the model again, with its names"),
+        channels=images.channels,
+        stride=stride,
+        is_half=images.is_half,
+        has_objectness=has_objectness,
+        mask_coefficients=masks,
+        boxes=boxes,
+        prototypes=prototypes,
+        size_hw=images.size_hw,
+        batch=images.batch,
     )
-    return replace(architecture, is_fused=True)
 
 
-def _prototypes(head: Mapping[str, Convolution]) -> dict[str, Convolution]:
-    found = {number: head.get(f"proto.{number}.conv") for number in ("cv1", "cv2", "cv3")}
-    if not all(found.values()):
+def export_cost(export: Export, size_hw: tuple[int, int]) -> Cost:
+    """The cost of a run for images of `size_hw`; raises WeightsError if it is out of proportion."""
+    model = onnx.load_from_string(export.graph)
+    images = _images(model.graph)
+    return Trace(model, images.name, _planes(images, size_hw)).cost
+
+
+def _planes(images: _Images, size_hw: tuple[int, int]) -> Shape:
+    return (images.batch or 1, images.channels, *size_hw)
+
+
+def _parsed(data: bytes) -> Any:
+    check_structure(data)
+    try:
+        model = onnx.load_from_string(data)
+    except Exception:  # noqa: BLE001 - DecodeError of protobuf, which only onnx depends on
+        raise damaged("its messages") from None
+    if not model.graph.node:
+        raise damaged("it has no graph")
+    return model
+
+
+def _check_graph(model: Any) -> None:
+    """Raise WeightsError for what could read files, or whose cost cannot be told."""
+    graph = model.graph
+    if len(graph.node) > MAX_NODES:
+        raise WeightsError(f"the graph has {len(graph.node):,} operations, at most {MAX_NODES:,} are read")
+    if sum(opset.domain in ("", "ai.onnx") for opset in model.opset_import) != 1:
+        raise damaged("no version of its operations, or two")
+    if model.functions or model.training_info or graph.sparse_initializer:
+        raise WeightsError("it has functions, training or sparse arrays, which no export of YOLO has")
+    for node in graph.node:
+        if node.domain not in ("", "ai.onnx"):
+            raise WeightsError(f"the graph has operations of {shown(node.domain)}, which are not run")
+        if any(
+            each.HasField("g") or each.graphs or each.HasField("sparse_tensor") for each in node.attribute
+        ):
+            raise WeightsError("the graph has branches or loops, which no export of YOLO has: use the .pt")
+        if node.op_type not in OPERATIONS:
+            raise WeightsError(
+                f"the graph has the operation {shown(node.op_type)}: an export that selects boxes itself or "
+                "does anything else but compute them is not read; export it again with nms=False"
+            )
+    for array in _arrays(graph):
+        _check_array(array)
+
+
+def _arrays(graph: Any) -> Iterator[Any]:
+    yield from graph.initializer
+    for node in graph.node:
+        for attribute in node.attribute:
+            yield from attribute.tensors
+            if attribute.HasField("t"):
+                yield attribute.t
+
+
+def _check_array(array: Any) -> None:
+    if array.external_data or array.data_location != onnx.TensorProto.DEFAULT:
         raise WeightsError(
-            "its predictions have coefficients of masks, but there are no prototypes: use the .pt"
+            f"the numbers of {shown(array.name)} lie in another file, which is not opened: export the model "
+            "again, as one file"
         )
-    return {number: part for number, part in found.items() if part is not None}
-
-
-def _matched(architecture: Architecture, steps: GraphSteps, head: Parts, levels: list[str]) -> MatchedGraph:
-    """The graph as that of `architecture`, compared with it from the head up to the pixels."""
-    expected, prototypes = head_steps(blueprint(architecture))
-    matched = MatchedGraph(steps)
-    for step, value in zip(expected, levels, strict=True):
-        matched.compare(step, value)
-    if prototypes is not None:
-        made = _prototypes(head)["cv3"].made
-        matched.compare(prototypes, made)
-        if made not in steps.graph.outputs:
-            raise WeightsError("the prototypes of masks are no output of the graph: use the .pt")
-    return matched
-
-
-def _tensors(
-    arrays: Mapping[str, str], graph: Graph, architecture: Architecture, file_bytes: int
-) -> dict[str, Tensor]:
-    """The tensors of the network; those with equal numbers may share an array of the file."""
-    stored = {key: graph.arrays[name] for key, name in arrays.items()}
-    total_bytes = sum(len(array.content) for array in stored.values())
-    if total_bytes > 2 * file_bytes:
-        raise WeightsError(f"its weights claim {total_bytes} bytes, but the file has {file_bytes}")
-    blank = blueprint(architecture).state_dict()
-    anchors = f"model.{len(architecture.layers) - 1}.anchors"
-    made = {key: tensor for key, tensor in blank.items() if key.endswith("num_batches_tracked")}
-    claimed = {key: array.on_meta() for key, array in stored.items()}
-    check_fit(blank, claimed | made | {anchors: blank[anchors]})
-    tensors = {key: torch.from_numpy(array.numbers()) for key, array in stored.items()}
-    strides = torch.tensor(architecture.strides).view(-1, 1, 1)
-    counters = {key: torch.zeros(tensor.shape, dtype=tensor.dtype) for key, tensor in made.items()}
-    return tensors | counters | {anchors: torch.tensor(architecture.anchors_px) / strides}
-
-
-def _official(architecture: Architecture) -> Architecture:
-    """`architecture` with the multiples of the official size that has the same layers, if there is one."""
-    for size in SIZES.values():
-        head = architecture.layers[-1].kind
-        layers = size.layers
-        if head == "Segment":
-            coefficients = architecture.mask_coefficients
-            layers = (*layers[:-1], layers[-1]._replace(kind="Segment", args=(coefficients, 256)))
-        candidate = replace(
-            architecture,
-            layers=layers,
-            depth_multiple=size.depth_multiple,
-            width_multiple=size.width_multiple,
-            channel_multiple=size.channel_multiple,
+    if array.data_type not in _BYTES:
+        raise WeightsError(f"the array {shown(array.name)} holds numbers of kind {array.data_type}")
+    if len(array.dims) > _MAX_DIMENSIONS or min(array.dims, default=1) < 0:
+        raise WeightsError(f"the array {shown(array.name)} has the shape {shown(list(array.dims[:9]))}")
+    elements = math.prod(array.dims)
+    if array.HasField("raw_data"):
+        is_whole = elements * _BYTES[array.data_type] == len(array.raw_data)
+    else:
+        is_whole = elements <= _MAX_UNPACKED
+    if not is_whole:
+        raise WeightsError(
+            f"the array {shown(array.name)} of shape {shown(list(array.dims))} has {len(array.raw_data)} "
+            "bytes: copy or export the file again"
         )
-        if _scaled(candidate) == _scaled(architecture):
-            return candidate
-    return architecture
 
 
-def _scaled(architecture: Architecture) -> list[Any]:
-    """The layers with the numbers of channels and repeats that they are built with."""
-    return [_scaled_layer(layer, architecture) for layer in architecture.layers] + [
-        architecture.prototype_channels if architecture.mask_coefficients else 0
-    ]
+def _images(graph: Any) -> _Images:
+    arrays = {array.name for array in graph.initializer}  # torch before 1.5 lists weights as inputs, too
+    found = [each for each in graph.input if each.name not in arrays]
+    if len(found) != 1:
+        raise WeightsError(f"expected a graph that reads images only, found {len(found)} inputs")
+    tensor = found[0].type.tensor_type
+    planes: list[Any] = [each.dim_value if each.HasField("dim_value") else None for each in tensor.shape.dim]
+    if tensor.elem_type not in (_FLOAT, _HALF) or len(planes) != 4 or planes[1] not in (1, 3):
+        raise WeightsError(
+            f"expected images [batch, 3 or 1, height, width] of float32 or float16, found {shown(planes)} of "
+            f"the element type {tensor.elem_type}: an export with its own preprocessing is not read"
+        )
+    batch, channels, *sides = planes
+    if (None in sides and sides != [None, None]) or not 0 < (1 if batch is None else batch) <= _MAX_BATCH:
+        raise WeightsError(
+            f"expected height and width both fixed or both free, and batches of 1 to {_MAX_BATCH}, found "
+            f"{shown(planes)}"
+        )
+    height, width = sides
+    size_hw = None if height is None or width is None else (height, width)
+    return _Images(found[0].name, tensor.elem_type == _HALF, batch, channels, size_hw)
 
 
-def _scaled_layer(layer: Layer, architecture: Architecture) -> Layer:
-    args = layer.args
-    if layer.kind in ("Conv", "C3", "SPPF") and isinstance(args[0], int):
-        args = (architecture.scaled_channels(args[0]), *map(_plain, args[1:]))
-    if layer.kind == "Segment":
-        args = args[:1]
-    return layer._replace(args=args, repeats=layer.scaled_repeats(architecture.depth_multiple))
+def _stride(metadata: Mapping[str, str], size_hw: tuple[int, int] | None) -> int:
+    """The largest stride; raises WeightsError unless a fixed size is a multiple of it."""
+    told = re.fullmatch(r"([1-9]\d{0,3})(?:\.0)?", metadata.get("stride", str(_ANY_STRIDE)), re.ASCII)
+    stride = int(told[1]) if told else 0
+    if "stride" not in metadata and size_hw:
+        stride = math.gcd(*size_hw, _ANY_STRIDE)
+    if not 0 < stride <= _MAX_STRIDE or any(
+        side % stride or not 0 < side <= _MAX_SIDE for side in size_hw or ()
+    ):
+        raise WeightsError(
+            f"expected a stride up to {_MAX_STRIDE} in the metadata, and height and width of images that are "
+            f"multiples of it, up to {_MAX_SIDE}, found {shown(metadata.get('stride'))} and {size_hw}"
+        )
+    return stride
 
 
-def _plain(argument: Any) -> Any:
-    return int(argument) if isinstance(argument, bool) else argument
+def _check_task(metadata: Mapping[str, str]) -> None:
+    task = metadata.get("task", "detect")
+    if task not in ("detect", "segment"):
+        raise WeightsError(f"it was made for the task {shown(task)}, expected detect or segment")
+    if metadata.get("end2end", "False") != "False":
+        raise WeightsError("it selects boxes itself (end2end): export it again with end2end=False, nms=False")
+
+
+def _placed(shapes: list[Shape], batch: int) -> tuple[int, int | None]:
+    """Which outputs are the boxes and the prototypes; raw outputs beside them, as before v6.2, are unused."""
+    boxes = [place for place, shape in enumerate(shapes) if len(shape) == 3]
+    prototypes = [place for place, shape in enumerate(shapes) if len(shape) == 4]
+    if len(boxes) != 1 or len(prototypes) > 1 or any(shape[:1] != (batch,) for shape in shapes):
+        raise WeightsError(
+            "expected boxes of three dimensions and, of a model that segments, prototypes of four, found "
+            f"outputs {', '.join(map(shown, shapes[:8]))}: exports with raw outputs are not read"
+        )
+    return boxes[0], prototypes[0] if prototypes else None
+
+
+def _layout(shape: Shape, masks: int, names: Mapping[int, object] | None) -> tuple[bool, int]:
+    """Whether there is objectness, and the number of classes; raises WeightsError."""
+    _, rows, columns = shape
+    with_objectness, without = columns - 5 - masks, rows - 4 - masks
+    classes = (
+        (with_objectness if rows > columns else without) if names is None else max(names, default=-1) + 1
+    )
+    if not 0 < classes <= MAX_CLASSES or classes not in (with_objectness, without):
+        raise WeightsError(
+            f"expected boxes [batch, N, {5 + masks} + classes] or [batch, {4 + masks} + classes, N] with "
+            f"{'1' if names is None else classes} to {MAX_CLASSES} classes, found {shown(shape)}: they have "
+            "another meaning; export a model that detects or segments"
+        )
+    return classes == with_objectness, classes
+
+
+def _told_names(metadata: Mapping[str, str]) -> dict[int, object] | None:
+    """The class names by index, read as a literal; None before v6.2, which told none. Raises WeightsError."""
+    entry = metadata.get("names", "").strip()
+    if "names" not in metadata:
+        return None
+    names: object = None
+    if len(entry) <= _MAX_NAMES and _NAMES.fullmatch(entry):
+        with suppress(SyntaxError, ValueError):
+            names = ast.literal_eval(entry)
+    if not isinstance(names, (list, dict)):
+        raise WeightsError(
+            f"expected a list or dict of class names in the metadata, of at most {_MAX_NAMES:,} characters, "
+            f"found {shown(entry)}: export the model again"
+        )
+    return dict(enumerate(names)) if isinstance(names, list) else names

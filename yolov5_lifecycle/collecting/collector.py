@@ -131,7 +131,7 @@ class Collector:
         if distance < rules.duplicate_distance and _shows_nothing_new(candidate, folder.looks):
             self._count(duplicates=1)
             return
-        if rules.novelty and distance >= rules.novelty:
+        if rules.novelty and len(candidate.embedding) and distance >= rules.novelty:
             reasons[Reason.NOVEL] = _novelty(distance)
         if not reasons:
             return

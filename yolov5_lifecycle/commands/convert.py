@@ -1,4 +1,4 @@
-"""Command `convert IN.pt OUT.safetensors`: convert a checkpoint or an ONNX export to a file of data only.
+"""Command `convert IN.pt OUT.safetensors`: convert a checkpoint to a file of data only.
 
 `convert --describe FILE` shows what a file contains.
 """

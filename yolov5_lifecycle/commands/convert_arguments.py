@@ -11,7 +11,7 @@ def command_parser() -> CommandParser:
     """The argument parser of the command."""
     parser = CommandParser(
         "convert",
-        description="Convert a YOLOv5 checkpoint or ONNX export to .safetensors, without running any of it.",
+        description="Convert a YOLOv5 checkpoint to .safetensors, without running any of it.",
         usage="%(prog)s IN.pt OUT.safetensors [--force]\n       %(prog)s --describe FILE",
     )
     parser.add_argument("source", type=Path, metavar="IN.pt", nargs="?")

@@ -33,7 +33,8 @@ class Detector:
     `stride`, the largest stride of the model; else ValueError. `choice` and `precision_choice`: why this
     runtime and its precision were selected.
     `mask_coefficients`: their number per prediction, 0 if the model does not segment. `cost`: of an image of
-    `image_size` x `image_size`, None if it is unknown.
+    `image_size` x `image_size`, None if it is unknown. `fixed_hw`: the only size of the network input, if the
+    model takes no other.
     `selection`: the thresholds and classes of a call; may be replaced.
     """
 
@@ -48,6 +49,7 @@ class Detector:
         precision_choice: str = "as set",
         mask_coefficients: int = 0,
         cost: Cost | None = None,
+        fixed_hw: tuple[int, int] | None = None,
     ) -> None:
         check_image_size(image_size, stride)
         self.runtime = runtime
@@ -58,6 +60,7 @@ class Detector:
         self.stride = stride
         self.mask_coefficients = mask_coefficients
         self.cost = cost
+        self.fixed_hw = fixed_hw
         self.selection = Selection()
         self._in_use = threading.RLock()
 
@@ -90,6 +93,8 @@ class Detector:
         return self.mask_coefficients > 0
 
     def _letterbox(self, size_hw: tuple[int, int]) -> Letterbox:
+        if self.fixed_hw is not None:
+            return Letterbox.into(size_hw, self.fixed_hw)
         return Letterbox.fit(size_hw, image_size=self.image_size, stride=self.stride)
 
     def _detections(self, predictions: Predictions, letterbox: Letterbox, selection: Selection) -> Detections:
@@ -144,6 +149,7 @@ class Detector:
             precision_choice=self.precision_choice,
             mask_coefficients=self.mask_coefficients,
             cost=self.cost,
+            fixed_hw=self.fixed_hw,
         )
         twin.selection = self.selection
         return twin

@@ -42,10 +42,28 @@ class Letterbox:
             raise ValueError(f"The image size must be a positive multiple of {stride}, found {image_size}.")
         scale = image_size / max(source_hw)
         height, width = (max(round(side * scale), 1) for side in source_hw)
-        padding_hw = ((image_size - height) % stride, (image_size - width) % stride)
-        network_hw = (height + padding_hw[0], width + padding_hw[1])
-        top, left = (round(padding / 2 - 0.1) for padding in padding_hw)
-        return cls(source_hw, network_hw, (height, width), top, left)
+        network_hw = (height + (image_size - height) % stride, width + (image_size - width) % stride)
+        return cls._centred(source_hw, network_hw, (height, width))
+
+    @classmethod
+    def into(cls, source_hw: tuple[int, int], network_hw: tuple[int, int]) -> Letterbox:
+        """Scale an image up or down so that it just fits into `network_hw`, of which the rest is padded.
+
+        Raises ValueError when a side is not positive.
+        """
+        if min(source_hw) < 1:
+            raise ValueError(f"The sides of an image must be at least 1 pixel, found {source_hw}.")
+        scale = min(side / source for side, source in zip(network_hw, source_hw, strict=True))
+        height, width = (max(round(side * scale), 1) for side in source_hw)
+        return cls._centred(source_hw, network_hw, (height, width))
+
+    @classmethod
+    def _centred(
+        cls, source_hw: tuple[int, int], network_hw: tuple[int, int], resized_hw: tuple[int, int]
+    ) -> Letterbox:
+        paddings = (side - inner for side, inner in zip(network_hw, resized_hw, strict=True))
+        top, left = (round(padding / 2 - 0.1) for padding in paddings)
+        return cls(source_hw, network_hw, resized_hw, top, left)
 
     def apply(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Image (H, W, 3) or (H, W) -> network input (h, w, 3) or (h, w), uint8 in any order of channels."""

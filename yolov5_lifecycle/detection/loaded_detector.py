@@ -7,14 +7,15 @@ from functools import partial
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.models.cost import checked_cost
+from yolov5_lifecycle.models.cost import check_memory, checked_cost
+from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.quantization.calibration_file import Calibration, CalibrationError
 from yolov5_lifecycle.quantization.comparison import deviation
 from yolov5_lifecycle.quantization.precision_choice import Used, Wish, choose
 from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
-from yolov5_lifecycle.runtimes.registry import load_runtime
+from yolov5_lifecycle.runtimes.registry import load_export, load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 from yolov5_lifecycle.runtimes.torch_device import resolve_device
 
@@ -22,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 def load_detector(
-    model: Model,
+    model: Model | Export,
     *,
     device: str = "auto",
     precision: str = "auto",
@@ -43,6 +44,8 @@ def load_detector(
     CalibrationError (all ValueErrors), ValueError for the image size or if the memory is too small for it,
     InferenceError when measuring fails.
     """
+    if isinstance(model, Export):
+        return _of_export(model, device=device, precision=precision, image_size=image_size, runtime=runtime)
     stride = size_multiple(model.architecture)
     check_image_size(image_size, stride)
     cost = checked_cost(model.architecture, image_size, is_in_memory=_is_on_cpu(runtime, device))
@@ -103,6 +106,33 @@ def _loaded(
     _log.warning("Running in fp32 instead of int8, because the calibration is not usable: %s", problem)
     used = used.without_int8(f"the calibration is not usable: {problem}")
     return used, load(used.runtime.runtime, precision="fp32")
+
+
+def _of_export(export: Export, *, device: str, precision: str, image_size: int, runtime: str) -> Detector:
+    """A detector that runs `export` as it is; a fixed size of its images must be that of `image_size`."""
+    if export.size_hw and image_size != max(export.size_hw):
+        height, width = export.size_hw
+        raise ValueError(
+            f"Image size {image_size}: this export takes images of {width}x{height} only. Set image_size to "
+            f"{max(export.size_hw)}."
+        )
+    check_image_size(image_size, export.stride)
+    from yolov5_lifecycle.checkpoints.onnx_file import export_cost  # without exports there may be no onnx
+
+    cost = export_cost(export, export.size_hw or (image_size, image_size))
+    check_memory(cost, cost.memory_bytes)
+    loaded = load_export(export, runtime, device=device, precision=precision)
+    return Detector(
+        loaded,
+        class_names=export.class_names,
+        image_size=image_size,
+        stride=export.stride,
+        choice="as set" if runtime != "auto" else "the first that is installed and runs exports",
+        precision_choice="that of the export",
+        mask_coefficients=export.mask_coefficients,
+        cost=cost,
+        fixed_hw=export.size_hw,
+    )
 
 
 def _is_on_cpu(runtime: str, device: str) -> bool:

@@ -99,7 +99,7 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
     )
     try:
         detector = load_detector(
-            weights.model,
+            weights.content,
             runtime=settings.runtime,
             device=settings.device,
             precision=settings.precision,

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from yolov5_lifecycle.atomic_file import write_whole
 from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.quantization.reference import Reference
@@ -201,6 +202,8 @@ def find_calibration(
     Precision int8 needs one: raises CalibrationError without it, and what `allowed` raises for a path outside
     the folders of the user. With auto, an unusable calibration is only logged; other precisions need none.
     """
+    if isinstance(weights.content, Export):
+        return "an export to ONNX is run as it is"
     if not _is_considered(precision, device):
         return "int8 was not requested"
     path = path_beside(weights.path)

@@ -62,14 +62,10 @@ class CompiledRuntime:
 
         Raises DeviceError for a device that the engine does not support, and QuantizationError.
         """
-        if device not in ("auto", "cpu"):
-            raise DeviceError(
-                f"Runtime '{engine.name}' runs on the CPU only, found device {device[:40]!r}. "
-                "Use device 'cpu' or runtime 'torch'."
-            )
+        check_processor(device, engine)
         store = CompiledStore(cache_folder("compiled"))
         compiler = Compiler(model, engine, store, quantization)
-        return cls(_Shared(compiler, Threads(torch.get_num_threads())), engine, kept=kept)
+        return cls(_Shared(compiler, processor_threads()), engine, kept=kept)
 
     @property
     def name(self) -> str:
@@ -121,6 +117,20 @@ class CompiledRuntime:
         if (shared := self._shared) is None:
             raise closed()
         return shared
+
+
+def check_processor(device: str, engine: Engine, *, otherwise: str = "runtime 'torch'") -> None:
+    """Raise DeviceError unless `device` is the one that `engine` supports; `otherwise`: what to use then."""
+    if device not in ("auto", "cpu"):
+        raise DeviceError(
+            f"Runtime '{engine.name}' runs on the CPU only, found device {device[:40]!r}. "
+            f"Use device 'cpu' or {otherwise}."
+        )
+
+
+def processor_threads() -> Threads:
+    """As many as torch uses."""
+    return Threads(torch.get_num_threads())
 
 
 class _Shared:

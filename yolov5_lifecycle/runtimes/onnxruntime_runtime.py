@@ -12,7 +12,6 @@ import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as state
 
 from yolov5_lifecycle.runtimes.compiler import Engine, Loaded, Threads
-from yolov5_lifecycle.runtimes.onnx_graph_builder import INPUT
 from yolov5_lifecycle.unfinished import remove_abandoned_folders, temporary_folder
 
 _log = logging.getLogger(__name__)
@@ -69,7 +68,8 @@ def _session(graph: bytes, threads: Threads, optimized_file: str = "") -> Loaded
     session = onnxruntime.InferenceSession(
         graph, options, providers=["CPUExecutionProvider"], disabled_optimizers=disabled
     )
-    return Loaded(lambda: lambda values: session.run(None, {INPUT: values}))
+    (name,) = (each.name for each in session.get_inputs())
+    return Loaded(lambda: lambda values: session.run(None, {name: values}))
 
 
 def _waiting() -> tuple[str, str]:

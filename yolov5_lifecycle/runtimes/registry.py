@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import torch
 
+from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes.cache import installed_build
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT
@@ -28,6 +28,7 @@ REQUIREMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Packages that each runtime imports; all but torch have a pip extra of the same name."""
 
 
+_FOR_EXPORTS = ("onnxruntime", "openvino")
 COARSE_RUNTIME: Final = "openvino"
 """The runtime for the precisions in COARSE; ONNX Runtime is slower in int8 than in fp32."""
 COARSE = ("int8", "bf16")
@@ -72,8 +73,35 @@ def load_runtime(
     if precision not in COARSE:
         resolve_precision(precision, torch.device("cpu"))
         precision = "fp32"
-    load = _compiled(runtime, precision)
-    return load(model, device=device, quantization=quantization if precision == "int8" else None, kept=kept)
+    engine = _imported_engine(runtime, precision)
+    from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
+
+    used = quantization if precision == "int8" else None
+    return CompiledRuntime.load(model, engine, device=device, quantization=used, kept=kept)
+
+
+def load_export(export: Export, runtime: str, *, device: str, precision: str) -> Runtime:
+    """Load `export` in the runtime onnxruntime or openvino; `auto` is the first of them that is installed.
+
+    Raises RuntimeAbsentError and DeviceError, both ValueErrors; InferenceError if the runtime cannot load it.
+    """
+    if precision not in ("auto", export.precision):
+        raise DeviceError(
+            f"Precision '{precision[:40]}' needs the layers of the network, but an export to ONNX is run as "
+            f"it is, this one in {export.precision}. Use precision 'auto', or the .pt."
+        )
+    if runtime == "auto":
+        present = [name for name in _FOR_EXPORTS if name in installed_runtimes()]
+        runtime = (present or _FOR_EXPORTS)[0]
+    if runtime not in _FOR_EXPORTS:
+        raise RuntimeAbsentError(
+            f"Runtime {runtime[:40]!r} cannot run an export to ONNX, which is run as it is. Use runtime "
+            "'auto', 'onnxruntime' or 'openvino', or the .pt."
+        )
+    engine = _imported_engine(runtime, "fp32")
+    from yolov5_lifecycle.runtimes.exported_runtime import ExportedRuntime
+
+    return ExportedRuntime.load(export, engine, device=device)
 
 
 def _check_coarse(runtime: str, precision: str, quantization: Quantization | None) -> None:
@@ -94,8 +122,8 @@ def _check_coarse(runtime: str, precision: str, quantization: Quantization | Non
         )
 
 
-def _compiled(runtime: str, precision: str) -> Callable[..., Runtime]:
-    """`CompiledRuntime.load` with the engine of `runtime`. Raises RuntimeAbsentError.
+def _imported_engine(runtime: str, precision: str) -> Engine:
+    """The engine of `runtime`. Raises RuntimeAbsentError.
 
     Imported here because the packages are optional. A package that does not fit another one, such as numpy,
     may raise anything.
@@ -104,9 +132,7 @@ def _compiled(runtime: str, precision: str) -> Callable[..., Runtime]:
         for package in REQUIREMENTS[runtime]:
             if installed_build(package) is None:  # importing an unrelated folder of that name would succeed
                 raise ImportError(f"package {package} not found")
-        from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
-
-        return partial(CompiledRuntime.load, engine=_engine(runtime, precision))
+        return _engine(runtime, precision)
     except ImportError as error:
         raise _absent(runtime, "is not installed", str(error), "") from error
     except Exception as error:

@@ -34,7 +34,8 @@ class Predictions:
     compute_embedding: Callable[[], NDArray[np.float32]] | None = None
     """What the whole frame looks like, (C,): the features of the coarsest level, their mean over all cells.
 
-    Computed as the prototypes are. None for a runtime without one, such as a test's.
+    Computed as the prototypes are; (0,) for an export to ONNX, whose features are not its outputs. None for a
+    runtime without one, such as a test's.
     """
 
 

@@ -34,7 +34,7 @@ def command_parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("weights", type=Path, metavar="WEIGHTS", help="weights, .pt, .safetensors or .onnx")
+    parser.add_argument("weights", type=Path, metavar="WEIGHTS", help="weights, .pt or .safetensors")
     parser.add_argument(
         "data",
         type=Path,
