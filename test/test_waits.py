@@ -16,6 +16,8 @@ BLOCKING = {"wait": 1, "join": 1, "result": 1, "acquire": 1, "wait_for": 2, "get
 DONE = "the future is done: an awaited callback has it"
 ALLOWED = {
     "streaming.worker._next_job": "the inference thread itself waits for work",
+    "ros.child_process.__exit__": "of `demo` and its like, after SIGKILL",
+    "ros.observer.call": DONE,
     "ros.detector.session.model": f"{DONE}, unless a program activates the node without its executor",
     "ros.detector.session.apply": DONE,
     "ros.detector.model_loader.load": DONE,

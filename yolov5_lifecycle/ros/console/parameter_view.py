@@ -13,6 +13,7 @@ from rcl_interfaces.msg import ParameterDescriptor, ParameterType, ParameterValu
 from rclpy.parameter import parameter_value_to_python
 
 from yolov5_lifecycle.printable import in_one_line, printable
+from yolov5_lifecycle.settings.schema import Change
 
 _TYPES = {
     ParameterType.PARAMETER_BOOL: "bool",
@@ -29,8 +30,9 @@ _EXPECTED = {
     "string_array": "a list of strings",
 }
 _INTEGERS = range(-(2**63), 2**63)
+_KINDS = "|".join(change.value.partition(":")[0] for change in Change)
 _CONSTRAINTS = re.compile(
-    r"(?P<allowed>.*); default (?P<default>.*); (?P<change>live|reload|cameras|resubscribe|read-only): "
+    rf"(?P<allowed>.*); default (?P<default>.*); (?P<change>{_KINDS}): "
     r".*?(?P<scope>; per camera)?",
     re.DOTALL,
 )
