@@ -44,6 +44,10 @@ def images(path: Path) -> list[RecordedImage]:
         pytest.param(mcap([chunk(CAMERA + ALL)], [CAMERA]), id="without statistics"),
         pytest.param(mcap([chunk(CAMERA + ALL)], [STATISTICS]), id="without channels in the summary"),
         pytest.param(
+            mcap([chunk(CAMERA + ALL)], [channel(1, TOPIC, IMAGE, has_schema=False), STATISTICS]),
+            id="without schemas in the summary",
+        ),
+        pytest.param(
             mcap([chunk(CAMERA + ALL)], [CAMERA, statistics({})]), id="without counts in the statistics"
         ),
         pytest.param(mcap([CAMERA, *IMAGES], profile=""), id="without profile"),

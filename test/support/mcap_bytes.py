@@ -20,11 +20,13 @@ def text(content: str) -> bytes:
     return struct.pack("<I", len(content.encode())) + content.encode()
 
 
-def channel(number: int, topic: str, type_name: str, *, encoding: str = "cdr") -> bytes:
-    """A channel and its schema, which has the same number."""
+def channel(
+    number: int, topic: str, type_name: str, *, encoding: str = "cdr", has_schema: bool = True
+) -> bytes:
+    """A channel and before it its schema, which has the same number."""
     schema = struct.pack("<H", number) + text(type_name) + text("ros2msg") + text("")
     described = struct.pack("<HH", number, number) + text(topic) + text(encoding) + text("")
-    return record(SCHEMA, schema) + record(CHANNEL, described)
+    return (record(SCHEMA, schema) if has_schema else b"") + record(CHANNEL, described)
 
 
 def message(number: int, time_ns: int, data: bytes) -> bytes:

@@ -51,7 +51,7 @@ class McapFile:
             self._data_start, self._data_end = self._bounds()
             self._channels: dict[int, StoredTopic] = {}
             self._schemas: dict[int, str] = {}
-            self._counts = self._summarised() or self._counted()
+            self._counts = self._summary_counts() or self._counted()
         except BaseException:
             self.close()
             raise
@@ -90,15 +90,18 @@ class McapFile:
             raise DamageError("its end is missing")
         return start + size, end
 
-    def _summarised(self) -> Counter[int] | None:
-        """Counts of the summary at the end; None unless it has statistics, and what these say."""
+    def _summary_counts(self) -> Counter[int] | None:
+        """Counts of the summary at the end; None unless it has statistics, and what these say.
+
+        Writers may leave out of it schemas, channels or counts.
+        """
         self._file.seek(self._data_end + _RECORD.size)
         (start,) = _U64.unpack(self._file.read(_U64.size))
         if not self._data_start <= start < self._data_end:
             return None
         self._file.seek(start)
         summary = _Contents(self._file, self._data_end - start)
-        claimed: tuple[int, int, Counter[int]] | None = None
+        claimed: tuple[int, int, int, Counter[int]] | None = None
         for opcode, _ in summary.records():
             if opcode == _STATISTICS:
                 claimed = _statistics(summary)
@@ -106,11 +109,14 @@ class McapFile:
                 self._describe(opcode, summary)
         if claimed is None:
             return None
-        messages, channels, counts = claimed
-        return counts if (counts.total(), len(self._channels)) == (messages, channels) else None
+        messages, schemas, channels, counts = claimed
+        found = counts.total(), len(self._schemas), len(self._channels)
+        return counts if found == (messages, schemas, channels) else None
 
     def _counted(self) -> Counter[int]:
         """Counts of all messages, which are read for that, as are the channels."""
+        self._schemas.clear()
+        self._channels.clear()
         return Counter(channel for channel, *_ in self._messages())
 
     def _messages(self) -> Iterator[tuple[int, int, _Contents, int]]:
@@ -247,10 +253,10 @@ def _text(contents: _Contents) -> str:
     return contents.take(size).decode("utf-8", "replace")
 
 
-def _statistics(contents: _Contents) -> tuple[int, int, Counter[int]]:
-    """Claimed number of messages, of channels, and of the messages of each channel."""
-    messages, _, channels, *_ = contents.fields(_STATISTICS_START)
+def _statistics(contents: _Contents) -> tuple[int, int, int, Counter[int]]:
+    """Claimed number of messages, of schemas, of channels, and of the messages of each channel."""
+    messages, schemas, channels, *_ = contents.fields(_STATISTICS_START)
     (size,) = contents.fields(_U32)
     if size > _COUNT.size * MAX_CHANNELS:
         raise StorageError(f"statistics of more than {MAX_CHANNELS} channels")
-    return messages, channels, Counter(dict(_COUNT.iter_unpack(contents.take(size))))
+    return messages, schemas, channels, Counter(dict(_COUNT.iter_unpack(contents.take(size))))
