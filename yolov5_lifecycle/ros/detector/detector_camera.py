@@ -101,7 +101,6 @@ class DetectorCamera:
         """End for good; call when no frame is in progress."""
         self.unsubscribe()
         self._feed.close()
-        self._failures.close()
         self.release()
 
     def balance(self) -> FrameBalance:

@@ -59,14 +59,8 @@ class FrameFailures:
             self._tell(self._on_too_many, f"{count} failed frames in a row, the last: {reason}")
             self.restart()
 
-    def forget(self, camera: CameraFailures) -> None:
-        """Drop a removed camera."""
-        self._cameras.pop(camera, None)
-
     def _is_any_served(self) -> bool:
-        # A camera that was removed meanwhile may have reported its last frame after that.
-        counts = tuple(self._cameras.items())
-        return any(count == 0 and not camera.is_closed for camera, count in counts)
+        return 0 in tuple(self._cameras.values())
 
     def _tell(self, what: Callable[[str], object], reason: str) -> None:
         if (executor := self._node.executor) is not None:
@@ -85,7 +79,6 @@ class CameraFailures:
         self._whose = f" of camera {camera}" if camera else ""
         self._failures = failures
         self.last_problem = ""
-        self.is_closed = False
         self._happened_s = float("-inf")
 
     def succeeded(self) -> None:
@@ -110,11 +103,6 @@ class CameraFailures:
     def recent(self) -> str:
         """The last problem, "" if it happened more than `RECENT_S` ago."""
         return self.last_problem if time.monotonic() - self._happened_s < RECENT_S else ""
-
-    def close(self) -> None:
-        """Stop counting for this camera; call when no frame is in progress."""
-        self.is_closed = True
-        self._failures.forget(self)
 
     def _note(self, problem: str) -> None:
         self.last_problem, self._happened_s = problem, time.monotonic()
