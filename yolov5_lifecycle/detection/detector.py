@@ -140,7 +140,7 @@ class Detector:
         return tuple(map(self._with, self.runtime.lanes(count, threads)))
 
     def _with(self, runtime: Runtime) -> Detector:
-        twin = Detector(
+        lane = Detector(
             runtime,
             class_names=self.class_names,
             image_size=self.image_size,
@@ -151,8 +151,8 @@ class Detector:
             cost=self.cost,
             fixed_hw=self.fixed_hw,
         )
-        twin.selection = self.selection
-        return twin
+        lane.selection = self.selection
+        return lane
 
     def close(self) -> None:
         """Free the network. Idempotent."""
