@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from soak.answer_times import answers_during_inference
 from soak.balance import BalanceWatch, exact_balance
-from soak.bursts import answered_bursts
-from soak.checkpoints import refused_checkpoints
 from soak.collecting import collected_on_bad_disks
 from soak.console_requests import refused_strangers
 from soak.cycles import complete_cycles
 from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts, clean_starts
 from soak.faults import ended_by_abandoned_threads, ended_by_lost_devices, survived_faults
 from soak.finding import Finding, found, table, write_report
-from soak.floods import answers_beside_floods, endings_beside_floods
-from soak.hostile_cache import removed_leftovers, survived_caches
 from soak.images import (
     rejected_costly_files,
     rejected_files,
@@ -29,24 +23,17 @@ from soak.images import (
 )
 from soak.largest_images import LARGEST_SIDE_PX, bounded_decoding
 from soak.mixed_life import mixed_life
-from soak.publishers import counted_publishers
 from soak.service_requests import answered_requests
 from soak.several_cameras import several_cameras
 from soak.slow_steps import survived_slow_steps
-from soak.spoofed_console import spoofed_console
 from soak.subject import Subject, subject
-from soak.transitions import answered_shutdowns, answered_transitions
 
 _REPORT = Path("build") / "soak" / "report.json"
 _SEEDS = 5
 _REQUESTS_PER_SEED = 4000
 _IMAGES = 10_000
 _CYCLES, _WARM_UP = 2000, 50
-_QUESTIONS = 5000
 _STRANGERS = 10_000
-_SPOOFED = 1_000
-_BURSTS = 20
-_QUESTIONS_BESIDE_FLOOD = 1500
 _TIMES = 20
 _FAULTS = 50
 _CAMERA_MINUTES = 20.0
@@ -59,7 +46,6 @@ def _watched_trials(seed: int, minutes: float, scale: float) -> dict[str, Watche
     """Trials on one process each, by name."""
     images, seeds = _scaled(_IMAGES, scale), range(seed, seed + _SEEDS)
     return {
-        "transitions": answered_transitions,
         "requests": lambda process: answered_requests(process, seeds, _scaled(_REQUESTS_PER_SEED, scale)),
         "images": lambda process: rejected_images(process, images, seed),
         "files": lambda process: rejected_files(process, images, seed),
@@ -67,15 +53,10 @@ def _watched_trials(seed: int, minutes: float, scale: float) -> dict[str, Watche
         "largest-files": lambda process: bounded_decoding(process, LARGEST_SIDE_PX),
         "damaged-files": lambda process: survived_files(process, images, seed),
         "damaged-messages": lambda process: survived_messages(process, images, seed),
-        "answers": lambda process: answers_during_inference(process, _scaled(_QUESTIONS, scale)),
-        "floods": lambda process: answers_beside_floods(process, _scaled(_QUESTIONS_BESIDE_FLOOD, scale)),
-        "bursts": lambda process: answered_bursts(process, _scaled(_BURSTS, scale)),
-        "publishers": lambda process: counted_publishers(process, _scaled(_TIMES, scale)),
         "cycles": lambda process: complete_cycles(process, _scaled(_CYCLES, scale), _WARM_UP),
         "faults": lambda process: survived_faults(process, _scaled(_FAULTS, scale)),
         "mixed": lambda process: mixed_life(process, seed, minutes),
         "console": lambda process: refused_strangers(process, _scaled(_STRANGERS, scale), seed),
-        "spoofed-console": lambda process: spoofed_console(process, _scaled(_SPOOFED, scale), seed),
         "cameras": lambda process: several_cameras(process, seed, _CAMERA_MINUTES * scale),
     }
 
@@ -84,15 +65,10 @@ def _trials_of_many(seed: int, scale: float) -> dict[str, Trial]:
     """Trials that start processes themselves, by name."""
     times = _scaled(_TIMES, scale)
     return {
-        "checkpoints": refused_checkpoints,
-        "hostile-cache": survived_caches,
-        "leftovers": lambda: removed_leftovers([signal.SIGKILL, signal.SIGTERM] * times),
-        "shutdowns": answered_shutdowns,
         "lost-devices": lambda: ended_by_lost_devices(_scaled(_FAULTS, scale)),
         "slow-steps": survived_slow_steps,
         "abandoned-threads": lambda: ended_by_abandoned_threads(times),
         "endings": lambda: clean_endings(ENDINGS * times, seed),
-        "flooded-endings": endings_beside_floods,
         "starts": lambda: clean_starts(times, seed),
         "collecting": lambda: collected_on_bad_disks(times, seed),
         "restarts": lambda: clean_restarts([*MOMENTS] * times, seed),

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from support.detector_process import MAX_PENDING, is_balanced
 
 from soak.finding import Finding, number_of
-
-_REMOVAL = re.compile(r"camera (\w+|\(without a name\)) removed: (\d+) frames received, (\d+) pending(.*)")
-_NAMELESS = "(without a name)"
 
 
 class BalanceWatch:
@@ -20,16 +15,9 @@ class BalanceWatch:
     def __init__(self) -> None:
         self.told = 0
         self.received = 0
-        self._wrong: list[str] = []
+        self.problems: list[str] = []
+        """Balances that are wrong, and cameras whose counts have become smaller."""
         self._counts: dict[str, dict[str, int]] = {}
-        self._removals: dict[str, str] = {}
-        self._restarts: Counter[str] = Counter()
-
-    @property
-    def problems(self) -> list[str]:
-        """Wrong balances, and cameras whose counts restarted although they were not removed."""
-        unexplained = self._restarts - Counter(self._removals.values())
-        return [*self._wrong, *(f"the counts of {name!r} restarted" for name in unexplained.elements())]
 
     def take(self, statuses: Mapping[str, Mapping[str, str]]) -> None:
         """Check the values in one message of diagnostics, by camera and of the node, whose name is ""."""
@@ -41,17 +29,8 @@ class BalanceWatch:
             if "frames received" in values
         }
 
-    def read(self, log: Iterable[str]) -> None:
-        """Check the balances of removed cameras in these lines, of which some may have been read."""
-        for line in log:
-            if line not in self._removals and (told := _REMOVAL.search(line)):
-                name, received, pending, counts = told.groups()
-                self._removals[line] = "" if name == _NAMELESS else name
-                if int(pending) or int(received) != sum(map(int, re.findall(r"\d+", counts))):
-                    self._wrong.append(line)
-
     def _checked(self, camera: str, values: Mapping[str, str], state: str) -> dict[str, int]:
-        """The counts in `values`, which only grow while the camera is not removed."""
+        """The counts in `values`, which only grow."""
         before = self._counts.get(camera, {})
         counts = {name: int(value) for name, value in values.items() if name.startswith("frames ")}
         pending, received = counts.pop("frames pending"), counts["frames received"]
@@ -59,9 +38,9 @@ class BalanceWatch:
             counts.pop(never_taken, None)
         under_way = MAX_PENDING if state == "active" else 0
         if not is_balanced(values) or pending > under_way:
-            self._wrong.append(f"{camera} {state} {values}".lstrip())
+            self.problems.append(f"{camera} {state} {values}".lstrip())
         if any(count < before.get(name, 0) for name, count in counts.items()):
-            self._restarts[camera] += 1
+            self.problems.append(f"the counts of {camera!r} became smaller")
             before = {}
         self.received += received - before.get("frames received", 0)
         return counts

@@ -1,4 +1,4 @@
-"""Several cameras on one model while some come and go, and one is hostile."""
+"""Several cameras on one model, of which one is hostile."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def several_cameras(subject: Subject, seed: int, minutes: float, *, is_judged: b
     with CamerasLife(subject, seed) as life:
         outcome = _outcome(subject, life, minutes)
     subject.reset()
-    escaped = subject.escaped  # reads the log to its end, which has the balances of removed cameras
+    escaped = subject.escaped
     problems = [*life.problems, *life.track_ids.problems, *subject.balance.problems]
     are_fine = outcome.share >= _MIN_SHARE and outcome.growth_mb < _MAX_GROWTH_MB
     return Finding(
-        claim="cameras that come, go and misbehave disturb neither the others nor the process",
+        claim="cameras that misbehave disturb neither the others nor the process",
         done=f"{life.done.total()} actions of {len(life.done)} kinds on {len(NAMES)} cameras in "
         f"{outcome.taken_s / 60:.0f} minutes, {len(life.track_ids)} tracks, "
         f"{sum(client.heard_3d for client in life.clients.values())} images with depth, seed {seed}",

@@ -18,7 +18,6 @@ from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from support.detector_process import NODE, PARAMETERS, DetectorProcess, as_arguments, environment
-from vision_msgs.msg import Detection2DArray
 
 from soak import faulty_detector
 from soak.balance import BalanceWatch
@@ -29,8 +28,6 @@ from yolov5_lifecycle.ros.observer import Observer
 _UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
 _START_S = 120.0
 _NONE: Mapping[str, str] = MappingProxyType({})
-_KEPT = 1000
-"""Queue length for messages to this process, which does not always spin."""
 
 
 @dataclass(frozen=True)
@@ -53,16 +50,13 @@ class Resources:
 
 
 class Subject(DetectorProcess):
-    """A monitored detector process: its frame balances, unexpected exceptions in its log and number of
-    detections."""
+    """A monitored detector process: its frame balances and the unexpected exceptions in its log."""
 
     def __init__(self, process: ChildProcess, observer: Observer, domain: int) -> None:
         self.balance = BalanceWatch()
-        self.heard = 0
         self._statuses: tuple[int, dict[str, dict[str, str]]] = (0, {})
         self._escaped: dict[str, None] = {}
         observer.create_subscription(DiagnosticArray, "/diagnostics", self._watch, 100)
-        observer.create_subscription(Detection2DArray, f"{NODE}/detections", self._hear, _KEPT)
         super().__init__(process, observer, domain)
 
     @property
@@ -95,9 +89,6 @@ class Subject(DetectorProcess):
     def resources(self) -> Resources:
         return Resources.of(self.process.process_id)
 
-    def _hear(self, _: Detection2DArray) -> None:
-        self.heard += 1
-
     def _watch(self, message: DiagnosticArray) -> None:
         statuses = {
             _camera_of(status.name): {value.key: value.value for value in status.values}
@@ -109,9 +100,7 @@ class Subject(DetectorProcess):
         self._read_log()  # now, as it keeps only the last lines
 
     def _read_log(self) -> None:
-        log = self.process.output
-        self._escaped |= dict.fromkeys(exceptions_in(log))
-        self.balance.read(log.splitlines())
+        self._escaped |= dict.fromkeys(exceptions_in(self.process.output))
 
 
 def _camera_of(status_name: str) -> str:
