@@ -43,7 +43,7 @@ import soak.__main__ as soak
 from benchmark import bench, cameras, collected_errors, collecting, depth, mask_accuracy
 from benchmark.tracking import __main__ as tracking
 from tools import matrix
-from tools.mutants import options as mutants
+from tools.mutants import folders as mutants
 from tools.shapes import dataset
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.commands import convert, fetch_weights, official_weights

@@ -1,18 +1,16 @@
-"""The mutation tester: which changes it makes, and when it is content with the survivors."""
+"""The mutation tester: which changes it makes."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
-from collections.abc import Collection
 from pathlib import Path
 
 import pytest
 from support.colcon_workspace import REPOSITORY
 
 from tools.mutants.folders import PACKAGE, TESTS, files_of_tests
-from tools.mutants.known_survivors import LIST, differences, known_survivors
 
 pytestmark = pytest.mark.long
 
@@ -25,49 +23,6 @@ def test_every_folder_has_modules_and_tests(folder: str) -> None:
     files = files_of_tests(folder)
     assert files
     assert all((REPOSITORY / file).is_file() for file in files)
-
-
-def test_every_listed_survivor_has_a_reason_and_stands_there_once() -> None:
-    known = known_survivors(LIST.read_text())
-    assert all(name.partition(" ")[0].startswith(tuple(TESTS)) for name in known)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        pytest.param("a.py f: 1 => 2\n", id="no reason"),
-        pytest.param("a.py f: 1 => 2 -- \n", id="an empty reason"),
-        pytest.param(" -- because\n", id="no mutant"),
-        pytest.param("a.py f: 1 => 2 -- because\na.py f: 1 => 2 -- so\n", id="twice"),
-    ],
-)
-def test_a_list_with_a_bad_line_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="must be a mutant once"):
-        known_survivors(text)
-
-
-def test_a_mutant_may_hold_what_separates_its_reason() -> None:
-    assert known_survivors("# comment\n\na.py f: -- 1 => 2 -- because\n") == {"a.py f: -- 1 => 2": "because"}
-
-
-@pytest.mark.parametrize(
-    ("known", "tried", "survived", "wrong"),
-    [
-        pytest.param("", "", "", {}, id="nothing"),
-        pytest.param("", "ab", "", {}, id="all are killed"),
-        pytest.param("a", "ab", "a", {}, id="the survivor is listed"),
-        pytest.param("a", "b", "", {}, id="the listed one was not tried"),
-        pytest.param("", "ab", "a", {"a": "survives"}, id="the survivor is not listed"),
-        pytest.param("a", "ab", "", {"a": "killed"}, id="the listed one is killed"),
-        pytest.param("z", "ab", "", {"z": "no such mutant"}, id="the listed one is gone"),
-    ],
-)
-def test_the_list_must_name_the_survivors(
-    known: Collection[str], tried: Collection[str], survived: Collection[str], wrong: dict[str, str]
-) -> None:
-    found = differences(known, existing="abc", tried=tried, survived=survived)
-    assert found.keys() == wrong.keys()
-    assert all(wrong[name] in told for name, told in found.items())
 
 
 @pytest.mark.parametrize(
