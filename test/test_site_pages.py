@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import posixpath
 import re
-import subprocess
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -88,26 +86,3 @@ def test_the_pages_are_built_by_the_hook_and_a_dead_link_is_an_error() -> None:
     assert set(CONFIGURATION["validation"].values()) == {"warn"}  # which `strict` makes errors
     assert [(REPOSITORY / hook).is_file() for hook in CONFIGURATION["hooks"]] == [True]
     assert CONFIGURATION["theme"]["font"] is False, "no page loads anything from another host"
-
-
-@pytest.mark.parametrize("path", sorted(path for path in published() if path.endswith(".md")))
-def test_a_list_begins_where_the_site_recognises_it(path: str) -> None:
-    """Python-Markdown takes an item for text of the paragraph above; GitHub does not."""
-    prose = re.sub(r"^ *```.*?^ *```$", "", (REPOSITORY / path).read_text(), flags=re.MULTILINE | re.DOTALL)
-    paragraphs = [block.strip("\n") for block in re.split(r"\n\s*\n", re.sub(r"(?m)^#.*$", "\n", prose))]
-    item = re.compile(r"^ *(?:[-*]|\d+\.) ", re.MULTILINE)
-    late = [block for block in paragraphs if item.search(block) and not item.match(block)]
-    assert late == []
-
-
-def test_the_site_is_built_with_the_list_items_of_the_repository(tmp_path: Path) -> None:
-    mkdocs = REPOSITORY / "build" / "site-venv" / "bin" / "mkdocs"
-    if not mkdocs.is_file():
-        pytest.skip("no MkDocs on this machine: `make docs-site` installs it")
-    command = [str(mkdocs), "build", "--site-dir", str(tmp_path)]
-    run = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    page = (tmp_path / "across-machines" / "index.html").read_text()
-    (items,) = re.findall(r"three things are needed:</p>\n<ul>\n(.*?)\n</ul>\n<p>To check", page, re.DOTALL)
-    assert "ROS_STATIC_PEERS" in items
-    assert items.count("<li>") == 3

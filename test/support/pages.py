@@ -13,12 +13,9 @@ from yolov5_lifecycle.ros.topics import published, subscribed
 
 README = REPOSITORY / "README.md"
 REFERENCE = REPOSITORY / "docs" / "reference.md"
-TROUBLESHOOTING = REPOSITORY / "docs" / "troubleshooting.md"
 IMAGES = REPOSITORY / "docs" / "images.md"
 LAUNCH = REPOSITORY / "docs" / "launch.md"
 TUTORIAL = REPOSITORY / "docs" / "tutorial.md"
-CAMERAS_PAGE = REPOSITORY / "docs" / "cameras.md"
-PERFORMANCE = REPOSITORY / "docs" / "performance.md"
 MIGRATION = REPOSITORY / "docs" / "migration.md"
 PAGES = [
     README,
