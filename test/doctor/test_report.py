@@ -16,7 +16,7 @@ import pytest
 from support.doctor_process import command, doctor
 
 from yolov5_lifecycle.doctor.command import main
-from yolov5_lifecycle.doctor.examinations import NAMES, TIME_S, planned
+from yolov5_lifecycle.doctor.examination import NAMES, TIME_S, planned
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 
 

@@ -1,4 +1,4 @@
-"""What a check found, and the line of the report that shows it."""
+"""What a check finds on a machine: a line of the report."""
 
 from __future__ import annotations
 
@@ -12,38 +12,27 @@ Level = Literal["ok", "warning", "error"]
 _MAX_FILE_BYTES = 1 << 16
 
 
-@dataclass(frozen=True)
-class Finding:
-    """What was found, and what to do unless it is ok. Raises ValueError without one or the other."""
+class Finding(NamedTuple):
+    """What was found about `subject`, which its check need not name, and what to do unless it is ok."""
 
+    subject: str
     level: Level
     found: str
-    remedy: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.found or (self.level == "ok") == bool(self.remedy):
-            raise ValueError(f"A finding needs a text and, unless it is ok, a remedy: {self}")
+    remedy: str
 
 
 def ok(found: str) -> Finding:
-    return Finding("ok", found)
+    return Finding("", "ok", found, "")
 
 
 def warning(found: str, *, remedy: str) -> Finding:
     """Detection works, but worse than this machine could, or something optional does not work."""
-    return Finding("warning", found, remedy)
+    return Finding("", "warning", found, remedy)
 
 
 def error(found: str, *, remedy: str) -> Finding:
     """Detection does not work, or not as the user has set it."""
-    return Finding("error", found, remedy)
-
-
-class Line(NamedTuple):
-    """A line of the report."""
-
-    subject: str
-    finding: Finding
+    return Finding("", "error", found, remedy)
 
 
 @dataclass(frozen=True)
@@ -71,3 +60,5 @@ class Machine:
 
 Check = Callable[[Machine], Iterator[Finding]]
 """What a check finds; nothing where it does not apply."""
+Groups = dict[str, dict[str, Check]]
+"""The checks of a module by the name of their examination and their subject."""
