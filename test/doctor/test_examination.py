@@ -6,6 +6,7 @@ import os
 import re
 import select
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -28,7 +29,7 @@ CHECKS = {"planted": {"first": good, "second": bad, "third": good}}
 """
 ENDLESS_S = 3600.0
 GOOD = ok("the target is camera")
-BEGUN = ok("begun")._replace(subject="second camera")
+BEGUN = replace(ok("begun"), subject="second camera")
 
 
 @pytest.fixture
@@ -67,9 +68,9 @@ def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixt
 )
 def test_a_check_that_ends_its_process_is_one_line(broken: Examination, found: str) -> None:
     first, begun, failed, third = examine(broken, root=Path("/"), patience_s=ENDLESS_S)
-    assert [first, third] == [GOOD._replace(subject=f"{name} camera") for name in ("first", "third")]
+    assert [first, third] == [replace(GOOD, subject=f"{name} camera") for name in ("first", "third")]
     assert begun == BEGUN
-    assert failed[:3] == ("second camera", "error", found)
+    assert (failed.subject, failed.level, failed.found) == ("second camera", "error", found)
     assert failed.remedy
 
 

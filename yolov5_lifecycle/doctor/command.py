@@ -7,6 +7,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser, version_line
@@ -87,7 +88,7 @@ def _findings(examination: Examination, root: Path, time_s: float, left_s: float
             f"not examined, because the {time_s:g} s are over",
             remedy=f"`doctor --only {examination.name}`, or `doctor --time 600` on a slow machine.",
         )
-        return [finding._replace(subject=str(examination))]
+        return [replace(finding, subject=str(examination))]
     patience_s = min(left_s, examination.patience_s * time_s / TIME_S)
     return examine(examination, root=root, patience_s=patience_s)
 
@@ -109,6 +110,6 @@ def _summary(findings: Sequence[Finding], duration_s: float) -> str:
 
 
 def _as_json(findings: Sequence[Finding], duration_s: float) -> str:
-    lines = [finding._asdict() for finding in findings]
+    lines = [asdict(finding) for finding in findings]
     content = {"version": version_line("doctor"), "duration_s": round(duration_s, 1), "lines": lines}
     return json.dumps(content, indent=2, ensure_ascii=False)

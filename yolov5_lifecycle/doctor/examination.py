@@ -8,9 +8,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import IO
@@ -99,7 +99,7 @@ def examine(examination: Examination, *, root: Path, patience_s: float) -> list[
         subjects = [row[0] for row in rows if len(row) == 1]
         found = f"{_reason(code, left_s)}. {_shortened(last_words)}".removesuffix(". ")
         failure = error(found, remedy=examination.suspect.format(**vars(examination)))
-        findings.append(failure._replace(subject=subjects[-1] if subjects else str(examination)))
+        findings.append(replace(failure, subject=subjects[-1] if subjects else str(examination)))
         begun += subjects
         if code is None or not subjects:
             return findings
@@ -168,15 +168,15 @@ def write_findings(command: str, module: str, group: str, root: str, target: str
     os._exit(0)  # the libraries of a broken machine may crash or hang when they are unloaded
 
 
-def _rows(checks: dict[str, Check], machine: Machine, skipped: int) -> Iterator[list[str] | Finding]:
+def _rows(checks: dict[str, Check], machine: Machine, skipped: int) -> Iterator[Sequence[str]]:
     for subject, check in list(checks.items())[skipped:]:
         named = f"{subject} {machine.target}".strip()
         yield [named]
         try:
             for finding in check(machine):
-                yield finding._replace(subject=named)
+                yield astuple(replace(finding, subject=named))
         except (Exception, SystemExit) as problem:  # noqa: BLE001 - a broken package raises anything
-            yield _failure(problem)._replace(subject=named)
+            yield astuple(replace(_failure(problem), subject=named))
     yield []
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 Level = Literal["ok", "warning", "error"]
 
-_MAX_FILE_BYTES = 1 << 16
 
-
-class Finding(NamedTuple):
+@dataclass(frozen=True)
+class Finding:
     """What was found about `subject`, which its check need not name, and what to do unless it is ok."""
 
     subject: str
@@ -50,10 +49,9 @@ class Machine:
         return self.root / name.lstrip("/")
 
     def text(self, name: str) -> str:
-        """The first 64 KiB of the file `name`; "" if it cannot be read."""
+        """The content of the file `name`; "" if it cannot be read."""
         try:
-            with self.path(name).open("rb") as file:
-                return file.read(_MAX_FILE_BYTES).decode(errors="replace")
+            return self.path(name).read_text(errors="replace")
         except OSError:
             return ""
 
