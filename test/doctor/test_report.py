@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import getpass
 import itertools
-import json
 import os
 import select
 import signal
@@ -16,7 +15,7 @@ import pytest
 from support.doctor_process import command, doctor
 
 from yolov5_lifecycle.doctor.command import main
-from yolov5_lifecycle.doctor.examinations import NAMES, TIME_S, planned
+from yolov5_lifecycle.doctor.examination import NAMES, TIME_S, planned
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 
 
@@ -36,20 +35,6 @@ def test_the_report_ends_with_a_summary_and_says_the_remedy_below_the_line(tmp_p
     (number,) = [number for number, line in enumerate(lines) if line.startswith("warning  cache")]
     assert lines[number + 1].startswith("         -> Give this user the right")
     assert ", 1 warnings, 0 errors in " in last
-
-
-def test_errors_give_an_exit_code_and_json_nothing_else(tmp_path: Path) -> None:
-    run = subprocess.run(
-        [entry_point("doctor"), "--json", "--only", "driver"],
-        env=os.environ | {"LD_LIBRARY_PATH": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    report = json.loads(run.stdout)
-    assert (run.returncode, run.stderr) == (0, "")
-    assert report.keys() == {"version", "duration_s", "lines"}
-    assert [line.keys() for line in report["lines"]] == [{"subject", "level", "found", "remedy"}]
 
 
 def test_what_the_time_does_not_reach_is_an_error_that_says_so(capsys: pytest.CaptureFixture[str]) -> None:

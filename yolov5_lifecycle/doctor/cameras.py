@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from types import MappingProxyType
+from collections.abc import Iterator
 
-from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
+from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.sources.source import open_source
 
@@ -37,4 +36,4 @@ def _camera(machine: Machine) -> Iterator[Finding]:
     yield ok(f"one image of {width}x{height} received")
 
 
-CHECKS: Mapping[str, Check] = MappingProxyType({"camera": _camera})
+CHECKS: Groups = {"camera": {"camera": _camera}}

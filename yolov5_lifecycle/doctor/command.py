@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser, version_line
-from yolov5_lifecycle.doctor.examination import Examination, examine
-from yolov5_lifecycle.doctor.examinations import NAMES, TIME_S, planned
-from yolov5_lifecycle.doctor.finding import Line, error
-from yolov5_lifecycle.doctor.report import as_json, as_text, public, summary
+from yolov5_lifecycle.doctor.examination import NAMES, TIME_S, Examination, examine, planned
+from yolov5_lifecycle.doctor.finding import Finding, error
+from yolov5_lifecycle.doctor.private_names import without_private_names
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import write_output
 
 EXIT_ERRORS = 1
 """Exit code if a line of the report is an error."""
 _LEAST_S, _MOST_S = 10.0, 3600.0
+_LEVEL, _SUBJECT = 8, 20  # columns
 
 
 def main(
@@ -31,20 +35,17 @@ def main(
     """
     given = _arguments(argv)
     begun_s = now_s()
-    code = (
-        0
-        if given.json
-        else write_output("doctor", f"{version_line('doctor')}: takes at most {given.time:g} s\n")
-    )
-    lines = []
-    for line in _examined(root, given.only or NAMES, given.time, now_s):
-        lines.append(line)
+    code = 0
+    if not given.json:
+        code = write_output("doctor", f"{version_line('doctor')}: takes at most {given.time:g} s\n")
+    findings = []
+    for finding in _examined(root, given.only or NAMES, given.time, now_s):
+        findings.append(finding)
         if not given.json and code == 0:
-            code = write_output("doctor", as_text(line) + "\n")
-    duration_s = now_s() - begun_s
-    end = as_json(lines, duration_s) if given.json else summary(lines, duration_s)
+            code = write_output("doctor", _as_text(finding) + "\n")
+    end = (_as_json if given.json else _summary)(findings, now_s() - begun_s)
     code = code or write_output("doctor", end + "\n")
-    has_errors = any(line.finding.level == "error" for line in lines)
+    has_errors = any(finding.level == "error" for finding in findings)
     return code or (EXIT_ERRORS if has_errors else 0)
 
 
@@ -71,20 +72,44 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     return given
 
 
-def _examined(root: Path, names: Sequence[str], time_s: float, now_s: Callable[[], float]) -> Iterator[Line]:
-    """The lines of the examinations, as soon as each is known."""
+def _examined(
+    root: Path, names: Sequence[str], time_s: float, now_s: Callable[[], float]
+) -> Iterator[Finding]:
+    """What the examinations find, as soon as each has ended, fit to be published."""
     end_s = now_s() + time_s
     for examination in planned(root):
         if examination.name in names:
-            yield from map(public, _lines(examination, root, time_s, end_s - now_s()))
+            yield from map(public, _findings(examination, root, time_s, end_s - now_s()))
 
 
-def _lines(examination: Examination, root: Path, time_s: float, left_s: float) -> list[Line]:
+def _findings(examination: Examination, root: Path, time_s: float, left_s: float) -> list[Finding]:
     if left_s <= 0:
         finding = error(
             f"not examined, because the {time_s:g} s are over",
             remedy=f"`doctor --only {examination.name}`, or `doctor --time 600` on a slow machine.",
         )
-        return [Line(str(examination), finding)]
+        return [replace(finding, subject=str(examination))]
     patience_s = min(left_s, examination.patience_s * time_s / TIME_S)
     return examine(examination, root=root, patience_s=patience_s)
+
+
+def public(finding: Finding) -> Finding:
+    """`finding` without names of people and machines, each text one line of printable characters."""
+    found, remedy = (in_one_line(without_private_names(text)) for text in (finding.found, finding.remedy))
+    return Finding(in_one_line(finding.subject), finding.level, found, remedy)
+
+
+def _as_text(finding: Finding) -> str:
+    text = f"{finding.level:<{_LEVEL}} {finding.subject:<{_SUBJECT}} {finding.found}"
+    return f"{text}\n{' ' * (_LEVEL + 1)}-> {finding.remedy}" if finding.remedy else text
+
+
+def _summary(findings: Sequence[Finding], duration_s: float) -> str:
+    levels = Counter(finding.level for finding in findings)
+    return f"{levels['ok']} ok, {levels['warning']} warnings, {levels['error']} errors in {duration_s:.0f} s"
+
+
+def _as_json(findings: Sequence[Finding], duration_s: float) -> str:
+    lines = [asdict(finding) for finding in findings]
+    content = {"version": version_line("doctor"), "duration_s": round(duration_s, 1), "lines": lines}
+    return json.dumps(content, indent=2, ensure_ascii=False)

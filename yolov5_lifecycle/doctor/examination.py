@@ -1,36 +1,43 @@
-"""An examination: a group of checks in a process of its own, which may crash or hang."""
+"""Examinations: groups of checks, each in a process of its own, which may crash or hang."""
 
 from __future__ import annotations
 
 import json
 import os
-import selectors
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import IO
 
-from yolov5_lifecycle.doctor.examined import PROGRAM
-from yolov5_lifecycle.doctor.finding import Finding, Line, error
+from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.process.environment import prepare_environment
+from yolov5_lifecycle.process.missing_package import remedy_for
 
-_MAX_ANSWER_BYTES = 1 << 20
-_LAST_WORDS_BYTES = 1 << 13
+TIME_S = 120.0
+"""For all examinations together; the patience of each is meant for this time."""
+MOST_CAMERAS = 8
+"""The others are not opened."""
 _LAST_LINES = 4
-_POLL_S = 0.1
 _DEATH_S = 2.0
 """A process inside a hanging driver does not even die of SIGKILL."""
+_PROGRAM = (
+    "import sys; sys.path[:] = filter(None, sys.path); "  # no modules from the current folder
+    "from yolov5_lifecycle.doctor.examination import write_findings; write_findings(*sys.argv[1:])"
+)
 
 
 @dataclass(frozen=True)
 class Examination:
-    """The checks of `module`, for `target` if there is one.
+    """The checks of the group `name` in `module`, for `target` if there is one.
 
-    `suspect`: what to do if they hang or crash.
+    `suspect`: what to do if they hang or crash, with {name} and {target}.
     """
 
     name: str
@@ -43,99 +50,96 @@ class Examination:
         return f"{self.name} {self.target}".strip()
 
 
-def examine(examination: Examination, *, root: Path, patience_s: float) -> list[Line]:
+_FIRST = "Correct the errors above first."
+_REPORT = "Run `doctor --only {name} --time 600`, which waits longer; if that fails, too, report its output."
+_DRIVER = "Restart the machine; if the driver still does not answer, install it again."
+_DEVICES = "Set device to cpu and restart the machine: a GPU that hangs recovers no other way."
+_RUNTIME = (
+    "Uninstall the package {target}, or set runtime to torch, because `auto` may choose a runtime that hangs."
+)
+_CAMERA = "Plug the camera in again, at another port or without a hub, because it is open but sends nothing."
+_EXAMINATIONS = (
+    Examination("system", "yolov5_lifecycle.doctor.system", 10, _REPORT),
+    Examination("packages", "yolov5_lifecycle.doctor.python_packages", 30, _REPORT),
+    Examination("ros", "yolov5_lifecycle.ros.doctor.environment", 20, f"{_FIRST} {_REPORT}"),
+    Examination("driver", "yolov5_lifecycle.doctor.system", 10, _DRIVER),
+    Examination("devices", "yolov5_lifecycle.doctor.inference", 40, f"{_DEVICES} {_REPORT}"),
+    Examination("runtime", "yolov5_lifecycle.doctor.inference", 30, _RUNTIME, "onnxruntime"),
+    Examination("runtime", "yolov5_lifecycle.doctor.inference", 30, _RUNTIME, "openvino"),
+    Examination("transport", "yolov5_lifecycle.ros.doctor.started_nodes", 35, f"{_FIRST} {_REPORT}"),
+    Examination("node", "yolov5_lifecycle.ros.doctor.started_nodes", 75, f"{_FIRST} {_REPORT}"),
+)
+NAMES = tuple(dict.fromkeys([*(each.name for each in _EXAMINATIONS), "camera"]))
+"""What `--only` takes."""
+
+
+def planned(root: Path) -> list[Examination]:
+    """All examinations in their order; the cameras come last, because several may take their whole time."""
+    found = [device.name for device in (root / "dev").glob("video[0-9]*")]
+    names = sorted(found, key=lambda name: (len(name), name))[:MOST_CAMERAS]
+    module = "yolov5_lifecycle.doctor.cameras"
+    return [*_EXAMINATIONS, *(Examination("camera", module, 10, _CAMERA, f"/dev/{name}") for name in names)]
+
+
+def examine(examination: Examination, *, root: Path, patience_s: float) -> list[Finding]:
     """What the checks found within `patience_s`; then their process and its children are killed.
 
     If a check ends the process, another process makes the checks behind it.
     """
     end_s = time.monotonic() + patience_s
-    lines: list[Line] = []
-    begun, is_over = 0, False
-    while not is_over:
-        found, count, is_over = _examined(examination, root, begun, end_s)
-        lines += found
-        begun += count
-        is_over |= count == 0 or time.monotonic() > end_s
-    return lines
+    findings: list[Finding] = []
+    begun: list[str] = []
+    while True:
+        left_s = max(0.0, end_s - time.monotonic())
+        code, answer, last_words = _run(examination, root, len(begun), left_s)
+        rows = [json.loads(line) for line in answer.split("\n")[:-1]]
+        findings += [Finding(*row) for row in rows if len(row) > 1]
+        if [] in rows:
+            return findings
+        subjects = [row[0] for row in rows if len(row) == 1]
+        found = f"{_reason(code, left_s)}. {_shortened(last_words)}".removesuffix(". ")
+        failure = error(found, remedy=examination.suspect.format(**vars(examination)))
+        findings.append(replace(failure, subject=subjects[-1] if subjects else str(examination)))
+        begun += subjects
+        if code is None or not subjects:
+            return findings
 
 
-def _examined(
-    examination: Examination, root: Path, skipped: int, end_s: float
-) -> tuple[list[Line], int, bool]:
-    """What all checks but the first `skipped` found, how many began, and whether the last of them ended."""
-    patience_s = max(0.0, end_s - time.monotonic())
-    command = [sys.executable, "-c", PROGRAM, examination.module, str(root), examination.target]
-    process = subprocess.Popen(
-        [*command, str(skipped), sys.argv[0]],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
-    assert process.stdout is not None
-    assert process.stderr is not None
-    try:
-        answer, last_words = _heard(process, process.stdout, process.stderr, patience_s)
-        code = process.poll()
-    finally:
-        _kill(process)
-    lines, begun, has_ended = _lines(answer)
-    if not has_ended:
-        found = f"{_reason(code, patience_s)}. {_shortened(last_words)}".removesuffix(". ")
-        subject = begun[-1] if begun else str(examination)
-        lines.append(Line(subject, error(found, remedy=examination.suspect)))
-    return lines, len(begun), has_ended
+def _run(
+    examination: Examination, root: Path, skipped: int, patience_s: float
+) -> tuple[int | None, str, str]:
+    """The exit code, None for none within `patience_s`, and the whole stdout and stderr.
+
+    They are files in memory: a pipe ends only with all that the process has started, and a disk may be full.
+    """
+    words = [sys.argv[0], examination.module, examination.name, str(root), examination.target, str(skipped)]
+    with _file_in_memory("stdout") as answer, _file_in_memory("stderr") as last_words:
+        process = subprocess.Popen(
+            [sys.executable, "-c", _PROGRAM, *words],
+            stdin=subprocess.DEVNULL,
+            stdout=answer,
+            stderr=last_words,
+            start_new_session=True,
+        )
+        code = None
+        try:
+            with suppress(subprocess.TimeoutExpired):
+                code = process.wait(patience_s)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_DEATH_S)
+        return code, _text(answer), _text(last_words)
 
 
-def _heard(
-    process: subprocess.Popen[bytes], stdout: IO[bytes], stderr: IO[bytes], patience_s: float
-) -> tuple[bytes, bytes]:
-    """The beginning of stdout and the end of stderr, until the process ends or the time is over."""
-    end_s = time.monotonic() + patience_s
-    answer, last_words = bytearray(), bytearray()
-    with selectors.DefaultSelector() as selector:
-        selector.register(stdout, selectors.EVENT_READ, answer)
-        selector.register(stderr, selectors.EVENT_READ, last_words)
-        while selector.get_map() and (left_s := end_s - time.monotonic()) > 0:
-            has_ended = process.poll() is not None  # asked before reading: all it wrote is there
-            ready = selector.select(0 if has_ended else min(left_s, _POLL_S))
-            if has_ended and not ready:  # a process that it started has the pipe still open
-                break
-            for key, _ in ready:
-                if chunk := os.read(key.fd, 1 << 16):
-                    key.data.extend(chunk)
-                else:
-                    selector.unregister(key.fileobj)
-            del last_words[:-_LAST_WORDS_BYTES]
-            del answer[_MAX_ANSWER_BYTES:]
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(max(0.0, end_s - time.monotonic()))
-    return bytes(answer), bytes(last_words)
+def _file_in_memory(name: str) -> IO[bytes]:
+    return os.fdopen(os.memfd_create(name), "w+b")
 
 
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill the process with all that it started."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(_DEATH_S)
-    for stream in (process.stdout, process.stderr):
-        if stream is not None:
-            stream.close()
-
-
-def _lines(answer: bytes) -> tuple[list[Line], list[str], bool]:
-    """The findings, the subjects of the checks that began, and whether the last of them ended."""
-    lines, begun = list[Line](), list[str]()
-    for text in answer.decode(errors="replace").split("\n")[:-1]:
-        fields = json.loads(text)
-        if not fields:
-            return lines, begun, True
-        if "subject" in fields:
-            begun.append(fields["subject"])
-        else:
-            lines.append(Line(begun[-1], Finding(**fields)))
-    return lines, begun, False
+def _text(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read().decode(errors="replace")
 
 
 def _reason(code: int | None, patience_s: float) -> str:
@@ -144,6 +148,49 @@ def _reason(code: int | None, patience_s: float) -> str:
     return f"it ended with {signal.strsignal(-code) if code < 0 else f'exit code {code}'}"
 
 
-def _shortened(last_words: bytes) -> str:
-    lines = [line for line in last_words.decode(errors="replace").splitlines() if line.strip()]
+def _shortened(last_words: str) -> str:
+    lines = [line for line in last_words.splitlines() if line.strip()]
     return in_one_line(" | ".join(lines[-_LAST_LINES:]), 400)
+
+
+def write_findings(command: str, module: str, group: str, root: str, target: str, skipped: str) -> None:
+    """Make all checks of the group but the first `skipped`, and end the process.
+
+    Writes JSON lines: [subject] of each check before it begins, then its findings; [] at the end. A check
+    that raises becomes an error. Whatever else writes to stdout goes to stderr.
+    """
+    sys.argv = [command]  # beside it lie the other commands
+    prepare_environment()
+    with os.fdopen(os.dup(1), "w") as answers:
+        os.dup2(2, 1)
+        for row in _rows(_checks(module, group), Machine(Path(root), target), int(skipped)):
+            print(json.dumps(row), file=answers, flush=True)
+    os._exit(0)  # the libraries of a broken machine may crash or hang when they are unloaded
+
+
+def _rows(checks: dict[str, Check], machine: Machine, skipped: int) -> Iterator[Sequence[str]]:
+    for subject, check in list(checks.items())[skipped:]:
+        named = f"{subject} {machine.target}".strip()
+        yield [named]
+        try:
+            for finding in check(machine):
+                yield astuple(replace(finding, subject=named))
+        except (Exception, SystemExit) as problem:  # noqa: BLE001 - a broken package raises anything
+            yield astuple(replace(_failure(problem), subject=named))
+    yield []
+
+
+def _checks(module: str, group: str) -> dict[str, Check]:
+    """The checks by subject; if `module` cannot be imported, one that says so."""
+    try:
+        return dict(import_module(module).CHECKS[group])
+    except (Exception, SystemExit) as problem:  # noqa: BLE001 - as above
+        finding = _failure(problem)
+        return {group: lambda _: iter([finding])}
+
+
+def _failure(problem: BaseException) -> Finding:
+    found = in_one_line(f"{type(problem).__name__}: {problem}", 400)
+    if isinstance(problem, ImportError):
+        return error(found, remedy=remedy_for(problem))
+    return error(found, remedy="Correct the errors above first; if there are none, report this line.")

@@ -1,49 +1,37 @@
-"""What a check found, and the line of the report that shows it."""
+"""What a check finds on a machine: a line of the report."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 Level = Literal["ok", "warning", "error"]
-
-_MAX_FILE_BYTES = 1 << 16
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found, and what to do unless it is ok. Raises ValueError without one or the other."""
+    """What was found about `subject`, which its check need not name, and what to do unless it is ok."""
 
+    subject: str
     level: Level
     found: str
-    remedy: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.found or (self.level == "ok") == bool(self.remedy):
-            raise ValueError(f"A finding needs a text and, unless it is ok, a remedy: {self}")
+    remedy: str
 
 
 def ok(found: str) -> Finding:
-    return Finding("ok", found)
+    return Finding("", "ok", found, "")
 
 
 def warning(found: str, *, remedy: str) -> Finding:
     """Detection works, but worse than this machine could, or something optional does not work."""
-    return Finding("warning", found, remedy)
+    return Finding("", "warning", found, remedy)
 
 
 def error(found: str, *, remedy: str) -> Finding:
     """Detection does not work, or not as the user has set it."""
-    return Finding("error", found, remedy)
-
-
-class Line(NamedTuple):
-    """A line of the report."""
-
-    subject: str
-    finding: Finding
+    return Finding("", "error", found, remedy)
 
 
 @dataclass(frozen=True)
@@ -61,13 +49,14 @@ class Machine:
         return self.root / name.lstrip("/")
 
     def text(self, name: str) -> str:
-        """The first 64 KiB of the file `name`; "" if it cannot be read."""
+        """The content of the file `name`; "" if it cannot be read."""
         try:
-            with self.path(name).open("rb") as file:
-                return file.read(_MAX_FILE_BYTES).decode(errors="replace")
+            return self.path(name).read_text(errors="replace")
         except OSError:
             return ""
 
 
 Check = Callable[[Machine], Iterator[Finding]]
 """What a check finds; nothing where it does not apply."""
+Groups = dict[str, dict[str, Check]]
+"""The checks of a module by the name of their examination and their subject."""

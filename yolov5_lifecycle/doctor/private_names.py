@@ -6,26 +6,13 @@ import os
 import pwd
 import re
 import socket
-from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
 # Names that images and installers give to everybody, and that occur in paths and messages.
-_GENERIC = {
-    "root",
-    "ubuntu",
-    "debian",
-    "ros",
-    "user",
-    "admin",
-    "pi",
-    "jetson",
-    "localhost",
-    "docker",
-    "nobody",
-}
-_HOME_OF_OTHERS = re.compile(r"(/home/|/Users/)[^/\s:'\"]+")
+_GENERIC = re.compile("root|ubuntu|debian|ros|user|admin|pi|jetson|localhost|docker|nobody", re.IGNORECASE)
 _IDENTIFIERS = (
+    (re.compile(r"(/home/|/Users/)[^/\s:'\"]+"), r"\1(user)"),
     (re.compile(r"\b(?:[0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}\b"), "(address)"),
     (
         re.compile(
@@ -38,41 +25,28 @@ _IDENTIFIERS = (
 )
 
 
-def this_user() -> set[str]:
+def without_private_names(text: str) -> str:
+    """`text` with ~ for the home folder, and without this user and host, addresses and serial numbers.
+
+    Names of fewer than two letters, and those that many machines have in common, such as `ubuntu`, are kept.
+    """
+    homes = {os.path.expanduser("~")}  # noqa: PTH111 - Path.expanduser raises without a home
+    homes |= {str(Path(each).resolve()) for each in homes}
+    for each in sorted(homes - {"/", "~"}, key=len, reverse=True):
+        text = re.sub(rf"{re.escape(each.rstrip('/'))}(?![\w.-])", "~", text)
+    for pattern, replacement in _IDENTIFIERS:
+        text = pattern.sub(replacement, text)
+    host = socket.gethostname()
+    for names, replacement in (({host, host.partition(".")[0]}, "(host)"), (_users(), "(user)")):
+        for name in sorted(names, key=len, reverse=True):  # a whole name before its first part
+            if len(name) > 1 and not _GENERIC.fullmatch(name):
+                text = re.sub(rf"(?<![\w-]){re.escape(name)}(?![\w-])", replacement, text)
+    return text
+
+
+def _users() -> set[str]:
     """The names of the user who runs this process."""
     names = {os.environ.get(variable, "") for variable in ("USER", "LOGNAME")}
     with suppress(KeyError):  # a container with a user id that has no entry
         names.add(pwd.getpwuid(os.geteuid()).pw_name)
     return names
-
-
-def this_host() -> set[str]:
-    """The names of this machine, with and without its domain."""
-    name = socket.gethostname()
-    return {name, name.partition(".")[0]}
-
-
-def without_private_names(
-    text: str,
-    *,
-    home: str | None = None,
-    users: Collection[str] | None = None,
-    hosts: Collection[str] | None = None,
-) -> str:
-    """`text` with ~ for the home folder, and without users, hosts, addresses and serial numbers.
-
-    The names are by default those of this process. Names of fewer than two letters, and those that many
-    machines have in common, such as `ubuntu`, are kept.
-    """
-    homes = {home or os.path.expanduser("~")}  # noqa: PTH111 - Path.expanduser raises without a home
-    homes |= {str(Path(each).resolve()) for each in homes}
-    for each in sorted(homes - {"/", "~"}, key=len, reverse=True):
-        text = re.sub(rf"{re.escape(each.rstrip('/'))}(?![\w.-])", "~", text)
-    text = _HOME_OF_OTHERS.sub(r"\1(user)", text)
-    for pattern, replacement in _IDENTIFIERS:
-        text = pattern.sub(replacement, text)
-    for names, replacement in ((hosts or this_host(), "(host)"), (users or this_user(), "(user)")):
-        for name in sorted(names, key=len, reverse=True):  # a whole name before its first part
-            if len(name) > 1 and name.lower() not in _GENERIC:
-                text = re.sub(rf"(?<![\w-]){re.escape(name)}(?![\w-])", replacement, text)
-    return text

@@ -5,15 +5,13 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from importlib import import_module
 from importlib.machinery import PathFinder
 from importlib.metadata import PackageNotFoundError, distributions, requires, version
 from pathlib import Path
-from types import MappingProxyType
 
-from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
+from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.missing_package import PIP_PACKAGES, remedy_for
 
@@ -22,72 +20,54 @@ _IMPORTED = ("annotated_types", "cv2", "numpy", "pydantic", "pydantic_core", "sa
 """Always needed and quickly imported; torch and the runtimes are imported in processes of their own."""
 _ONCE = ("cv2", "numpy", "onnx", "onnxruntime", "openvino", "pydantic", "rclpy", "scipy", "torch", "yaml")
 """Of which a second copy leads to errors that name neither."""
+_REQUIREMENT = re.compile(r"([\w.-]+)(?:\s*\(?>=\s*([\d.]+))?")
 _OPENCV = re.compile(r"opencv[-_](?:contrib[-_])?python(?:[-_]headless)?")
-
-
-@dataclass(frozen=True)
-class Requirement:
-    """A package of pip and its oldest supported version; optional if only an extra needs it."""
-
-    package: str
-    oldest: str
-    is_optional: bool
-
-
-def requirements() -> list[Requirement]:
-    """Those of this package; raises PackageNotFoundError."""
-    found = []
-    for line in requires("yolov5_lifecycle") or []:
-        parts = re.match(r"([\w.-]+)(?:\s*\(?>=\s*([\d.]+))?", line)
-        assert parts is not None
-        found.append(Requirement(parts[1], parts[2] or "0", "extra ==" in line and "opencv" not in line))
-    return found
 
 
 def _required(_: Machine) -> Iterator[Finding]:
     try:
-        wanted = requirements()
+        present = [f"yolov5_lifecycle {version('yolov5_lifecycle')}"]
     except PackageNotFoundError:
         yield error(
             "yolov5_lifecycle is not installed",
             remedy="Install it with `make install`, or source install/setup.bash of your workspace.",
         )
         return
-    present = [f"yolov5_lifecycle {version('yolov5_lifecycle')}"]
-    for requirement in dict.fromkeys(wanted):
-        module = _MODULES.get(requirement.package, requirement.package)
+    for package, oldest, is_optional in dict.fromkeys(_requirements()):
         try:
-            found = _version(module, requirement.package)
+            found = _version(_MODULES.get(package, package), package)
         except ImportError as problem:
-            if not requirement.is_optional:
+            if not is_optional:
                 yield error(in_one_line(str(problem), 400), remedy=remedy_for(problem))
             continue
-        present.append(f"{requirement.package} {found}")
-        if _numbers(found) < _numbers(requirement.oldest):
+        present.append(f"{package} {found}")
+        if _numbers(found) < _numbers(oldest):
             yield error(
-                f"{requirement.package} {found}, expected {requirement.oldest} or newer",
-                remedy=f'{sys.executable} -m pip install "{requirement.package}>={requirement.oldest}"',
+                f"{package} {found}, expected {oldest} or newer",
+                remedy=f'{sys.executable} -m pip install "{package}>={oldest}"',
             )
     yield ok(", ".join(present))
 
 
+def _requirements() -> Iterator[tuple[str, str, bool]]:
+    """Packages of pip, their oldest supported versions, and whether only an extra needs them."""
+    for line in requires("yolov5_lifecycle") or []:
+        parts = _REQUIREMENT.match(line)
+        assert parts is not None
+        yield parts[1], parts[2] or "0", "extra ==" in line and "opencv" not in line
+
+
 def _version(module: str, package: str) -> str:
     """The version of what `import module` loads. Raises ImportError, also for a package that is broken."""
-    if module in _IMPORTED:
-        try:
-            found = getattr(import_module(module), "__version__", None)
-        except (Exception, SystemExit) as problem:
-            if isinstance(problem, ImportError):
-                raise
-            raise ImportError(
-                f"import {module}: {type(problem).__name__}: {problem}", name=module
-            ) from problem
-        if found:
-            return str(found)
     try:
-        return version(package)
+        loaded = import_module(module) if module in _IMPORTED else None
+        return getattr(loaded, "__version__", None) or version(package)
     except PackageNotFoundError as problem:
         raise ModuleNotFoundError(f"No module named '{module}'", name=module) from problem
+    except ImportError:
+        raise
+    except (Exception, SystemExit) as problem:
+        raise ImportError(f"import {module}: {type(problem).__name__}: {problem}", name=module) from problem
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -95,28 +75,27 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def _duplicates(_: Machine) -> Iterator[Finding]:
-    doubled = {module: places for module in _ONCE if len(places := copies(module, sys.path)) > 1}
+    doubled = {module: places for module in _ONCE if len(places := _copies(module)) > 1}
     for module, (used, *hidden) in doubled.items():
         yield warning(
-            f"{module} is loaded from {used} and hides {', '.join(map(str, hidden))}",
-            remedy=_remedy(module, used),
+            f"{module} is loaded from {used} and hides {', '.join(hidden)}", remedy=_remedy(module, used)
         )
     if not doubled:
         yield ok("no package is there twice")
 
 
-def copies(module: str, path: Sequence[str]) -> list[Path]:
-    """The folders of `path` from which `module` could be imported, the one that is used first."""
-    places: dict[Path, Path] = {}
-    for entry in filter(None, path):
+def _copies(module: str) -> list[str]:
+    """The folders of sys.path from which `module` could be imported, the one that is used first."""
+    places: dict[Path, str] = {}
+    for entry in filter(None, sys.path):
         spec = PathFinder.find_spec(module, [entry])
         if spec is not None and spec.origin is not None:
-            places.setdefault(Path(spec.origin).resolve(), Path(entry))
+            places.setdefault(Path(spec.origin).resolve(), entry)
     return list(dict.fromkeys(places.values()))
 
 
-def _remedy(module: str, used: Path) -> str:
-    if str(used) in os.environ.get("PYTHONPATH", "").split(os.pathsep):
+def _remedy(module: str, used: str) -> str:
+    if used in os.environ.get("PYTHONPATH", "").split(os.pathsep):
         return f"Remove {used} from PYTHONPATH, because compiled packages fit only one of the two."
     installed = _opencv_in(used) if module == "cv2" else []
     package = next(iter(installed), PIP_PACKAGES.get(module, module))
@@ -128,8 +107,7 @@ def _remedy(module: str, used: Path) -> str:
 
 def _opencv(_: Machine) -> Iterator[Finding]:
     for entry in dict.fromkeys(filter(None, sys.path)):
-        names = _opencv_in(Path(entry))
-        if len(names) > 1:
+        if len(names := _opencv_in(entry)) > 1:
             yield warning(
                 f"{' and '.join(names)} are in the same folder cv2 of {entry}",
                 remedy=f"Uninstall both with `{sys.executable} -m pip uninstall {' '.join(names)}`, then "
@@ -137,12 +115,10 @@ def _opencv(_: Machine) -> Iterator[Finding]:
             )
 
 
-def _opencv_in(folder: Path) -> list[str]:
+def _opencv_in(folder: str) -> list[str]:
     """The packages of pip with OpenCV in `folder`."""
-    named = {each.metadata["Name"] for each in distributions(path=[str(folder)])}
+    named = {each.metadata["Name"] for each in distributions(path=[folder])}
     return sorted(name for name in named if name and _OPENCV.fullmatch(name))
 
 
-CHECKS: Mapping[str, Check] = MappingProxyType(
-    {"packages": _required, "duplicates": _duplicates, "OpenCV": _opencv}
-)
+CHECKS: Groups = {"packages": {"packages": _required, "duplicates": _duplicates, "OpenCV": _opencv}}

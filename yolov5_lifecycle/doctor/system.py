@@ -1,17 +1,18 @@
-"""The machine: operating system, Python, processor, memory, limits, and the folder of the cache."""
+"""The machine: operating system, Python, processor, memory, limits, folder of the cache, NVIDIA's driver."""
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
 import platform
+import re
 import resource
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
-from types import MappingProxyType
+from collections.abc import Iterator
 
-from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
+from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.process.control_group import cores, memory_bytes
 from yolov5_lifecycle.process.environment import compute_threads, thread_problem
 from yolov5_lifecycle.process.memory import available_bytes
@@ -26,6 +27,11 @@ _NEEDED_MEMORY, _ENOUGH_MEMORY = _GIB // 2, 2 * _GIB
 _ADDRESS_SPACE = 16 * _GIB
 _THREADS = 64
 _FREE_DISK = _GIB  # the most that compiled models may take
+KERNEL_MODULE = "/proc/driver/nvidia/version"
+_VENDOR, _DISPLAY = "0x10de", "0x03"  # of PCI devices
+_LIBRARY_FOLDERS = (
+    *("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib64", "/usr/local/nvidia/lib64"),
+)
 
 
 def _system(machine: Machine) -> Iterator[Finding]:
@@ -33,11 +39,7 @@ def _system(machine: Machine) -> Iterator[Finding]:
     name = fields.get("PRETTY_NAME", platform.system()).strip('"')
     is_contained = any(machine.path(mark).exists() for mark in ("/.dockerenv", "/run/.containerenv"))
     where = ", in a container" if is_contained else ""
-    found = f"{name}, {platform.system()} {platform.release()}, {platform.machine()}{where}"
-    if platform.system() == "Linux":
-        yield ok(found)
-    else:
-        yield warning(found, remedy="Use Linux: nobody has tried this package on another system.")
+    yield ok(f"{name}, {platform.system()} {platform.release()}, {platform.machine()}{where}")
 
 
 def _python(_: Machine) -> Iterator[Finding]:
@@ -128,13 +130,70 @@ def _cache(_: Machine) -> Iterator[Finding]:
         yield warning(found, remedy="Free 1 GiB, or set XDG_CACHE_HOME to a folder on a larger disk.")
 
 
-CHECKS: Mapping[str, Check] = MappingProxyType(
-    {
+def _driver(machine: Machine) -> Iterator[Finding]:
+    kernel = re.search(r"Kernel Module\b.*?\s(\d+\.[\d.]+)", machine.text(KERNEL_MODULE))
+    libraries = _library_versions(machine)
+    if kernel is None:
+        yield _absence(machine, libraries)
+    elif libraries and kernel[1] not in libraries:
+        yield error(
+            f"the kernel has NVIDIA's driver {kernel[1]}, libcuda.so is of {', '.join(sorted(libraries))}",
+            remedy="Restart the machine: the driver was updated, and the kernel still has the old one. In a "
+            "container, start a new one.",
+        )
+    else:
+        yield ok(f"NVIDIA driver {kernel[1]}")
+    try:
+        ctypes.CDLL("libcuda.so.1")
+    except OSError as problem:
+        if not str(problem).startswith("libcuda.so.1: cannot open shared object file"):
+            yield error(
+                f"libcuda.so.1 cannot be loaded: {problem}",
+                remedy="Install NVIDIA's driver again, and remove other copies of libcuda.so.1 from "
+                "LD_LIBRARY_PATH: this file is damaged or for another processor.",
+            )
+
+
+def _library_versions(machine: Machine) -> set[str]:
+    names = [file.name for folder in _LIBRARY_FOLDERS for file in machine.path(folder).glob("libcuda.so.*")]
+    return {found[1] for name in names if (found := re.fullmatch(r"libcuda\.so\.(\d+\.[\d.]+)", name))}
+
+
+def _has_gpu(machine: Machine) -> bool:
+    """Whether the machine has an NVIDIA GPU on its PCI bus, with or without a driver."""
+    devices = machine.path("/sys/bus/pci/devices").glob("*")
+    names = (f"/sys/bus/pci/devices/{device.name}" for device in devices)
+    return any(
+        machine.text(f"{name}/vendor").strip() == _VENDOR
+        and machine.text(f"{name}/class").startswith(_DISPLAY)
+        for name in names
+    )
+
+
+def _absence(machine: Machine, libraries: set[str]) -> Finding:
+    if _has_gpu(machine):
+        return warning(
+            "an NVIDIA GPU without a driver",
+            remedy="Install the driver (on Ubuntu `sudo ubuntu-drivers install`) and restart; give a "
+            "container the GPU with --gpus all. Until then the detector uses the CPU.",
+        )
+    if libraries:
+        return warning(
+            f"libcuda.so of {', '.join(sorted(libraries))}, but no driver in the kernel",
+            remedy="Load the driver with `sudo modprobe nvidia`, or give the container the GPU with "
+            "--gpus all.",
+        )
+    return ok("no NVIDIA GPU: the detector uses the CPU")
+
+
+CHECKS: Groups = {
+    "system": {
         "system": _system,
         "Python": _python,
         "processor": _processor,
         "memory": _memory,
         "limits": _limits,
         "cache": _cache,
-    }
-)
+    },
+    "driver": {"NVIDIA driver": _driver},
+}

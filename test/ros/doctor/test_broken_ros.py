@@ -10,7 +10,7 @@ from support.doctor_process import Row, doctor, of, planted
 from yolov5_lifecycle.doctor.finding import Machine
 from yolov5_lifecycle.ros.doctor.environment import CHECKS
 
-SUBJECTS = ["middleware", "discovery", "shared memory", "log", "other packages", "ROS"]
+SUBJECTS = ["middleware", "discovery", "shared memory", "log", "ROS"]
 WRONG = {
     "RMW_IMPLEMENTATION": "rmw_nothing_cpp",
     "FASTRTPS_DEFAULT_PROFILES_FILE": "/nowhere/shm.xml",
@@ -89,7 +89,7 @@ def test_a_process_that_ends_hides_no_other_check(rows: list[Row]) -> None:
 )
 def test_a_domain_has_limits(domain: str, level: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-    (finding,) = CHECKS["discovery"](Machine())
+    (finding,) = CHECKS["ros"]["discovery"](Machine())
     assert finding.level == level
 
 
@@ -111,7 +111,7 @@ def test_no_discovery_two_distributions_and_settings_as_text_are_told() -> None:
 def test_a_full_dev_shm_is_found(tmp_path: Path) -> None:
     (tmp_path / "dev").mkdir()
     (tmp_path / "dev" / "shm").symlink_to("/proc")  # a file system without a free byte
-    (finding,) = CHECKS["shared memory"](Machine(tmp_path))
+    (finding,) = CHECKS["ros"]["shared memory"](Machine(tmp_path))
     assert finding.level == "warning"
     assert "has 0 KiB free and Fast DDS needs 656 KiB" in finding.found
     assert finding.remedy.startswith("Give the container more")
@@ -120,7 +120,7 @@ def test_a_full_dev_shm_is_found(tmp_path: Path) -> None:
 def test_a_log_in_a_home_that_ros_does_not_know_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     for variable in ("HOME", "ROS_HOME", "ROS_LOG_DIR"):
         monkeypatch.delenv(variable, raising=False)
-    (finding,) = CHECKS["log"](Machine())
+    (finding,) = CHECKS["ros"]["log"](Machine())
     assert (finding.level, "HOME is not set" in finding.found) == ("error", True)
     assert "set HOME, or set ROS_LOG_DIR" in finding.remedy
 
@@ -129,15 +129,7 @@ def test_a_python_without_ros_is_told_to_source_it(tmp_path: Path) -> None:
     absent = "raise ModuleNotFoundError(\"No module named 'rclpy'\", name='rclpy')"
     planted(tmp_path, {"rclpy/__init__.py": absent})
     rows = doctor("--only", "ros", "transport", "node", environment={"PYTHONPATH": str(tmp_path)})
-    for subject in ("ROS", "image_transport", "node"):
+    for subject in ("ROS", "transport", "node"):
         row = of(rows, subject)
         assert "No module named 'rclpy'" in row.found
         assert "source /opt/ros/jazzy/setup.bash" in row.found + row.remedy
-
-
-def test_what_else_is_installed_is_listed(tmp_path: Path) -> None:
-    planted(tmp_path, {"share/ament_index/resource_index/packages/rviz2": ""})
-    rows = doctor("--only", "ros", environment={"AMENT_PREFIX_PATH": str(tmp_path)})
-    row = of(rows, "other packages")
-    assert row.found.startswith("present: RViz (rviz2); optional and absent: TF (tf2_ros_py), Nav2 (")
-    assert [row.level for row in rows] == ["ok"] * len(SUBJECTS)

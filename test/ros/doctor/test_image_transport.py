@@ -8,7 +8,7 @@ from support.doctor_process import doctor
 
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.ros.doctor import environment as ros_environment
-from yolov5_lifecycle.ros.doctor.image_transport import Arrivals, has_foreign_segment
+from yolov5_lifecycle.ros.doctor.started_nodes import Arrivals, has_foreign_segment
 from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES
 
 PROFILE = resolve_package(ros_environment.PROFILE)

@@ -1,17 +1,16 @@
-"""ROS as this terminal sees it: distribution, middleware, discovery, shared memory, log, other packages."""
+"""ROS as this terminal sees it: distribution, middleware, discovery, shared memory, log."""
 
 from __future__ import annotations
 
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
-from xml.etree import ElementTree
 
-from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
+from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.missing_package import apt_package_of, remedy_for
@@ -28,19 +27,6 @@ _DISTRIBUTIONS = {"7": "jazzy", "9": "kilted"}
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 _LAST_DOMAIN, _LAST_FREE_DOMAIN = 232, 101
 _MODULES = ("rclpy", "sensor_msgs.msg", "diagnostic_msgs.msg", "lifecycle_msgs.srv", "vision_msgs.msg")
-_COMPANIONS = {
-    "tf2_ros_py": "TF",
-    "nav2_lifecycle_manager": "Nav2",
-    "rviz2": "RViz",
-    "rqt_image_view": "image viewer",
-    "foxglove_bridge": "Foxglove",
-}
-
-
-def prefixes() -> list[Path]:
-    """The folders in which ROS packages are installed, in the order of the search."""
-    sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
-    return [Path(prefix) for prefix in dict.fromkeys([*sourced, sys.prefix])]
 
 
 def _distribution(_: Machine) -> Iterator[Finding]:
@@ -50,17 +36,17 @@ def _distribution(_: Machine) -> Iterator[Finding]:
     except ImportError as problem:
         yield error(in_one_line(str(problem), 400), remedy=_ros_remedy(problem))
         return
-    version = next(filter(None, map(_version_of_rclpy, prefixes())), "unknown")
-    known = _DISTRIBUTIONS.get(version.partition(".")[0], "")
+    rclpy = version("rclpy")
+    known = _DISTRIBUTIONS.get(rclpy.partition(".")[0], "")
     sourced = os.environ.get("ROS_DISTRO", known)
-    found = f"ROS 2 {known or sourced}, rclpy {version}"
+    found = f"ROS 2 {known or sourced}, rclpy {rclpy}"
     if not known:
         yield warning(
             found, remedy="Use ROS 2 Jazzy or Kilted: nobody has tried this package with another rclpy."
         )
     elif sourced != known:
         yield error(
-            f"{found}, but ROS_DISTRO is {in_one_line(sourced, 40)}",
+            f"{found}, but ROS_DISTRO is {sourced}",
             remedy="Use a terminal in which one ROS is sourced, or in which .venv is active, but not both.",
         )
     else:
@@ -73,25 +59,14 @@ def _ros_remedy(problem: ImportError) -> str:
     return remedy_for(problem)
 
 
-def _version_of_rclpy(prefix: Path) -> str:
-    try:
-        return ElementTree.parse(prefix / "share/rclpy/package.xml").getroot().findtext("version", "")
-    except (OSError, ElementTree.ParseError):
-        return ""
-
-
 def _middleware(_: Machine) -> Iterator[Finding]:
     name = os.environ.get("RMW_IMPLEMENTATION") or DEFAULT_RMW
-    installed = sorted(
-        {
-            file.name
-            for prefix in prefixes()
-            for file in (prefix / "share/ament_index/resource_index/rmw_typesupport").glob("rmw_*_cpp")
-        }
-    )
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
+    folders = (Path(prefix, "share/ament_index/resource_index/rmw_typesupport") for prefix in prefixes)
+    installed = sorted({file.name for folder in folders for file in folder.glob("rmw_*_cpp")})
     if name not in installed:
         yield error(
-            f"RMW_IMPLEMENTATION is {in_one_line(name, 60)}, installed are {', '.join(installed) or 'none'}",
+            f"RMW_IMPLEMENTATION is {name}, installed are {', '.join(installed) or 'none'}",
             remedy=f"`export RMW_IMPLEMENTATION={next(iter(installed), DEFAULT_RMW)}`, or install the other "
             f"one with `sudo apt install {apt_package_of(name)}`.",
         )
@@ -107,17 +82,17 @@ def _settings_of_middleware() -> Iterator[Finding]:
         if not value or path.lstrip().startswith("<"):  # Cyclone DDS takes the text itself
             continue
         if Path(path).is_file():
-            yield ok(f"{variable} is {in_one_line(path, 200)}")
+            yield ok(f"{variable} is {path}")
         else:
             yield error(
-                f"{variable} is {in_one_line(path, 200)}, which is no file",
+                f"{variable} is {path}, which is no file",
                 remedy=f"Correct the path, or `unset {variable}`: without the file its settings do not "
                 "apply.",
             )
     transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "")
     if transports.startswith("UDP"):
         yield warning(
-            f"FASTDDS_BUILTIN_TRANSPORTS is {in_one_line(transports, 40)}: images go over UDP, which loses "
+            f"FASTDDS_BUILTIN_TRANSPORTS is {transports}: images go over UDP, which loses "
             "large ones, even on this machine",
             remedy="`unset FASTDDS_BUILTIN_TRANSPORTS`, unless all images leave this machine.",
         )
@@ -134,7 +109,7 @@ def _domain_problems(domain: str) -> Iterator[Finding]:
     number = int(domain) if domain.isascii() and domain.isdigit() and len(domain) < 9 else -1
     remedy = f"`export ROS_DOMAIN_ID=` a number from 0 to {_LAST_FREE_DOMAIN}, the same for all nodes."
     if not 0 <= number <= _LAST_DOMAIN:
-        yield error(f"ROS_DOMAIN_ID is {in_one_line(domain, 40)}: no node can start", remedy=remedy)
+        yield error(f"ROS_DOMAIN_ID is {domain}: no node can start", remedy=remedy)
     elif number > _LAST_FREE_DOMAIN:
         yield warning(
             f"ROS_DOMAIN_ID is {number}: Linux may give the ports of this domain to other programs",
@@ -145,7 +120,7 @@ def _domain_problems(domain: str) -> Iterator[Finding]:
 def _reach_problems(reach: str) -> Iterator[Finding]:
     if reach not in _RANGES:
         yield error(
-            f"ROS_AUTOMATIC_DISCOVERY_RANGE is {in_one_line(reach, 40)}, which means LOCALHOST to ROS",
+            f"ROS_AUTOMATIC_DISCOVERY_RANGE is {reach}, which means LOCALHOST to ROS",
             remedy=f"`export ROS_AUTOMATIC_DISCOVERY_RANGE=` one of {', '.join(_RANGES)}.",
         )
     elif reach == "OFF":
@@ -198,23 +173,12 @@ def _log(_: Machine) -> Iterator[Finding]:
         yield ok(f"{folder} can be written")
 
 
-def _companions(_: Machine) -> Iterator[Finding]:
-    index = "share/ament_index/resource_index/packages"
-    present = {
-        name for name in _COMPANIONS if any((prefix / index / name).is_file() for prefix in prefixes())
-    }
-    words = [f"{what} ({name})" for name, what in _COMPANIONS.items() if name in present]
-    absent = [f"{what} ({name})" for name, what in _COMPANIONS.items() if name not in present]
-    yield ok(f"present: {', '.join(words) or 'none'}; optional and absent: {', '.join(absent) or 'none'}")
-
-
-CHECKS: Mapping[str, Check] = MappingProxyType(
-    {
+CHECKS: Groups = {
+    "ros": {
         "middleware": _middleware,
         "discovery": _discovery,
         "shared memory": _shared_memory,
         "log": _log,
-        "other packages": _companions,
         "ROS": _distribution,  # last: with a wrong middleware, importing rclpy ends the process
     }
-)
+}

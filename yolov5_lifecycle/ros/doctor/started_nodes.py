@@ -1,35 +1,33 @@
-"""Images of a camera process that arrive in this one, with the middleware and the settings of the user.
-
-The discovery range is LOCALHOST, so that no other machine sees the camera. FASTDDS_BUILTIN_TRANSPORTS then
-has no effect, because rmw_fastrtps chooses the transports itself, in its `src/participant.cpp`.
-"""
+"""Nodes that `doctor` starts: a camera, whose images must arrive, and a detector, for its whole life."""
 
 from __future__ import annotations
 
 import os
 import re
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
-from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error, ok, warning
+from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.input_file import resolve_package
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
 from yolov5_lifecycle.ros.doctor.environment import PROFILE
 from yolov5_lifecycle.ros.messages import stamp_ns
-from yolov5_lifecycle.ros.observer import Observer
+from yolov5_lifecycle.ros.observer import NoAnswerError, Observer
 from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES
 from yolov5_lifecycle.unfinished import temporary_folder
 
-SIZE_HW = (720, 1280)
-RATE_HZ = 15.0
+_WIDTH, _HEIGHT = 1280, 720
+_RATE_HZ = 15.0
 _WATCHED_S = 4.0
 _DISCOVERY_S = 20.0
 _FEW_LOST = 0.05
@@ -57,17 +55,16 @@ class Arrivals:
         return 1 - len(self.numbers) / sent
 
     def __str__(self) -> str:
-        width, height = SIZE_HW[::-1]
         rate_hz = len(self.numbers) / _WATCHED_S
         memory = "through shared memory" if self.has_shared_memory else "without shared memory"
         return (
-            f"{self.lost:.0%} of the images of {width}x{height} lost, {rate_hz:.1f} of {RATE_HZ:g} Hz "
+            f"{self.lost:.0%} of the images of {_WIDTH}x{_HEIGHT} lost, {rate_hz:.1f} of {_RATE_HZ:g} Hz "
             f"received, {statistics.median(self.latencies_ms):.1f} ms each, {memory}"
         )
 
 
 def _transport(_: Machine) -> Iterator[Finding]:
-    if not (found := watched()).numbers:
+    if not (found := _watched()).numbers:
         yield error(
             f"no image arrived from another process within {_DISCOVERY_S:g} s",
             remedy="Check the settings above (middleware, discovery), and that a firewall lets UDP to this "
@@ -84,19 +81,21 @@ def _remedy() -> str:
     overloaded = "Lower the camera's rate or size, or send compressed images: this machine is too busy."
     if any(os.environ.get(variable) for variable in PROFILE_VARIABLES):
         return overloaded
-    profile = resolve_package(PROFILE)
-    os.environ[PROFILE_VARIABLES[0]] = profile
-    found = watched()
+    profile = os.environ[PROFILE_VARIABLES[0]] = resolve_package(PROFILE)
+    found = _watched()
     if not found.numbers or found.lost > _FEW_LOST:
         return overloaded
     return f"Start cameras with `export {PROFILE_VARIABLES[0]}={profile}`; tried here: {found}."
 
 
-def watched() -> Arrivals:
-    """The images of a new camera process on a domain of its own, watched for some seconds from the first."""
+def _watched() -> Arrivals:
+    """The images of a new camera process, watched for some seconds from the first.
+
+    The discovery range is LOCALHOST, so that no other machine sees the camera. FASTDDS_BUILTIN_TRANSPORTS
+    then has no effect, because rmw_fastrtps chooses the transports itself, in its `src/participant.cpp`.
+    """
     arrivals = Arrivals()
-    height, width = SIZE_HW
-    values = {"width": width, "height": height, "rate": RATE_HZ, "reliability": "best_effort"}
+    values = {"width": _WIDTH, "height": _HEIGHT, "rate": _RATE_HZ, "reliability": "best_effort"}
     words = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
     with own_domain() as domain, temporary_folder() as folder:
         environment = isolated(os.environ, domain) | {"ROS_LOG_DIR": str(folder)}
@@ -107,11 +106,8 @@ def watched() -> Arrivals:
             closing(Observer("doctor", domain=domain, check=camera.check_running)) as observer,
         ):
             observer.create_subscription(Image, "/image_raw", arrivals.take, qos_profile_sensor_data)
-            end_s = time.monotonic() + _DISCOVERY_S
-            observer.wait_for(
-                lambda: bool(arrivals.numbers) or time.monotonic() > end_s, "time", timeout_s=2 * _DISCOVERY_S
-            )
-            if arrivals.numbers:
+            with suppress(NoAnswerError):
+                observer.wait_for(lambda: bool(arrivals.numbers), "an image", timeout_s=_DISCOVERY_S)
                 observer.work_for(_WATCHED_S)
             arrivals.has_shared_memory = has_foreign_segment(Path("/proc/self/maps").read_text())
     return arrivals
@@ -122,4 +118,30 @@ def has_foreign_segment(maps: str) -> bool:
     return len(set(_SEGMENT.findall(maps))) > 1
 
 
-CHECKS: Mapping[str, Check] = MappingProxyType({"image transport": _transport})
+def _life(_: Machine) -> Iterator[Finding]:
+    """What `demo` says, which drives every transition, live changes and a model swap."""
+    output = ""
+    with (
+        temporary_folder() as folder,  # the demonstration writes below the current one
+        subprocess.Popen(
+            [entry_point("demo")], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        ) as demo,
+    ):
+        assert demo.stdout is not None
+        for line in demo.stdout:
+            sys.stderr.write(line)  # `doctor` quotes the last ones if no further one follows in time
+            output += line
+    if demo.returncode == 0:
+        found = output.rpartition("demo ok: ")[2].partition(", image")[0]
+        yield ok(
+            f"configured, activated, changed, model swapped, deactivated, activated again, shut down: {found}"
+        )
+    else:
+        yield error(
+            in_one_line(output.rpartition("demo failed: ")[2], 800),
+            remedy="Correct the errors above first; then run `demo`, which shows every step, and report "
+            "its output.",
+        )
+
+
+CHECKS: Groups = {"transport": {"image transport": _transport}, "node": {"node": _life}}

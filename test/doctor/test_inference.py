@@ -1,13 +1,21 @@
-"""The built-in image: two results are the same if each object of one is in the other."""
+"""Detections of one image are compared, and what torch sees with the driver that the machine has."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import torch
+from support.doctor_process import planted
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.doctor.built_in_image import COARSE, EXACT, detected, difference, truth
+from yolov5_lifecycle.doctor.finding import Machine
+from yolov5_lifecycle.doctor.inference import CHECKS, EXACT, difference
 
+without_gpu = pytest.mark.skipif(
+    torch.cuda.is_available(), reason="nothing is wrong with the driver of the GPU"
+)
 Row = tuple[int, float, tuple[float, float, float, float]]
 CIRCLE: Row = (0, 0.9, (10, 10, 50, 50))
 STAR: Row = (3, 0.8, (100, 10, 150, 60))
@@ -46,4 +54,26 @@ def test_nothing_is_the_same_as_nothing() -> None:
 
 
 def test_the_network_finds_every_shape_of_the_image() -> None:
-    assert difference(truth(), detected(runtime="torch").detections, COARSE) == ""
+    first, *_ = CHECKS["devices"]["forward"](Machine())
+    assert first.found.startswith("cpu fp32: all 6 shapes found, ")
+
+
+@without_gpu
+def test_a_driver_without_a_torch_that_uses_it_is_found(tmp_path: Path) -> None:
+    planted(tmp_path, {"/proc/driver/nvidia/version": "Kernel Module  535.129.03\n"})
+    (finding,) = CHECKS["devices"]["torch"](Machine(tmp_path))
+    if torch.version.cuda is None:
+        assert finding.level == "warning"
+        assert finding.found.endswith("has no CUDA, so the GPU is not used")
+        assert "`make install` without TORCH=cpu" in finding.remedy
+    else:
+        assert finding.level == "error"
+        assert "finds no usable GPU: " in finding.found
+        assert "Update NVIDIA's driver" in finding.remedy
+
+
+@without_gpu
+def test_a_machine_without_a_driver_uses_the_cpu(tmp_path: Path) -> None:
+    (finding,) = CHECKS["devices"]["torch"](Machine(tmp_path))
+    assert finding.level == "ok"
+    assert finding.found.endswith("on the CPU only")

@@ -1,0 +1,166 @@
+"""The package's own network on a synthetic image: every device and runtime must find the same objects."""
+
+from __future__ import annotations
+
+import statistics
+import timeit
+import warnings
+from collections.abc import Iterator
+from contextlib import closing
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.python_api import load_model
+from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
+from yolov5_lifecycle.doctor.system import KERNEL_MODULE
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.quantization.calibration_file import CalibrationError
+from yolov5_lifecycle.runtimes.cache import installed_build
+from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
+from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, REQUIREMENTS
+from yolov5_lifecycle.runtimes.torch_device import devices_present
+from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
+
+_WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"
+_IMAGE, _TRUTH = Scene(8, (480, 640)).frame(0)
+"""RGB pixels (480, 640, 3) of six shapes."""
+_IMAGE_SIZE = 640  # that of the calibration for int8
+_RUNS = 5
+_WRONG = "Install torch again; if the difference stays, set device to another one and report this line."
+
+
+class Tolerance(NamedTuple):
+    """How much the same detection may differ: in pixels of a corner, and in the score."""
+
+    corner_px: float
+    score: float
+
+
+EXACT = Tolerance(corner_px=1.0, score=0.01)
+COARSE = Tolerance(corner_px=6.0, score=0.15)
+"""For precisions below fp32, and for the ground truth."""
+
+
+def ground_truth() -> Detections:
+    return Detections(_TRUTH.boxes_xyxy, np.ones(len(_TRUTH.class_ids), np.float32), _TRUTH.class_ids)
+
+
+def detected(*, runtime: str, device: str = "cpu", precision: str = "fp32") -> tuple[Detections, float]:
+    """What the network finds in the image, and the median milliseconds of a detection.
+
+    Raises what `load_model` and `Detector` raise.
+    """
+    detector = load_model(
+        _WEIGHTS, runtime=runtime, device=device, precision=precision, image_size=_IMAGE_SIZE
+    )
+    with closing(detector.runtime):
+        times_s = timeit.repeat(lambda: detector(_IMAGE, order="rgb"), number=1, repeat=_RUNS)
+        return detector(_IMAGE, order="rgb"), 1e3 * statistics.median(times_s)
+
+
+def difference(expected: Detections, found: Detections, tolerance: Tolerance) -> str:
+    """The first object of one that the other lacks or has elsewhere; "" if there is none.
+
+    Objects whose scores are so near to the threshold that they may be on either side of it are left out.
+    """
+    for one, other, word in ((expected, found, "lacks"), (found, expected, "also has")):
+        for box, score, class_id in zip(one.boxes_xyxy, one.scores, one.class_ids, strict=True):
+            corners = np.abs(other.boxes_xyxy - box).max(axis=1, initial=0.0)
+            is_same = (other.class_ids == class_id) & (corners <= tolerance.corner_px)
+            is_same &= np.abs(other.scores - score) <= tolerance.score
+            if not is_same.any() and score > Selection().confidence_threshold + tolerance.score:
+                return f"it {word} {CLASS_NAMES[class_id]} {score:.2f} at {box.round().astype(int).tolist()}"
+    return ""
+
+
+def _build(machine: Machine) -> Iterator[Finding]:
+    built = f"torch {torch.__version__}"
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        is_available = torch.cuda.is_available()
+    if is_available:
+        names = ", ".join(torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count()))
+        yield ok(f"{built} for CUDA {torch.version.cuda} sees {names}")
+    elif not machine.path(KERNEL_MODULE).exists():
+        yield ok(f"{built}, on the CPU only")
+    elif torch.version.cuda is None:
+        yield warning(
+            f"{built} has no CUDA, so the GPU is not used",
+            remedy="Install a build of torch with CUDA: `make clean`, then `make install` without TORCH=cpu; "
+            "elsewhere see torch's installation page.",
+        )
+    else:
+        reason = in_one_line(str(told[0].message), 300) if told else "torch does not say why"
+        yield error(
+            f"{built} for CUDA {torch.version.cuda} finds no usable GPU: {reason}",
+            remedy="Update NVIDIA's driver, or install torch built for an older CUDA from its installation "
+            "page; without either, set device to cpu.",
+        )
+
+
+def _forward(_: Machine) -> Iterator[Finding]:
+    expected, median_ms = detected(runtime="torch")
+    if problem := difference(ground_truth(), expected, COARSE):
+        yield error(f"cpu fp32 differs from the ground truth: {problem}", remedy=_WRONG)
+    else:
+        yield ok(f"cpu fp32: all {len(expected)} shapes found, {median_ms:.1f} ms an image")
+    for device in devices_present()[1:]:
+        for precision, tolerance in (("fp32", EXACT), ("fp16", COARSE)):
+            found, median_ms = detected(runtime="torch", device=device, precision=precision)
+            if problem := difference(expected, found, tolerance):
+                yield error(f"{device} {precision} differs from the CPU: {problem}", remedy=_WRONG)
+            else:
+                yield ok(f"{device} {precision}: same detections as the CPU, {median_ms:.1f} ms an image")
+
+
+def _runtime(machine: Machine) -> Iterator[Finding]:
+    packages = REQUIREMENTS[machine.target]
+    if missing := [package for package in packages if installed_build(package) is None]:
+        yield ok(f"not installed ({', '.join(missing)}); the node uses another runtime")
+        return
+    install = f"Install it again with pip install --force-reinstall {' '.join(packages)}"
+    try:
+        found, median_ms = detected(runtime=machine.target)
+    except Exception as refusal:  # noqa: BLE001 - a broken package raises anything
+        cause = refusal.__cause__ or refusal  # what the package raised; the refusal repeats the remedy
+        yield error(
+            in_one_line(f"{type(cause).__name__}: {cause}", 400),
+            remedy=f"{install}; until then `auto` leaves it out.",
+        )
+        return
+    expected, expected_ms = detected(runtime="torch")
+    if problem := difference(expected, found, EXACT):
+        remedy = f"{install}, or set runtime to torch, because `auto` may choose this one."
+        yield error(f"differs from torch: {problem}", remedy=remedy)
+    else:
+        yield ok(f"same detections as torch, {median_ms:.1f} ms an image (torch {expected_ms:.1f})")
+
+
+def _precisions(machine: Machine) -> Iterator[Finding]:
+    if machine.target != COARSE_RUNTIME or installed_build(COARSE_RUNTIME) is None:
+        return
+    expected, fp32_ms = detected(runtime=COARSE_RUNTIME)
+    yield _precision("int8", expected, fp32_ms)
+    if has_bf16(abilities()):
+        yield _precision("bf16", expected, fp32_ms)
+
+
+def _precision(precision: str, expected: Detections, fp32_ms: float) -> Finding:
+    remedy = f"Keep precision at auto or fp32, because {precision} is not usable here; docs/int8.md has more."
+    try:
+        found, median_ms = detected(runtime=COARSE_RUNTIME, precision=precision)
+    except CalibrationError as refusal:
+        return warning(f"{precision}: {refusal}", remedy=remedy)
+    if problem := difference(expected, found, COARSE):
+        return warning(f"{precision} differs from fp32: {problem}", remedy=remedy)
+    return ok(f"{precision}: same detections as fp32, {median_ms:.1f} ms an image (fp32 {fp32_ms:.1f} ms)")
+
+
+CHECKS: Groups = {
+    "devices": {"torch": _build, "forward": _forward},
+    "runtime": {"runtime": _runtime, "precisions": _precisions},
+}
