@@ -1,15 +1,17 @@
-"""Resumable HTTP download of one file."""
+"""Resumable HTTP download of one file from a server that is not trusted."""
 
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Callable
-from http.client import HTTPException, HTTPResponse
-from typing import BinaryIO
+from concurrent.futures import Future, wait
+from http.client import HTTPException, HTTPMessage, HTTPResponse
+from typing import IO, BinaryIO
 from urllib.error import HTTPError
-from urllib.request import Request
+from urllib.parse import urlsplit
+from urllib.request import HTTPRedirectHandler, Request, build_opener
 
-from yolov5_lifecycle.commands.http_client import RedirectError, open_url
 from yolov5_lifecycle.printable import in_one_line
 
 _CHUNK_BYTES = 1 << 14
@@ -45,7 +47,7 @@ def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progre
         file.truncate(start)
         total = None if response.length is None else start + response.length
         _check_size(url, total or 0, max_bytes)
-        while chunk := _next_chunk(response, url, file.tell(), stall_s):
+        while chunk := _next_chunk(response, url, file.tell(), total, stall_s):
             file.write(chunk)
             _check_size(url, file.tell(), max_bytes)
             progress(file.tell(), total)
@@ -53,12 +55,25 @@ def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progre
         raise DownloadError(f"{url}: the connection ended after {file.tell()} of {total} bytes; {_AGAIN}")
 
 
+class SafeRedirects(HTTPRedirectHandler):
+    """Rejects redirects from https to any other scheme, and reads the body of none."""
+
+    def redirect_request(
+        self, req: Request, fp: IO[bytes], code: int, msg: str, headers: HTTPMessage, newurl: str
+    ) -> Request | None:
+        fp.close()  # else urllib would read the body, which may have no end
+        if urlsplit(newurl).scheme not in {"https", req.type}:
+            source, target = _short(req.full_url), _short(newurl)
+            raise DownloadError(f"{source}: refused to follow its redirect to {target}; try a mirror")
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
+
+
 def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
     if not url.startswith(("https://", "http://")):
         raise DownloadError(f"{url}: expected an address that begins with https:// or http://")
     try:
         request = Request(url, headers={"Range": f"bytes={start}-"} if start else {})
-        return open_url(request, stall_s=stall_s)
+        return _opened(request, stall_s)
     except HTTPError as error:
         error.close()
         if error.code == _RANGE_NOT_SATISFIABLE and start:
@@ -66,13 +81,31 @@ def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
         raise DownloadError(
             f"{url}: the server answers {error.code} {_short(error.reason)}; check the address"
         ) from None
-    except RedirectError as error:
-        raise DownloadError(
-            f"{_short(error.source)}: refused to follow its redirect to {_short(error.target)}; try a mirror"
-        ) from None
     except (OSError, HTTPException, ValueError, OverflowError) as error:  # OverflowError: port above 65535
         reason = _short(getattr(error, "reason", error)) or type(error).__name__
         raise DownloadError(f"{url}: no answer ({reason}); check the address and the network") from None
+
+
+def _opened(request: Request, stall_s: float) -> HTTPResponse:
+    """The response after redirects; TimeoutError unless its header is complete within twice `stall_s`.
+
+    That needs a thread, left to itself then: http.client skips responses `100 Continue` without end.
+    """
+    opened: Future[HTTPResponse] = Future()
+
+    def run() -> None:
+        try:
+            opened.set_result(build_opener(SafeRedirects).open(request, timeout=stall_s))
+        except BaseException as error:  # noqa: BLE001 - raised below
+            opened.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    if not wait([opened], 2 * stall_s).done:
+        raise TimeoutError(f"its header was not complete after {2 * stall_s:g} s")
+    try:
+        return opened.result()
+    finally:
+        del opened  # else the exception and the frames in its traceback would keep each other, and a socket
 
 
 def _short(foreign: object) -> str:
@@ -98,9 +131,13 @@ def _check_size(url: str, size_bytes: int, max_bytes: int) -> None:
         raise DownloadError(f"{url}: {size_bytes} bytes or more, the limit is {max_bytes}; check the address")
 
 
-def _next_chunk(response: HTTPResponse, url: str, done_bytes: int, stall_s: float) -> bytes:
+def _next_chunk(
+    response: HTTPResponse, url: str, done_bytes: int, total: int | None, stall_s: float
+) -> bytes:
+    """Up to _CHUNK_BYTES more, b"" at the end. `read` would take all that comes as a chunk of size -1."""
+    left = _CHUNK_BYTES if total is None else max(total - done_bytes, 0)
     try:
-        return response.read(_CHUNK_BYTES)
+        return response.read1(min(left, _CHUNK_BYTES))
     except TimeoutError:
         reason = f"no data for {stall_s:g} s"
     except (OSError, HTTPException, ValueError, OverflowError) as error:
