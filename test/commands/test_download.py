@@ -192,7 +192,9 @@ def test_a_download_that_could_not_be_checked_for_lack_of_memory_is_kept_and_use
     with FileServer(sending(large)) as server:
         command = [sys.executable, "-c", FETCHED_WITH_LITTLE_MEMORY, str(folder), server.address + PATTERN]
         one_heap = os.environ | {"MALLOC_ARENA_MAX": "1"}  # else that of a thread has room in reserve
-        run = subprocess.run(command, cwd=REPOSITORY, env=one_heap, capture_output=True, text=True, check=False)
+        run = subprocess.run(
+            command, cwd=REPOSITORY, env=one_heap, capture_output=True, text=True, check=False
+        )
         assert "not enough memory to read it; free some. The download is kept" in run.stderr
         assert fetch_from(server, folder).path.stat().st_size == len(large)
     assert len(server.requests) == 1

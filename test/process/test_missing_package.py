@@ -47,6 +47,14 @@ def test_the_remedy_fits_what_is_missing(error: ImportError, remedy: str) -> Non
     assert problem.isprintable()
 
 
+def test_the_command_of_a_remedy_can_be_typed_with_a_python_in_a_folder_with_blanks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "executable", "/my venv/bin/python")
+    problem = import_problem(ModuleNotFoundError("No module named 'torch'", name="torch"))
+    assert "Install it with '/my venv/bin/python' -m pip install torch" in problem
+
+
 def test_a_remedy_names_the_distribution_that_is_sourced(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DISTRO", "kilted")
     assert "source /opt/ros/kilted/setup.bash" in import_problem(ModuleNotFoundError("no", name="rclpy"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, wait
 from http.client import HTTPException, HTTPMessage, HTTPResponse
 from typing import IO, BinaryIO
 from urllib.error import HTTPError
@@ -45,6 +44,7 @@ def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progre
                 f"{url}: requested bytes from {file.tell()} on, got them from {start} on; try a mirror"
             )
         file.truncate(start)
+        file.seek(start)
         total = None if response.length is None else start + response.length
         _check_size(url, total or 0, max_bytes)
         while chunk := _next_chunk(response, url, file.tell(), total, stall_s):
@@ -91,21 +91,23 @@ def _opened(request: Request, stall_s: float) -> HTTPResponse:
 
     That needs a thread, left to itself then: http.client skips responses `100 Continue` without end.
     """
-    opened: Future[HTTPResponse] = Future()
+    answers: list[HTTPResponse] = []
+    problems: list[Exception] = []
 
     def run() -> None:
         try:
-            opened.set_result(build_opener(SafeRedirects).open(request, timeout=stall_s))
-        except BaseException as error:  # noqa: BLE001 - raised below
-            opened.set_exception(error)
+            answers.append(build_opener(SafeRedirects).open(request, timeout=stall_s))
+        except Exception as error:  # noqa: BLE001 - raised below
+            problems.append(error)
 
-    threading.Thread(target=run, daemon=True).start()
-    if not wait([opened], 2 * stall_s).done:
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(2 * stall_s)
+    if problems:
+        raise problems.pop()
+    if not answers:
         raise TimeoutError(f"its header was not complete after {2 * stall_s:g} s")
-    try:
-        return opened.result()
-    finally:
-        del opened  # else the exception and the frames in its traceback would keep each other, and a socket
+    return answers.pop()
 
 
 def _short(foreign: object) -> str:

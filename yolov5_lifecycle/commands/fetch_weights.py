@@ -20,7 +20,7 @@ from yolov5_lifecycle.commands.download import DownloadError, Progress, download
 from yolov5_lifecycle.commands.fetch_weights_arguments import LICENCE, command_parser
 from yolov5_lifecycle.commands.official_weights import SHA256, URL
 from yolov5_lifecycle.models.model import UncheckedError, WeightsError
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.printable import in_one_line, shell_command
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.unfinished import open_itself
 
@@ -84,7 +84,8 @@ def listing(folder: Path) -> str:
     """The weights files in `folder`, one per line with its size; unfinished downloads are marked."""
     files = sorted(path for suffix in (".pt", ".safetensors", ".onnx") for path in folder.glob(f"*{suffix}"))
     if not files:
-        return f"no weights in {folder}; `fetch_weights n --dir {folder}` downloads the smallest.\n"
+        command = shell_command("fetch_weights", "n", "--dir", folder)
+        return f"no weights in {folder}; `{command}` downloads the smallest.\n"
     return "".join(
         f"{path.stat().st_size / 1e6:8.1f} MB  {in_one_line(str(path))}"
         f"{'  (unfinished: fetch it again)' if path.name.endswith(_UNFINISHED) else ''}\n"
