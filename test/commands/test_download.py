@@ -27,8 +27,8 @@ from support.file_server import (
     stalling,
 )
 
-from yolov5_lifecycle.commands.download import DownloadError, SafeRedirects, download
-from yolov5_lifecycle.commands.fetch_weights import fetch, main
+from yolov5_lifecycle.commands.download import DownloadError, SafeRedirects, download, fetch
+from yolov5_lifecycle.commands.fetch_weights import main
 from yolov5_lifecycle.models.model import WeightsError
 
 
@@ -164,7 +164,7 @@ FETCHED_WITH_LITTLE_MEMORY = """
 import sys
 from pathlib import Path
 from benchmark.process_memory import limit_growth
-from yolov5_lifecycle.commands.fetch_weights import fetch
+from yolov5_lifecycle.commands.download import fetch
 
 def leave_little(done_bytes, total_bytes):
     if done_bytes == total_bytes:

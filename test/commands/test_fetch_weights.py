@@ -22,8 +22,7 @@ from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
 from yolov5_lifecycle.commands.download import DownloadError
-from yolov5_lifecycle.commands.fetch_weights import main
-from yolov5_lifecycle.commands.official_weights import MODELS, SHA256
+from yolov5_lifecycle.commands.fetch_weights import MODELS, SHA256, main
 from yolov5_lifecycle.models.model import WeightsError
 
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from yolov5_lifecycle.commands.entry_points import ARGUMENTS
+from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.process.missing_package import apt_package_of, import_problem
 
 
@@ -72,7 +72,7 @@ def run_without(modules: tuple[str, ...], command: str, *words: str) -> subproce
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("command", ARGUMENTS)
+@pytest.mark.parametrize("command", sorted(MODULES.keys() - {"demo", "doctor"}))
 def test_a_command_shows_its_help_without_the_libraries_that_it_needs(command: str) -> None:
     run = run_without(("cv2", "rosbags", "torch"), command, "--help")
     assert (run.returncode, run.stderr) == (0, "")

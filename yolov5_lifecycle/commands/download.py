@@ -1,17 +1,32 @@
-"""Resumable HTTP download of one file from a server that is not trusted."""
+"""Resumable HTTP download of a weights file from a server that is not trusted."""
 
 from __future__ import annotations
 
+import errno
+import fcntl
+import os
 import re
+import stat
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from http.client import HTTPException, HTTPMessage, HTTPResponse
+from pathlib import Path
 from typing import IO, BinaryIO
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
+from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, WeightsFile, load_weights
+from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.unfinished import open_itself
+
+UNFINISHED = ".partial.pt"
+"""End of the name of a file that is not whole yet."""
+_IRREGULAR = "{}: expected a regular file, found a link, pipe or device: remove it"
+_STALL_S = 30.0
 
 _CHUNK_BYTES = 1 << 14
 _PARTIAL_CONTENT = 206
@@ -28,6 +43,117 @@ class DownloadError(RuntimeError):
 
     def __init__(self, message: str) -> None:
         super().__init__(in_one_line(message))
+
+
+def fetch(
+    model: str,
+    folder: Path,
+    *,
+    url: str,
+    sha256: str = "",
+    stall_s: float = _STALL_S,
+    progress: Progress = lambda done_bytes, total_bytes: None,
+) -> WeightsFile:
+    """Load yolov5`model`.pt from `folder`, downloading it if it does not exist.
+
+    `url` contains the placeholder `{size}`. The resulting file is complete, readable and, with `sha256`, has
+    that digest. An unfinished or unchecked download is kept beside it and resumed by the next call; one with
+    another digest or without a model is removed. Raises DownloadError, WeightsError or OSError.
+    """
+    target = folder / f"yolov5{model}.pt"
+    if os.path.lexists(target):
+        return load_weights(target, sha256=sha256)
+    if "{size}" not in url:
+        raise DownloadError(
+            f"{url}: expected an address with {{size}} in it, as in https://HOST/yolov5{{size}}.pt"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    with _alone(folder):
+        return _downloaded(url.replace("{size}", model), target, sha256, stall_s, progress)
+
+
+def _downloaded(url: str, target: Path, sha256: str, stall_s: float, progress: Progress) -> WeightsFile:
+    unfinished = target.with_suffix(UNFINISHED)
+    found = _whole(unfinished, sha256)
+    if found is None:
+        try:
+            _append(url, unfinished, stall_s, progress)
+        except DownloadError as error:
+            otherwise = f"Or copy {target.name} into {target.parent} by other means."
+            raise DownloadError(f"{error}. {otherwise}") from None
+        found = _checked(unfinished, url, sha256)
+    unfinished.replace(target)
+    return replace(found, path=target.resolve())
+
+
+def _append(url: str, unfinished: Path, stall_s: float, progress: Progress) -> None:
+    with _opened(unfinished) as file:
+        try:
+            download(url, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
+            file.flush()
+            os.fsync(file.fileno())
+        except BaseException:
+            if os.fstat(file.fileno()).st_size == 0:  # nothing to resume
+                unfinished.unlink(missing_ok=True)
+            raise
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Lock `folder` against concurrent downloads, which would corrupt a shared file."""
+    with _opened(folder / ".fetch_weights.lock") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DownloadError(
+                f"another fetch_weights is running in {folder}: wait until it has finished"
+            ) from None
+        yield
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    """Open a file for appending, creating it if needed; raises DownloadError for a link, pipe or device."""
+    try:
+        with open(path, "ab", opener=open_itself) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise DownloadError(_IRREGULAR.format(path))
+            yield file
+    except OSError as error:
+        if error.filename == str(path) and error.errno in (errno.ELOOP, errno.ENXIO):
+            raise DownloadError(_IRREGULAR.format(path)) from None
+        raise
+
+
+def _whole(path: Path, sha256: str) -> WeightsFile | None:
+    """The complete download of an earlier call that could not check it; None if there is none."""
+    try:
+        return load_weights(path, sha256=sha256) if path.exists() else None
+    except UncheckedError:
+        raise
+    except WeightsError:
+        return None
+
+
+def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
+    """The downloaded model; an invalid file is removed, since it cannot be resumed."""
+    try:
+        return load_weights(path, sha256=sha256)
+    except UncheckedError as error:
+        raise UncheckedError(f"{error} The download is kept: then run the command again.") from None
+    except WeightsError as error:
+        reason = _reason(path, error)
+        path.unlink()
+        raise WeightsError(f"{url}: {str(reason).removeprefix(f'{path}: ')} It was removed.") from None
+
+
+def _reason(path: Path, error: WeightsError) -> WeightsError:
+    """Why the file at `path` is no model, as a login page is none: that says more than its digest."""
+    try:
+        load_weights(path)
+    except WeightsError as other:
+        return other
+    return error
 
 
 def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progress: Progress) -> None:
@@ -73,7 +199,7 @@ def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
         raise DownloadError(f"{url}: expected an address that begins with https:// or http://")
     try:
         request = Request(url, headers={"Range": f"bytes={start}-"} if start else {})
-        return _opened(request, stall_s)
+        return _opened_url(request, stall_s)
     except HTTPError as error:
         error.close()
         if error.code == _RANGE_NOT_SATISFIABLE and start:
@@ -86,7 +212,7 @@ def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
         raise DownloadError(f"{url}: no answer ({reason}); check the address and the network") from None
 
 
-def _opened(request: Request, stall_s: float) -> HTTPResponse:
+def _opened_url(request: Request, stall_s: float) -> HTTPResponse:
     """The response after redirects; TimeoutError unless its header is complete within twice `stall_s`.
 
     That needs a thread, left to itself then: http.client skips responses `100 Continue` without end.
