@@ -46,7 +46,7 @@ from tools import matrix
 from tools.mutants import folders as mutants
 from tools.shapes import dataset
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
-from yolov5_lifecycle.commands import convert, fetch_weights, official_weights
+from yolov5_lifecycle.commands import convert, fetch_weights
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.observer import Observer
@@ -294,7 +294,7 @@ def _mirror(checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> Iterator[None
     with FileServer(sending_ranges(checkpoint)) as server:
         monkeypatch.setenv("YOLOV5_WEIGHTS_URL", f"{server.address}/yolov5{{size}}.pt")
         digest = hashlib.sha256(checkpoint).hexdigest()
-        monkeypatch.setattr(fetch_weights, "SHA256", dict.fromkeys(official_weights.SHA256, digest))
+        monkeypatch.setattr(fetch_weights, "SHA256", dict.fromkeys(fetch_weights.SHA256, digest))
         yield
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Callable
 
 MAX_LINE = 1_000
@@ -79,6 +80,11 @@ def in_one_line(text: str, limit: int = MAX_LINE) -> str:
     # Truncated before it is split: a string of many megabytes costs no more than its beginning.
     line = printable(without_secrets(" ".join(text[: 4 * limit].split())))
     return line if len(line) <= limit and len(text) <= 4 * limit else _cut(line, len(text), limit)
+
+
+def shell_command(*words: object) -> str:
+    """The command line to type for `words`: each is quoted if it has blanks or characters of the shell."""
+    return shlex.join(map(str, words))
 
 
 def in_lines(text: str, limit: int = MAX_TEXT) -> str:

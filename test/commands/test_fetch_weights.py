@@ -22,8 +22,7 @@ from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
 from yolov5_lifecycle.commands.download import DownloadError
-from yolov5_lifecycle.commands.fetch_weights import main
-from yolov5_lifecycle.commands.official_weights import MODELS, SHA256
+from yolov5_lifecycle.commands.fetch_weights import MODELS, SHA256, main
 from yolov5_lifecycle.models.model import WeightsError
 
 
@@ -215,8 +214,9 @@ def test_a_terminal_sees_the_progress(
 def test_the_list_shows_what_is_there(
     folder: Path, checkpoint: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    folder = folder.with_name("my weights")
     assert main(["--list", "--dir", str(folder)]) == 0
-    assert capsys.readouterr().out.startswith(f"no weights in {folder}; `fetch_weights n")
+    assert f"`fetch_weights n --dir '{folder}'` downloads the smallest" in capsys.readouterr().out
     folder.mkdir(parents=True)
     (folder / "yolov5n.pt").write_bytes(bytes(3_900_000))
     (folder / "best.onnx").touch()

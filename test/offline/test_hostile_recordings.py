@@ -173,11 +173,19 @@ def test_a_single_packed_file_is_a_recording(storage: StoragePlugin, tmp_path: P
 def test_a_bag_of_ros_1_is_refused_with_the_command_that_converts_it(
     is_folder: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "drives").mkdir()
-    bag = tmp_path / "drives" / "drive.bag"
+    (tmp_path / "my drives").mkdir()
+    bag = tmp_path / "my drives" / "drive.bag"
     bag.write_bytes(b"#ROSBAG V2.0\n")
     assert main([str(bag.parent if is_folder else bag), "--output", str(tmp_path / "x"), *SET_MODEL]) != 0
-    assert f"rosbags-convert --src {bag} --dst {bag.with_suffix('')}" in capsys.readouterr().err
+    assert f"rosbags-convert --src '{bag}' --dst '{bag.with_suffix('')}'" in capsys.readouterr().err
+
+
+def test_a_recording_without_metadata_is_refused_with_the_command_that_writes_it(tmp_path: Path) -> None:
+    folder = tmp_path / "my drive"
+    folder.mkdir()
+    (folder / "drive_0.mcap").touch()
+    with pytest.raises(RecordingError, match=f"ros2 bag reindex '{folder}'"), open_recording(folder):
+        pass
 
 
 @pytest.mark.parametrize("type_name", [IMAGE, COMPRESSED])

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.annotated_files import VideoOutput
-from yolov5_lifecycle.offline.whole_video import is_whole_video
+from yolov5_lifecycle.offline.annotated_files import VideoOutput, is_whole_video
 
 SUFFIXES = pytest.mark.parametrize("suffix", [".avi", ".mp4"])
 

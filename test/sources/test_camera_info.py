@@ -64,7 +64,6 @@ def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.
         pytest.param(
             "plumb_bob", "equidistant", "expected 4 for equidistant, found 5", id="number of coefficients"
         ),
-        pytest.param("438.78", "&a 438.78, *a", "found an alias", id="alias"),
         pytest.param(FILE, "", "found no names and values", id="empty"),
         pytest.param(FILE, "[" * 60_000, "camera_calibration writes", id="nested"),
         pytest.param(FILE, " " * MAX_FILE_BYTES + FILE, f"more than {MAX_FILE_BYTES} bytes", id="too large"),

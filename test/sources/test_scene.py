@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yolov5_lifecycle.sources.scene import CLASS_NAMES, SMALLEST_SIDE_PX, Scene, Shape, Truth, random_scene
+from tools.shapes.random_shapes import random_scene
+from yolov5_lifecycle.sources.scene import CLASS_NAMES, SMALLEST_SIDE_PX, Scene, Shape, Truth
 
 SIZES_HW = [
     pytest.param((480, 640), id="vga"),

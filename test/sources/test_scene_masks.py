@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, Shape, random_shapes
-from yolov5_lifecycle.sources.scene_masks import label_image
+from tools.shapes.random_shapes import random_shapes
+from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, Shape, label_image
 
 SIZE_HW = (48, 64)
 

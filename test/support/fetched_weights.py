@@ -6,7 +6,7 @@ from pathlib import Path
 
 from support.file_server import FileServer
 from yolov5_lifecycle.checkpoints.locate import WeightsFile
-from yolov5_lifecycle.commands.fetch_weights import fetch
+from yolov5_lifecycle.commands.download import fetch
 
 PATTERN = "/releases/yolov5{size}.pt"
 

@@ -12,9 +12,9 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from tools.shapes.labelled_image import LabelledImage, still
+from tools.shapes.random_shapes import random_shapes
 from yolov5_lifecycle.detection.letterbox import PADDING_VALUE
-from yolov5_lifecycle.sources.scene import Truth, random_shapes, truth_of
-from yolov5_lifecycle.sources.scene_masks import label_image
+from yolov5_lifecycle.sources.scene import Truth, label_image, truth_of
 
 MASK_CELL_PX = 4
 """Side of a cell of the prototypes: half the stride of the finest level."""

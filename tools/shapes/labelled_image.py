@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.sources.scene import Scene, Shape, Truth, random_shapes, truth_of
-from yolov5_lifecycle.sources.scene_masks import label_image
+from tools.shapes.random_shapes import random_shapes
+from yolov5_lifecycle.sources.scene import Scene, Shape, Truth, label_image, truth_of
 
 
 @dataclass(frozen=True, eq=False)

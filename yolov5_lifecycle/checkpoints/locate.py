@@ -7,7 +7,6 @@ import functools
 import hashlib
 import os
 import re
-import shlex
 import stat
 import sys
 from collections.abc import Callable, Sequence
@@ -19,6 +18,7 @@ from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
 from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.model import Model, UncheckedError, WeightsError, shown
+from yolov5_lifecycle.printable import shell_command
 
 MAX_FILE_BYTES = 2 << 30
 _IRREGULAR = "expected a regular file, found a folder, pipe or device"
@@ -93,7 +93,7 @@ def find_weights(
             return located(path)
     raise WeightsError(
         f"no weights for model_size '{model_size}': neither {tried[0]} nor {tried[1]} is there. "
-        f"`fetch_weights {model_size} --dir {shlex.quote(str(folder))}` downloads the official ones; "
+        f"`{shell_command('fetch_weights', model_size, '--dir', folder)}` downloads the official ones; "
         "in a workspace with `ros2 run yolov5_lifecycle` before it. Or set the parameter `weights` to a path."
     )
 
@@ -164,7 +164,7 @@ def _url_advice(path: Path) -> str:
         remedy = f"`fetch_weights {official[1].lower()}` downloads this model, with --url from a mirror"
     if _is_local(url):
         local = f"/{unquote(url[2]).removeprefix('localhost/')}"
-        remedy = f"write {local[1:] if local.startswith('/~') else shlex.quote(local)}"
+        remedy = f"write {local[1:] if local.startswith('/~') else shell_command(local)}"
     return f"this is a URL, and a path is expected: {remedy}"
 
 

@@ -8,19 +8,36 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
-
-from yolov5_lifecycle.checkpoints.description import Description
-from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
-from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
-from yolov5_lifecycle.commands.convert_arguments import command_parser
-from yolov5_lifecycle.models.model import Model, WeightsError
-from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 
+if TYPE_CHECKING:  # torch is imported by the functions that need it: --help works without, and at once
+    from yolov5_lifecycle.checkpoints.locate import WeightsFile
+    from yolov5_lifecycle.models.model import Model
+
 _MAX_PATH = 4096
+
+
+def command_parser() -> CommandParser:
+    """The argument parser of the command."""
+    parser = CommandParser(
+        "convert",
+        description="Convert a YOLOv5 checkpoint to .safetensors, without running any of it.",
+        usage="%(prog)s IN.pt OUT.safetensors [--force]\n       %(prog)s --describe FILE",
+    )
+    parser.add_argument("source", type=Path, metavar="IN.pt", nargs="?")
+    parser.add_argument("target", type=Path, metavar="OUT.safetensors", nargs="?")
+    parser.add_argument("--force", action="store_true", help="replace OUT.safetensors if it exists")
+    parser.add_argument(
+        "--describe",
+        type=Path,
+        metavar="FILE",
+        help="show what a weights file contains and, if it is refused, why",
+    )
+    return parser
 
 
 def convert(source: Path, target: Path, *, overwrite: bool) -> WeightsFile:
@@ -28,6 +45,10 @@ def convert(source: Path, target: Path, *, overwrite: bool) -> WeightsFile:
 
     Raises WeightsError, and OSError if `target` cannot be written.
     """
+    from yolov5_lifecycle.checkpoints.locate import load_weights
+    from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+    from yolov5_lifecycle.models.model import WeightsError
+
     if target.suffix != ".safetensors":
         raise WeightsError(f"{target}: expected a name that ends in .safetensors.")
     if os.path.lexists(target) and not overwrite:
@@ -50,11 +71,17 @@ def report(written: WeightsFile) -> str:
 
 
 def _parameters(model: Model) -> int:
+    import torch
+
+    from yolov5_lifecycle.models.network import Network
+
     with torch.device("meta"):
         return sum(parameter.numel() for parameter in Network(model.architecture).parameters())
 
 
 def _describe(path: Path) -> int:
+    from yolov5_lifecycle.checkpoints.description import Description
+
     described = Description(path)
     written = write_output("convert", described.text)
     return written or int(not described.is_usable)
@@ -69,6 +96,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _describe(arguments.describe)
     if arguments.target is None:
         parser.error("the following arguments are required: IN.pt, OUT.safetensors")
+    from yolov5_lifecycle.models.model import WeightsError
+
     try:
         written = convert(arguments.source, arguments.target, overwrite=arguments.force)
     except (WeightsError, OSError) as error:

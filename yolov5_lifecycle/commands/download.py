@@ -1,16 +1,32 @@
-"""Resumable HTTP download of one file."""
+"""Resumable HTTP download of a weights file from a server that is not trusted."""
 
 from __future__ import annotations
 
+import errno
+import fcntl
+import os
 import re
-from collections.abc import Callable
-from http.client import HTTPException, HTTPResponse
-from typing import BinaryIO
+import stat
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from http.client import HTTPException, HTTPMessage, HTTPResponse
+from pathlib import Path
+from typing import IO, BinaryIO
 from urllib.error import HTTPError
-from urllib.request import Request
+from urllib.parse import urlsplit
+from urllib.request import HTTPRedirectHandler, Request, build_opener
 
-from yolov5_lifecycle.commands.http_client import RedirectError, open_url
+from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, WeightsFile, load_weights
+from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.unfinished import open_itself
+
+UNFINISHED = ".partial.pt"
+"""End of the name of a file that is not whole yet."""
+_IRREGULAR = "{}: expected a regular file, found a link, pipe or device: remove it"
+_STALL_S = 30.0
 
 _CHUNK_BYTES = 1 << 14
 _PARTIAL_CONTENT = 206
@@ -29,6 +45,117 @@ class DownloadError(RuntimeError):
         super().__init__(in_one_line(message))
 
 
+def fetch(
+    model: str,
+    folder: Path,
+    *,
+    url: str,
+    sha256: str = "",
+    stall_s: float = _STALL_S,
+    progress: Progress = lambda done_bytes, total_bytes: None,
+) -> WeightsFile:
+    """Load yolov5`model`.pt from `folder`, downloading it if it does not exist.
+
+    `url` contains the placeholder `{size}`. The resulting file is complete, readable and, with `sha256`, has
+    that digest. An unfinished or unchecked download is kept beside it and resumed by the next call; one with
+    another digest or without a model is removed. Raises DownloadError, WeightsError or OSError.
+    """
+    target = folder / f"yolov5{model}.pt"
+    if os.path.lexists(target):
+        return load_weights(target, sha256=sha256)
+    if "{size}" not in url:
+        raise DownloadError(
+            f"{url}: expected an address with {{size}} in it, as in https://HOST/yolov5{{size}}.pt"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    with _alone(folder):
+        return _downloaded(url.replace("{size}", model), target, sha256, stall_s, progress)
+
+
+def _downloaded(url: str, target: Path, sha256: str, stall_s: float, progress: Progress) -> WeightsFile:
+    unfinished = target.with_suffix(UNFINISHED)
+    found = _whole(unfinished, sha256)
+    if found is None:
+        try:
+            _append(url, unfinished, stall_s, progress)
+        except DownloadError as error:
+            otherwise = f"Or copy {target.name} into {target.parent} by other means."
+            raise DownloadError(f"{error}. {otherwise}") from None
+        found = _checked(unfinished, url, sha256)
+    unfinished.replace(target)
+    return replace(found, path=target.resolve())
+
+
+def _append(url: str, unfinished: Path, stall_s: float, progress: Progress) -> None:
+    with _opened(unfinished) as file:
+        try:
+            download(url, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
+            file.flush()
+            os.fsync(file.fileno())
+        except BaseException:
+            if os.fstat(file.fileno()).st_size == 0:  # nothing to resume
+                unfinished.unlink(missing_ok=True)
+            raise
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Lock `folder` against concurrent downloads, which would corrupt a shared file."""
+    with _opened(folder / ".fetch_weights.lock") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DownloadError(
+                f"another fetch_weights is running in {folder}: wait until it has finished"
+            ) from None
+        yield
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    """Open a file for appending, creating it if needed; raises DownloadError for a link, pipe or device."""
+    try:
+        with open(path, "ab", opener=open_itself) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise DownloadError(_IRREGULAR.format(path))
+            yield file
+    except OSError as error:
+        if error.filename == str(path) and error.errno in (errno.ELOOP, errno.ENXIO):
+            raise DownloadError(_IRREGULAR.format(path)) from None
+        raise
+
+
+def _whole(path: Path, sha256: str) -> WeightsFile | None:
+    """The complete download of an earlier call that could not check it; None if there is none."""
+    try:
+        return load_weights(path, sha256=sha256) if path.exists() else None
+    except UncheckedError:
+        raise
+    except WeightsError:
+        return None
+
+
+def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
+    """The downloaded model; an invalid file is removed, since it cannot be resumed."""
+    try:
+        return load_weights(path, sha256=sha256)
+    except UncheckedError as error:
+        raise UncheckedError(f"{error} The download is kept: then run the command again.") from None
+    except WeightsError as error:
+        reason = _reason(path, error)
+        path.unlink()
+        raise WeightsError(f"{url}: {str(reason).removeprefix(f'{path}: ')} It was removed.") from None
+
+
+def _reason(path: Path, error: WeightsError) -> WeightsError:
+    """Why the file at `path` is no model, as a login page is none: that says more than its digest."""
+    try:
+        load_weights(path)
+    except WeightsError as other:
+        return other
+    return error
+
+
 def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progress: Progress) -> None:
     """Append the missing rest of the file at `url` to `file`, opened with "ab".
 
@@ -43,9 +170,10 @@ def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progre
                 f"{url}: requested bytes from {file.tell()} on, got them from {start} on; try a mirror"
             )
         file.truncate(start)
+        file.seek(start)
         total = None if response.length is None else start + response.length
         _check_size(url, total or 0, max_bytes)
-        while chunk := _next_chunk(response, url, file.tell(), stall_s):
+        while chunk := _next_chunk(response, url, file.tell(), total, stall_s):
             file.write(chunk)
             _check_size(url, file.tell(), max_bytes)
             progress(file.tell(), total)
@@ -53,12 +181,25 @@ def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progre
         raise DownloadError(f"{url}: the connection ended after {file.tell()} of {total} bytes; {_AGAIN}")
 
 
+class SafeRedirects(HTTPRedirectHandler):
+    """Rejects redirects from https to any other scheme, and reads the body of none."""
+
+    def redirect_request(
+        self, req: Request, fp: IO[bytes], code: int, msg: str, headers: HTTPMessage, newurl: str
+    ) -> Request | None:
+        fp.close()  # else urllib would read the body, which may have no end
+        if urlsplit(newurl).scheme not in {"https", req.type}:
+            source, target = _short(req.full_url), _short(newurl)
+            raise DownloadError(f"{source}: refused to follow its redirect to {target}; try a mirror")
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
+
+
 def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
     if not url.startswith(("https://", "http://")):
         raise DownloadError(f"{url}: expected an address that begins with https:// or http://")
     try:
         request = Request(url, headers={"Range": f"bytes={start}-"} if start else {})
-        return open_url(request, stall_s=stall_s)
+        return _opened_url(request, stall_s)
     except HTTPError as error:
         error.close()
         if error.code == _RANGE_NOT_SATISFIABLE and start:
@@ -66,13 +207,33 @@ def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
         raise DownloadError(
             f"{url}: the server answers {error.code} {_short(error.reason)}; check the address"
         ) from None
-    except RedirectError as error:
-        raise DownloadError(
-            f"{_short(error.source)}: refused to follow its redirect to {_short(error.target)}; try a mirror"
-        ) from None
     except (OSError, HTTPException, ValueError, OverflowError) as error:  # OverflowError: port above 65535
         reason = _short(getattr(error, "reason", error)) or type(error).__name__
         raise DownloadError(f"{url}: no answer ({reason}); check the address and the network") from None
+
+
+def _opened_url(request: Request, stall_s: float) -> HTTPResponse:
+    """The response after redirects; TimeoutError unless its header is complete within twice `stall_s`.
+
+    That needs a thread, left to itself then: http.client skips responses `100 Continue` without end.
+    """
+    answers: list[HTTPResponse] = []
+    problems: list[Exception] = []
+
+    def run() -> None:
+        try:
+            answers.append(build_opener(SafeRedirects).open(request, timeout=stall_s))
+        except Exception as error:  # noqa: BLE001 - raised below
+            problems.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(2 * stall_s)
+    if problems:
+        raise problems.pop()
+    if not answers:
+        raise TimeoutError(f"its header was not complete after {2 * stall_s:g} s")
+    return answers.pop()
 
 
 def _short(foreign: object) -> str:
@@ -98,9 +259,13 @@ def _check_size(url: str, size_bytes: int, max_bytes: int) -> None:
         raise DownloadError(f"{url}: {size_bytes} bytes or more, the limit is {max_bytes}; check the address")
 
 
-def _next_chunk(response: HTTPResponse, url: str, done_bytes: int, stall_s: float) -> bytes:
+def _next_chunk(
+    response: HTTPResponse, url: str, done_bytes: int, total: int | None, stall_s: float
+) -> bytes:
+    """Up to _CHUNK_BYTES more, b"" at the end. `read` would take all that comes as a chunk of size -1."""
+    left = _CHUNK_BYTES if total is None else max(total - done_bytes, 0)
     try:
-        return response.read(_CHUNK_BYTES)
+        return response.read1(min(left, _CHUNK_BYTES))
     except TimeoutError:
         reason = f"no data for {stall_s:g} s"
     except (OSError, HTTPException, ValueError, OverflowError) as error:

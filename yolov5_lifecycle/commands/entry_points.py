@@ -42,13 +42,11 @@ ARGUMENTS: Mapping[str, str] = MappingProxyType(
     {
         "calibrate": "yolov5_lifecycle.offline.calibrate.arguments",
         "collected": "yolov5_lifecycle.offline.collected.arguments",
-        "convert": "yolov5_lifecycle.commands.convert_arguments",
         "detect_bag": "yolov5_lifecycle.offline.detect_bag_arguments",
         "evaluate": "yolov5_lifecycle.offline.evaluate.arguments",
-        "fetch_weights": "yolov5_lifecycle.commands.fetch_weights_arguments",
     }
 )
-"""The module with the argument parser of a command, for those whose parser needs less than their `main`."""
+"""The module with the argument parser of a command whose module imports libraries that may be missing."""
 EXIT_UNABLE = 1
 """Exit code if the machine or its Python lacks what the command needs."""
 _EXIT_INTERRUPTED = 128 + signal.SIGINT
@@ -88,6 +86,9 @@ def _run(command: str) -> NoReturn:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         code = main()
+    except ImportError as error:
+        complain(command, import_problem(error))
+        code = EXIT_UNABLE
     except BrokenPipeError:
         code = EXIT_NOBODY_READS
     except KeyboardInterrupt:

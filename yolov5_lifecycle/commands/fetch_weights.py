@@ -3,91 +3,94 @@
 from __future__ import annotations
 
 import argparse
-import errno
-import fcntl
 import os
-import stat
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
-from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, WeightsFile, expanded, load_weights
+from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.commands.convert import convert, report
-from yolov5_lifecycle.commands.download import DownloadError, Progress, download
-from yolov5_lifecycle.commands.fetch_weights_arguments import LICENCE, command_parser
-from yolov5_lifecycle.commands.official_weights import SHA256, URL
-from yolov5_lifecycle.models.model import UncheckedError, WeightsError
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.models.architecture import SIZES
+from yolov5_lifecycle.printable import in_one_line, shell_command
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
-from yolov5_lifecycle.unfinished import open_itself
+from yolov5_lifecycle.settings.schema import SettingsError
+from yolov5_lifecycle.settings.settings import Settings, validated
 
-_STALL_S = 30.0
-_UNFINISHED = ".partial.pt"
-_IRREGULAR = "{}: expected a regular file, found a link, pipe or device: remove it"
+if TYPE_CHECKING:  # torch is imported by the functions that need it: --help works without, and at once
+    from yolov5_lifecycle.checkpoints.locate import WeightsFile
 
-
-def fetch(
-    model: str,
-    folder: Path,
-    *,
-    url: str = URL,
-    sha256: str = "",
-    stall_s: float = _STALL_S,
-    progress: Progress = lambda done_bytes, total_bytes: None,
-) -> WeightsFile:
-    """Load yolov5`model`.pt from `folder`, downloading it if it does not exist.
-
-    `url` contains the placeholder `{size}`. The resulting file is complete, readable and, with `sha256`, has
-    that digest. An unfinished or unchecked download is kept beside it and resumed by the next call; one with
-    another digest or without a model is removed. Raises DownloadError, WeightsError or OSError.
-    """
-    target = folder / f"yolov5{model}.pt"
-    if os.path.lexists(target):
-        return load_weights(target, sha256=sha256)
-    if "{size}" not in url:
-        raise DownloadError(f"{url}: expected an address with {{size}} in it, as in {URL}")
-    folder.mkdir(parents=True, exist_ok=True)
-    with _alone(folder):
-        return _downloaded(url.replace("{size}", model), target, sha256, stall_s, progress)
+MODELS = (*SIZES, *(f"{size}-seg" for size in SIZES if len(size) == 1))
+"""The official models: for detection, then for segmentation."""
+URL = "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5{size}.pt"
+SHA256: Mapping[str, str] = MappingProxyType(
+    {
+        "n": "4f180cf23ba0717ada0badd6c685026d73d48f184d00fc159c2641284b2ac0a3",
+        "s": "8b3b748c1e592ddd8868022e8732fde20025197328490623cc16c6f24d0782ee",
+        "m": "61d933360ba5a7733a36764996c800287d973889d875227f5beedd2473a97a56",
+        "l": "2f603b7354c25454d1270663a14d8ddc1eea98e5eebc1d84ce0c6e3150fa155f",
+        "x": "9f27a794fa0308e2606f90565164571d6f0a0ba18a3ce2e5e5d323b71c157859",
+        "n6": "496c05a2b991da15acc6c4408c63da287f2513a46c6756618776d4dd71170781",
+        "s6": "95bda9019ada63f37338308d0c81a66047a6fbaba061abaff271ba9334cf2a6f",
+        "m6": "7afe7fa0f29a8351467200a2a5a33c7996d1155ed6636c7edd8ca70b14951c64",
+        "l6": "b357b77f646b0190912985937c44e2923441369d5fda69ba86da2aa919212618",
+        "x6": "257c991b216d625427dc4d9c7c76d6c6d93cf3732797538da34bdc02f97bfef0",
+    }
+)
+"""Digests of the files of release v7.0 by model; those of the models for segmentation are not known."""
+URL_VARIABLE = "YOLOV5_WEIGHTS_URL"
+LICENCE = "The official YOLOv5 weights are by Ultralytics, under AGPL-3.0 or a licence bought from them.\n"
 
 
-def _downloaded(url: str, target: Path, sha256: str, stall_s: float, progress: Progress) -> WeightsFile:
-    unfinished = target.with_suffix(_UNFINISHED)
-    found = _whole(unfinished, sha256)
-    if found is None:
-        try:
-            _append(url, unfinished, stall_s, progress)
-        except DownloadError as error:
-            otherwise = f"Or copy {target.name} into {target.parent} by other means."
-            raise DownloadError(f"{error}. {otherwise}") from None
-        found = _checked(unfinished, url, sha256)
-    unfinished.replace(target)
-    return replace(found, path=target.resolve())
+def command_parser() -> CommandParser:
+    """The argument parser of the command."""
+    parser = CommandParser("fetch_weights", description="Download an official YOLOv5 checkpoint. " + LICENCE)
+    parser.add_argument(
+        "model", nargs="?", choices=MODELS, metavar="MODEL", help=f"one of {', '.join(MODELS)}"
+    )
+    parser.add_argument("--list", action="store_true", help="list the weights files in the folder and exit")
+    parser.add_argument(
+        "--dir",
+        type=Path,
+        default=Path(Settings().weights_dir),
+        help="folder for the file, like the detector's parameter weights_dir (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--sha256",
+        type=_digest,
+        default="",
+        metavar="HEX",
+        help="accept only a file with this digest (default: that of the official file, if known)",
+    )
+    parser.add_argument("--safetensors", action="store_true", help="convert the file to .safetensors as well")
+    parser.add_argument(
+        "--url",
+        default=os.environ.get(URL_VARIABLE) or URL,
+        help="address of a mirror, with {size} in it; or set the environment variable "
+        f"{URL_VARIABLE} (default: %(default)s)",
+    )
+    return parser
 
 
-def _append(url: str, unfinished: Path, stall_s: float, progress: Progress) -> None:
-    with _opened(unfinished) as file:
-        try:
-            download(url, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
-            file.flush()
-            os.fsync(file.fileno())
-        except BaseException:
-            if os.fstat(file.fileno()).st_size == 0:  # nothing to resume
-                unfinished.unlink(missing_ok=True)
-            raise
+def _digest(text: str) -> str:
+    try:
+        return validated({"weights_sha256": text}).weights_sha256
+    except SettingsError as error:
+        raise argparse.ArgumentTypeError(error.problems[0].message) from None
 
 
 def listing(folder: Path) -> str:
     """The weights files in `folder`, one per line with its size; unfinished downloads are marked."""
+    from yolov5_lifecycle.commands.download import UNFINISHED
+
     files = sorted(path for suffix in (".pt", ".safetensors", ".onnx") for path in folder.glob(f"*{suffix}"))
     if not files:
-        return f"no weights in {folder}; `fetch_weights n --dir {folder}` downloads the smallest.\n"
+        command = shell_command("fetch_weights", "n", "--dir", folder)
+        return f"no weights in {folder}; `{command}` downloads the smallest.\n"
     return "".join(
         f"{path.stat().st_size / 1e6:8.1f} MB  {in_one_line(str(path))}"
-        f"{'  (unfinished: fetch it again)' if path.name.endswith(_UNFINISHED) else ''}\n"
+        f"{'  (unfinished: fetch it again)' if path.name.endswith(UNFINISHED) else ''}\n"
         for path in files
         if path.is_file()
     )
@@ -98,6 +101,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     if arguments.list == (arguments.model is not None):
         parser.error("give a MODEL, or --list")
+    from yolov5_lifecycle.commands.download import DownloadError
+    from yolov5_lifecycle.models.model import WeightsError
+
     try:
         summary = _run(arguments)
     except (DownloadError, WeightsError, OSError) as error:
@@ -112,6 +118,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> str:
     """Run the command and return its output."""
+    from yolov5_lifecycle.checkpoints.locate import expanded
+
     folder = expanded(arguments.dir)
     if arguments.list:
         return listing(folder)
@@ -125,6 +133,9 @@ def _run(arguments: argparse.Namespace) -> str:
 
 def _fetch_checked(arguments: argparse.Namespace, folder: Path) -> WeightsFile:
     """The file with the digest that the user has given, or else that of the official file if it is known."""
+    from yolov5_lifecycle.commands.download import fetch
+    from yolov5_lifecycle.models.model import WeightsError
+
     model, official = arguments.model, SHA256.get(arguments.model, "")
     sha256 = arguments.sha256 or official
     try:
@@ -142,64 +153,6 @@ def _official_line(model: str) -> str:
     if model in SHA256:
         return f"official    yes, by its sha256: yolov5{model}.pt of release v7.0\n"
     return f"official    not checked: the sha256 of yolov5{model}.pt is not known here; --sha256 checks it\n"
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Lock `folder` against concurrent downloads, which would corrupt a shared file."""
-    with _opened(folder / ".fetch_weights.lock") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise DownloadError(
-                f"another fetch_weights is running in {folder}: wait until it has finished"
-            ) from None
-        yield
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a file for appending, creating it if needed; raises DownloadError for a link, pipe or device."""
-    try:
-        with open(path, "ab", opener=open_itself) as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise DownloadError(_IRREGULAR.format(path))
-            yield file
-    except OSError as error:
-        if error.filename == str(path) and error.errno in (errno.ELOOP, errno.ENXIO):
-            raise DownloadError(_IRREGULAR.format(path)) from None
-        raise
-
-
-def _whole(path: Path, sha256: str) -> WeightsFile | None:
-    """The complete download of an earlier call that could not check it; None if there is none."""
-    try:
-        return load_weights(path, sha256=sha256) if path.exists() else None
-    except UncheckedError:
-        raise
-    except WeightsError:
-        return None
-
-
-def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
-    """The downloaded model; an invalid file is removed, since it cannot be resumed."""
-    try:
-        return load_weights(path, sha256=sha256)
-    except UncheckedError as error:
-        raise UncheckedError(f"{error} The download is kept: then run the command again.") from None
-    except WeightsError as error:
-        reason = _reason(path, error)
-        path.unlink()
-        raise WeightsError(f"{url}: {str(reason).removeprefix(f'{path}: ')} It was removed.") from None
-
-
-def _reason(path: Path, error: WeightsError) -> WeightsError:
-    """Why the file at `path` is no model, as a login page is none: that says more than its digest."""
-    try:
-        load_weights(path)
-    except WeightsError as other:
-        return other
-    return error
 
 
 def _show_bytes(done_bytes: int, total_bytes: int | None) -> None:

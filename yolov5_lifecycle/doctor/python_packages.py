@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, distributions, requires, ve
 from pathlib import Path
 
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.printable import in_one_line, shell_command
 from yolov5_lifecycle.process.missing_package import PIP_PACKAGES, remedy_for
 
 _MODULES = {package: module for module, package in PIP_PACKAGES.items()}
@@ -99,19 +99,17 @@ def _remedy(module: str, used: str) -> str:
         return f"Remove {used} from PYTHONPATH, because compiled packages fit only one of the two."
     installed = _opencv_in(used) if module == "cv2" else []
     package = next(iter(installed), PIP_PACKAGES.get(module, module))
-    return (
-        f"Uninstall one of them, such as `{sys.executable} -m pip uninstall {package}`, "
-        "because compiled packages fit only one of the two."
-    )
+    uninstall = shell_command(sys.executable, "-m", "pip", "uninstall", package)
+    return f"Uninstall one of them, such as `{uninstall}`, because compiled packages fit only one of the two."
 
 
 def _opencv(_: Machine) -> Iterator[Finding]:
     for entry in dict.fromkeys(filter(None, sys.path)):
         if len(names := _opencv_in(entry)) > 1:
+            uninstall = shell_command(sys.executable, "-m", "pip", "uninstall", *names)
             yield warning(
                 f"{' and '.join(names)} are in the same folder cv2 of {entry}",
-                remedy=f"Uninstall both with `{sys.executable} -m pip uninstall {' '.join(names)}`, then "
-                "install opencv-python-headless.",
+                remedy=f"Uninstall both with `{uninstall}`, then install opencv-python-headless.",
             )
 
 

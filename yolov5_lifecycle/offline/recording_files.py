@@ -18,6 +18,7 @@ from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG
 from yolov5_lifecycle.offline.sqlite_file import SqliteFile
 from yolov5_lifecycle.offline.stored_topics import MAX_MESSAGE_BYTES, Storage, StorageError
 from yolov5_lifecycle.outside_yaml import OutsideYamlError, texts_of
+from yolov5_lifecycle.printable import shell_command
 
 MAX_METADATA_BYTES = 16 << 20
 _FREE_SHARE = 0.9
@@ -46,7 +47,8 @@ def files_of(path: Path) -> RecordingFiles:
         described = texts_of(read_regular_file(path / METADATA, MAX_METADATA_BYTES))
     except FileNotFoundError:
         raise StorageError(
-            f"{METADATA} is missing, which is written when recording ends: ros2 bag reindex {path}"
+            f"{METADATA} is missing, which is written when recording ends: "
+            f"{shell_command('ros2', 'bag', 'reindex', path)}"
         ) from None
     except (OutsideYamlError, RegularFileError) as error:
         raise StorageError(f"{METADATA}: {error}") from None
@@ -80,9 +82,8 @@ def open_storage(path: Path, stack: ExitStack) -> Storage:
     if path.suffix == PACKED:
         path = _unpacked(path, Path(stack.enter_context(tempfile.TemporaryDirectory())))
     if path.suffix == ROS1_BAG:
-        raise StorageError(
-            f"it is a bag of ROS 1. Convert it: rosbags-convert --src {path} --dst {path.with_suffix('')}"
-        )
+        command = shell_command("rosbags-convert", "--src", path, "--dst", path.with_suffix(""))
+        raise StorageError(f"it is a bag of ROS 1. Convert it: {command}")
     if (new := _FORMATS.get(path.suffix)) is None:
         raise StorageError(f"{path.name}: expected a name that ends in {' or '.join(_FORMATS)}")
     storage = new(path)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.printable import in_one_line, shell_command
 
 PIP_PACKAGES: Mapping[str, str] = MappingProxyType(
     {
@@ -66,7 +66,7 @@ def remedy_for(error: ImportError) -> str:
         return (
             f"If '{module}' belongs to ROS, source ROS first: source /opt/ros/{ros_distribution()}/setup.bash"
         )
-    remedy = f"Install it with {sys.executable} -m pip install {PIP_PACKAGES[module]}"
+    remedy = f"Install it with {shell_command(sys.executable, '-m', 'pip', 'install', PIP_PACKAGES[module])}"
     if module in _APT_PACKAGES:
         remedy += f", or for a ROS from apt with sudo apt install {_APT_PACKAGES[module]}"
     return remedy

@@ -6,7 +6,6 @@ import hashlib
 import json
 import logging
 import os
-import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal
@@ -19,7 +18,7 @@ from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.printable import in_one_line, shell_command
 from yolov5_lifecycle.quantization.reference import Reference
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.quantization import (
@@ -159,8 +158,8 @@ def path_beside(weights: Path) -> Path:
 def remedy(weights: Path) -> str:
     """How to create a calibration for the file `weights`."""
     return (
-        f"Create one with `calibrate {shlex.quote(str(weights))} DATA`, where DATA is a folder of images, a "
-        "video or a recording; or use precision 'fp32'"
+        f"Create one with `{shell_command('calibrate', weights, 'DATA')}`, where DATA is a folder of images, "
+        "a video or a recording; or use precision 'fp32'"
     )
 
 

@@ -11,6 +11,7 @@ import torch
 
 from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.printable import shell_command
 from yolov5_lifecycle.runtimes.cache import installed_build
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
@@ -134,10 +135,10 @@ def _imported_engine(runtime: str, precision: str) -> Engine:
                 raise ImportError(f"package {package} not found")
         return _engine(runtime, precision)
     except ImportError as error:
-        raise _absent(runtime, "is not installed", str(error), "") from error
+        raise _absent(runtime, "is not installed", str(error)) from error
     except Exception as error:
         problem = f"{type(error).__name__}: {error}"
-        raise _absent(runtime, "cannot be imported", problem, "--force-reinstall ") from error
+        raise _absent(runtime, "cannot be imported", problem, "--force-reinstall") from error
 
 
 def _engine(runtime: str, precision: str) -> Engine:
@@ -151,8 +152,9 @@ def _engine(runtime: str, precision: str) -> Engine:
     return openvino_engine(precision)
 
 
-def _absent(runtime: str, state: str, problem: str, flag: str) -> RuntimeAbsentError:
+def _absent(runtime: str, state: str, problem: str, *flags: str) -> RuntimeAbsentError:
+    install = shell_command(sys.executable, "-m", "pip", "install", *flags, *REQUIREMENTS[runtime])
     return RuntimeAbsentError(
         f"Runtime '{runtime}' {state} ({problem.partition(chr(10))[0][:_MAX_PROBLEM]}). Install it with "
-        f"{sys.executable} -m pip install {flag}{' '.join(REQUIREMENTS[runtime])}, or use 'auto'."
+        f"{install}, or use 'auto'."
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 from urllib.parse import unquote
 
 import yaml
@@ -119,17 +119,8 @@ def _path(url: str) -> Path:
     return path
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML loader that rejects aliases: a few lines of them could expand beyond memory."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise ValueError("found an alias (*)")
-        return super().compose_node(parent, index)
-
-
 def _tree(content: bytes) -> object:
-    tree = yaml.load(content, Loader=_Loader)
+    tree = yaml.safe_load(content)
     if not isinstance(tree, dict):
         raise ValueError("found no names and values")
     return tree

@@ -60,31 +60,6 @@ class Shape:
         cv2.fillPoly(pixels, [corners], self.colour, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def random_scene(rng: np.random.Generator, size_hw: tuple[int, int]) -> tuple[NDArray[np.uint8], Truth]:
-    """A still RGB image (H, W, 3) of `random_shapes`, and its ground truth."""
-    pixels, shapes = random_shapes(rng, size_hw)
-    return pixels, truth_of(shapes, size_hw)
-
-
-def random_shapes(
-    rng: np.random.Generator, size_hw: tuple[int, int]
-) -> tuple[NDArray[np.uint8], list[Shape]]:
-    """A still RGB image (H, W, 3) with 0 to 12 random shapes, in the order in which they were drawn.
-
-    Shapes measure 0.09 to 0.62 of the shorter side, overlap slightly at most and lie mostly inside the
-    image. Raises ValueError when `size_hw` has a side below SMALLEST_SIDE_PX.
-    """
-    _check_size(size_hw)
-    pixels = cluttered_background(rng, size_hw)
-    shapes: list[Shape] = []
-    for _ in range(rng.integers(0, 13)):
-        shape = _random_shape(rng, pixels)
-        if all(_are_apart(shape, other) for other in shapes):
-            shape.draw(pixels)
-            shapes.append(shape)
-    return pixels, shapes
-
-
 class Scene:
     """Six drifting, rotating shapes, every class at least once, each in its own cell of a still background.
 
@@ -95,7 +70,7 @@ class Scene:
 
     def __init__(self, seed: int, size_hw: tuple[int, int]) -> None:
         """`seed` >= 0. Raises ValueError when `size_hw` has a side below SMALLEST_SIDE_PX."""
-        _check_size(size_hw)
+        check_size(size_hw)
         rng = np.random.default_rng(seed)
         self.size_hw = size_hw
         self._background = cluttered_background(rng, size_hw)
@@ -190,33 +165,13 @@ def _random_colour(rng: np.random.Generator) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def _contrasting_colour(rng: np.random.Generator, behind: NDArray[np.uint8]) -> tuple[int, int, int]:
+def contrasting_colour(rng: np.random.Generator, behind: NDArray[np.uint8]) -> tuple[int, int, int]:
     """A random colour that contrasts with the mean of the pixels (h, w, 3) `behind`."""
     candidates = rng.integers(0, 256, (16, 3))
     distances = np.linalg.norm(candidates - behind.mean(axis=(0, 1)), axis=1)
     best = int(np.argmax(np.minimum(distances, _SMALLEST_CONTRAST)))  # the first with sufficient distance
     red, green, blue = candidates[best].tolist()
     return red, green, blue
-
-
-def _random_shape(rng: np.random.Generator, pixels: NDArray[np.uint8]) -> Shape:
-    """A shape with at most a seventh of its diameter outside each side, in a contrasting colour."""
-    height, width = pixels.shape[:2]
-    radius = min(height, width) * math.exp(rng.uniform(math.log(0.045), math.log(0.31)))
-    x, y = rng.uniform(0.72 * radius, np.array((width, height)) - 0.72 * radius).tolist()
-    left, top = int(max(x - radius, 0)), int(max(y - radius, 0))
-    behind = pixels[top : int(y + radius) + 1, left : int(x + radius) + 1]
-    return Shape(
-        class_id=int(rng.integers(0, len(CLASS_NAMES))),
-        centre_xy=(x, y),
-        radius=radius,
-        angle=rng.uniform(0, 2 * math.pi),
-        colour=_contrasting_colour(rng, behind),
-    )
-
-
-def _are_apart(shape: Shape, other: Shape) -> bool:
-    return math.dist(shape.centre_xy, other.centre_xy) > 0.9 * (shape.radius + other.radius)
 
 
 @dataclass(frozen=True)
@@ -267,7 +222,7 @@ def _random_path(
         centre_xy=(left + half_xy[0], top + half_xy[1]),
         radius=radius,
         angle=rng.uniform(0, 2 * math.pi),
-        colour=_contrasting_colour(rng, background[top:bottom, left:right]),
+        colour=contrasting_colour(rng, background[top:bottom, left:right]),
     )
     x_rate, y_rate, size_rate = (2 * math.pi / rng.uniform(90, 240, 3)).tolist()
     x_phase, y_phase, size_phase = rng.uniform(0, 2 * math.pi, 3).tolist()
@@ -289,7 +244,37 @@ def truth_of(shapes: Sequence[Shape], size_hw: tuple[int, int]) -> Truth:
     return Truth(boxes, np.array([shape.class_id for shape in shapes], np.int64))
 
 
-def _check_size(size_hw: tuple[int, int]) -> None:
+def label_image(outlines: Sequence[NDArray[np.float64]], size_hw: tuple[int, int]) -> NDArray[np.uint16]:
+    """An image (H, W) with 0 for the background and i + 1 for the pixels of the i-th shape.
+
+    `outlines`: the corners (k, 2) of each shape in pixels, as `Shape.outline` gives them. A pixel belongs to
+    a shape if its centre is inside the outline, and of several to the last, which is drawn over the others.
+    """
+    labels = np.zeros(size_hw, np.uint16)
+    for label, outline in enumerate(outlines, start=1):
+        low = np.clip(np.floor(outline.min(axis=0)).astype(int), 0, size_hw[::-1])
+        high = np.clip(np.ceil(outline.max(axis=0)).astype(int), 0, size_hw[::-1])
+        part = labels[low[1] : high[1], low[0] : high[0]]
+        part[_inside(outline - low, part.shape)] = label
+    return labels
+
+
+def _inside(outline: NDArray[np.float64], size_hw: tuple[int, ...]) -> NDArray[np.bool_]:
+    """The pixels (h, w) whose centres have an odd number of crossings with `outline` on their left."""
+    height, width = size_hw
+    centres_y = np.arange(height)[:, None] + 0.5
+    (from_x, from_y), (to_x, to_y) = outline.T, np.roll(outline, -1, axis=0).T
+    rows, edges = ((from_y <= centres_y) != (to_y <= centres_y)).nonzero()
+    shares = (centres_y[rows, 0] - from_y[edges]) / (to_y[edges] - from_y[edges])
+    crossings_x = from_x[edges] + shares * (to_x[edges] - from_x[edges])
+    first_right = np.clip(np.ceil(crossings_x - 0.5), 0, width).astype(int)
+    crossings = np.zeros((height, width + 1), np.uint8)
+    np.add.at(crossings, (rows, first_right), 1)
+    return np.asarray(np.cumsum(crossings, axis=1, dtype=np.uint8)[:, :width] % 2, np.bool_)
+
+
+def check_size(size_hw: tuple[int, int]) -> None:
+    """Raises ValueError when `size_hw` has a side below SMALLEST_SIDE_PX."""
     if min(size_hw) < SMALLEST_SIDE_PX:
         raise ValueError(
             f"a scene needs at least {SMALLEST_SIDE_PX} pixels on each side, got {size_hw[0]} rows and "

@@ -18,8 +18,7 @@ from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
 from yolov5_lifecycle.ros.observer import Observer
-from yolov5_lifecycle.sources.scene import Scene
-from yolov5_lifecycle.sources.scene_masks import label_image
+from yolov5_lifecycle.sources.scene import Scene, label_image
 
 SEED = 4
 SIZE_HW = (120, 160)

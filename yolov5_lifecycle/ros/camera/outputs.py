@@ -1,4 +1,4 @@
-"""The camera's publishers: images, raw and compressed, camera info and ground truth."""
+"""What the camera publishes: images, raw and compressed, camera info, depth and ground truth."""
 
 from __future__ import annotations
 
@@ -9,28 +9,30 @@ from typing import Any, NamedTuple
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
-from vision_msgs.msg import Detection2DArray
+from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.encodings import encoded
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.ros.camera.depth_outputs import DepthOutputs
-from yolov5_lifecycle.ros.camera.publishers import camera_info_publisher, overridable_publisher
 from yolov5_lifecycle.ros.camera.settings import CameraSettings, Transport
 from yolov5_lifecycle.ros.messages import (
     compressed_image_message,
+    depth_image_message,
+    detection_3d_array_message,
     detection_array,
     image_message,
     masks_message,
 )
 from yolov5_lifecycle.sources.camera_info import CameraInfoValues
 from yolov5_lifecycle.sources.frames import SourceError, SourceFrame
-from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth
-from yolov5_lifecycle.sources.scene_masks import label_image
+from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth, label_image
+from yolov5_lifecycle.sources.scene_depth import DepthFrame
+from yolov5_lifecycle.spatial.placement import Box3D
 
 _RELIABILITIES = {"reliable": ReliabilityPolicy.RELIABLE, "best_effort": ReliabilityPolicy.BEST_EFFORT}
 
@@ -90,17 +92,21 @@ class CameraOutputs:
         topic = node.resolve_topic_name("image_raw")
         offered = _RELIABILITIES[settings.reliability]
         self._images = [
-            (
-                overridable_publisher(node, form.message_type, f"{topic}{form.suffix}", reliability=offered),
-                form.message,
-            )
+            (_publisher(node, form.message_type, f"{topic}{form.suffix}", reliability=offered), form.message)
             for form in forms[settings.image_transport]
         ]
         folder = topic.rpartition("/")[0]
-        self._infos = camera_info_publisher(node, folder)
+        latched = DurabilityPolicy.TRANSIENT_LOCAL  # late subscribers get the last one
+        self._infos = _publisher(node, CameraInfo, f"{folder}/camera_info", durability=latched)
         self._truths = node.create_publisher(Detection2DArray, "~/truth", 10)
         self._true_masks = node.create_publisher(Image, "~/ground_truth_masks", 10)
-        self._depth = DepthOutputs(node, f"{folder}/depth", offered) if settings.depth else None
+        self._depth: list[Any] = []
+        if settings.depth:
+            self._depth = [
+                node.create_publisher(Detection3DArray, "~/ground_truth_3d", 10),
+                _publisher(node, CameraInfo, f"{folder}/depth/camera_info", durability=latched),
+                _publisher(node, Image, f"{folder}/depth/image_raw", reliability=offered),
+            ]
 
     @property
     def image_topics(self) -> list[str]:
@@ -131,9 +137,8 @@ class CameraOutputs:
     def wait_until_delivered(self, timeout_s: float) -> None:
         """Wait until all reliable subscribers have acknowledged everything, at most `timeout_s`."""
         deadline_s = time.monotonic() + timeout_s
-        of_depth = self._depth.publishers if self._depth else ()
         images = (publisher for publisher, _ in self._images)
-        for publisher in (*images, self._infos, self._truths, self._true_masks, *of_depth):
+        for publisher in (*images, self._infos, self._truths, self._true_masks, *self._depth):
             left_s = max(0.0, deadline_s - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left_s))
 
@@ -144,8 +149,28 @@ class CameraOutputs:
         if self._true_masks.get_subscription_count():
             labels = label_image([shape.outline() for shape in frame.shapes], frame.image.size_hw)
             self._true_masks.publish(masks_message(labels, info.header))
-        if self._depth is not None and frame.depth is not None:
-            self._depth.publish(frame.depth, truths, info)
+        if frame.depth is not None:
+            self._publish_depth(frame.depth, truths, info)
+
+    def _publish_depth(self, depth: DepthFrame, truths: Detection2DArray, info: CameraInfo) -> None:
+        places, infos, images = self._depth
+        if places.get_subscription_count():
+            places.publish(detection_3d_array_message(truths, _boxes(depth), info.header.frame_id))
+        infos.publish(info)
+        if images.get_subscription_count():
+            images.publish(depth_image_message(depth.depth_mm, info.header))
+
+
+def _publisher(node: Node, message_type: type, topic: str, **policies: Any) -> Any:
+    """Publisher that keeps the last message, with these `policies` unless `qos_overrides` set others."""
+    overridable = QoSOverridingOptions.with_default_policies()
+    qos = QoSProfile(depth=1, **policies)
+    return node.create_publisher(message_type, topic, qos, qos_overriding_options=overridable)
+
+
+def _boxes(depth: DepthFrame) -> list[Box3D]:
+    places = zip(depth.centres_xyz_m.tolist(), depth.sizes_xyz_m.tolist(), strict=True)
+    return [Box3D(tuple(centre), tuple(size)) for centre, size in places]
 
 
 def camera_info_message(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import statistics
 import time
 from typing import Any
@@ -11,13 +10,14 @@ import numpy as np
 from sensor_msgs.msg import Image
 from vision_msgs.msg import Detection2DArray
 
+from yolov5_lifecycle.printable import shell_command
 from yolov5_lifecycle.ros.demo.ground_truth import matched
 from yolov5_lifecycle.ros.demo.stage import CONFIG, DETECTOR, Stage, saved, together
 
 SEED = 8
 COMMANDS = {
     "camera": f"camera --ros-args -p seed:={SEED} -r image_raw:={DETECTOR}/image_raw",
-    "detector": f"detector --ros-args --params-file {shlex.quote(f'{CONFIG}/demo.yaml')}",
+    "detector": f"detector --ros-args --params-file {shell_command(f'{CONFIG}/demo.yaml')}",
 }
 _FOUND, _TRUTH = f"{DETECTOR}/detections", "/camera/truth"
 _MASKS, _TRUE_MASKS = f"{DETECTOR}/masks", "/camera/ground_truth_masks"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
+from yolov5_lifecycle.printable import shell_command
 from yolov5_lifecycle.ros.demo.ground_truth import matched
 from yolov5_lifecycle.ros.demo.stage import CONFIG, DETECTOR, Received, Stage, saved, together
 
@@ -19,7 +19,7 @@ _CAMERA = f"camera --ros-args -p depth:=true -r __node:={{0}} -r image_raw:={DET
 COMMANDS = {
     "front camera": f"{_CAMERA} -p seed:=6 -p width:=480 -p height:=360 -p rate:=15.0".format("front"),
     "rear camera": f"{_CAMERA} -p seed:=29 -p width:=400 -p height:=300 -p rate:=12.0".format("rear"),
-    "detector": f"detector --ros-args --params-file {shlex.quote(f'{CONFIG}/demo_cameras.yaml')}",
+    "detector": f"detector --ros-args --params-file {shell_command(f'{CONFIG}/demo_cameras.yaml')}",
 }
 _LIMITS = {
     "precision": (0.9, 1.0),

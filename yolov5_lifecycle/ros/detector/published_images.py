@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 
 from rclpy.node import Node
 
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.printable import in_one_line, shell_command
 from yolov5_lifecycle.ros.rclpy_internals import publishers_on
 from yolov5_lifecycle.ros.topics import full_name, of_camera
 from yolov5_lifecycle.settings.suggestion import most_similar
@@ -106,7 +105,7 @@ def remedy(
     words = ["--ros-args", "-r", f"{rule}:={in_one_line(base)}"]
     if images.form != transport:
         words += ["-p", f"{parameter}:={images.form}"]
-    return f"restart the node with `{shlex.join(words)}`, in place of another remapping of {raw}"
+    return f"restart the node with `{shell_command(*words)}`, in place of another remapping of {raw}"
 
 
 def _republished(
@@ -129,7 +128,7 @@ def _republished(
             rules[1],
         ),
     ]
-    text = f"type `{shlex.join(words)}`"
+    text = f"type `{shell_command(*words)}`"
     if transport == RAW and full_name(node, of_camera(topics[RAW], camera)) == free:
         return text
     return f"{text} and {remedy(node, raw, topics=topics, transport=transport, camera=camera)}"
