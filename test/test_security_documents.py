@@ -25,8 +25,7 @@ from yolov5_lifecycle.ros.parameters.values import MAX_ENTRIES
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.ros.topics import LABEL_INFO, published, subscribed
 from yolov5_lifecycle.runtimes.cache import MAX_BYTES
-from yolov5_lifecycle.settings.parameter_yaml import MAX_DEPTH, MAX_SCALARS
-from yolov5_lifecycle.settings.parameter_yaml import MAX_FILE_BYTES as MAX_PARAMETER_FILE_BYTES
+from yolov5_lifecycle.settings.parameter_file import MAX_FILE_BYTES as MAX_PARAMETER_FILE_BYTES
 
 PAGE = " ".join((REPOSITORY / "docs" / "security.md").read_text().split())
 POLICY = ElementTree.parse(REPOSITORY / "config" / "security_policy.xml")
@@ -95,7 +94,7 @@ def test_the_page_names_every_topic_of_the_policy(right: str) -> None:
         f"more than {MAX_NAME_LENGTH} letters",
         f"at most {MAX_COMPRESSED_PX:,} pixels",
         f"{MAX_BYTES >> 30} GiB at most",
-        f"{MAX_PARAMETER_FILE_BYTES >> 20} MiB, {MAX_SCALARS:,} names and values or {MAX_DEPTH} levels",
+        f"has more than {MAX_PARAMETER_FILE_BYTES >> 20} MiB; aliases in it",
         f"may have {MAX_ITEMS} parameters, names or prefixes, and a list in it {MAX_ENTRIES:,} entries",
         f"the first {MAX_SUGGESTIONS} unknown names, and a reason has about {MAX_REASON_LENGTH:,} characters",
     ],
