@@ -23,7 +23,7 @@ from support.served_node import ServedNode
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.parameters.proposal import MAX_REASON_LENGTH
 from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_SUGGESTIONS, SettingsParameters
-from yolov5_lifecycle.ros.services import MAX_ITEMS, MAX_RESULTS
+from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings, validated
 
 
@@ -122,7 +122,7 @@ def test_a_request_with_too_many_parameters_is_refused_as_a_whole(served: Served
     assert not done
     assert f"{count} items in one request; at most {MAX_ITEMS} are accepted" in reason
     results = served.set_one_by_one(asked)
-    assert len(results) == min(count, MAX_RESULTS)
+    assert len(results) == count
     assert {result.reason for result in results} == {reason}
     assert served.get("lazy") is True
 
