@@ -20,12 +20,11 @@ from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
 from yolov5_lifecycle.models.model import MAX_CLASSES
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 from yolov5_lifecycle.ros.parameters.proposal import MAX_REASON_LENGTH
-from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_SUGGESTIONS
-from yolov5_lifecycle.ros.parameters.values import MAX_ENTRIES
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.ros.topics import LABEL_INFO, published, subscribed
 from yolov5_lifecycle.runtimes.cache import MAX_BYTES
 from yolov5_lifecycle.settings.parameter_file import MAX_FILE_BYTES as MAX_PARAMETER_FILE_BYTES
+from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS
 
 PAGE = " ".join((REPOSITORY / "docs" / "security.md").read_text().split())
 POLICY = ElementTree.parse(REPOSITORY / "config" / "security_policy.xml")
@@ -95,8 +94,9 @@ def test_the_page_names_every_topic_of_the_policy(right: str) -> None:
         f"at most {MAX_COMPRESSED_PX:,} pixels",
         f"{MAX_BYTES >> 30} GiB at most",
         f"has more than {MAX_PARAMETER_FILE_BYTES >> 20} MiB; aliases in it",
-        f"may have {MAX_ITEMS} parameters, names or prefixes, and a list in it {MAX_ENTRIES:,} entries",
-        f"the first {MAX_SUGGESTIONS} unknown names, and a reason has about {MAX_REASON_LENGTH:,} characters",
+        f"may have {MAX_ITEMS} parameters, names or prefixes;",
+        f"the first {MAX_SUGGESTIONS} unknown names together",
+        f"a reason has about {MAX_REASON_LENGTH:,} characters",
     ],
 )
 def test_the_page_has_the_limits_of_the_code(words: str) -> None:

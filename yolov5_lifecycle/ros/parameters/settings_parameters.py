@@ -10,35 +10,35 @@ from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.parameters.camera_overrides import (
-    are_too_many,
-    declare_given,
-    declare_missing,
-    deletion,
-    describe,
-    undeclare_unset,
-    without_camera,
-)
 from yolov5_lifecycle.ros.parameters.configuration_problems import (
+    UnusableOverrides,
     accepted_until_configure,
     configuration_problems,
     explained,
     fixed_cameras,
+    without_camera,
 )
-from yolov5_lifecycle.ros.parameters.declaration import Source, declare, source_table
+from yolov5_lifecycle.ros.parameters.declaration import (
+    Source,
+    declare,
+    declare_given,
+    declare_missing,
+    deletion,
+    describe,
+    source_table,
+    undeclare_unset,
+)
 from yolov5_lifecycle.ros.parameters.proposal import Configuration, Proposal, acceptance
-from yolov5_lifecycle.ros.parameters.unusable_overrides import UnusableOverrides
 from yolov5_lifecycle.ros.parameters.values import coerced, plain_values, stays
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, Settings, validated
+from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS
 
 Rule = Callable[[Settings], list[Problem]]
 Validate = Callable[[Mapping[str, object]], Settings]
 """See `validated`."""
 
-MAX_SUGGESTIONS = 3
-"""Max number of unknown names per request for which a similar name is suggested."""
 _BY_EFFORT = (Change.RELOAD, Change.RESUBSCRIBE, Change.LIVE)
 
 
@@ -88,7 +88,6 @@ class SettingsParameters:
             self._current,
             self._unusable or UnusableOverrides({}, {}),
             changed={name for name, source in self._sources.items() if source is Source.RUN_TIME},
-            configure=self._configuration,
             node_name=self._node.get_fully_qualified_name(),
         )
 
@@ -114,11 +113,8 @@ class SettingsParameters:
         """Value of a setting for a camera in `cameras`; see `value`."""
         return self._current.values.get(f"{camera}{SEPARATOR}{name}", self.value(name))
 
-    def propose(self, asked: Sequence[Parameter], *, suggestions: int = MAX_SUGGESTIONS) -> Proposal:
-        """Validate a service request, except for the checks that need the model; changes nothing.
-
-        Suggests a similar name for at most `suggestions` unknown names.
-        """
+    def propose(self, asked: Sequence[Parameter]) -> Proposal:
+        """Validate a service request, except for the checks that need the model; changes nothing."""
         withdrawn = self._unusable.deleted_by(asked) if self._unusable is not None else ()
         rest = [parameter for parameter in asked if parameter.name not in withdrawn]
         settings = SCHEMA.found(parameter.name for parameter in rest)
@@ -126,7 +122,7 @@ class SettingsParameters:
         values = {**self._current.values, **plain_values(wanted, settings)}
         unknown = tuple(p.name for p in wanted if not self._is_parameter(p, values))
         of_names = [
-            SCHEMA.unknown(name, values, may_suggest=index < suggestions)
+            SCHEMA.unknown(name, values, may_suggest=index < MAX_SUGGESTIONS)
             for index, name in enumerate(unknown)
         ]
         known = [p for p in wanted if p.name not in unknown and not stays(self._node, p)]
@@ -217,7 +213,7 @@ class SettingsParameters:
         is_unset = parameter.type_ is Parameter.Type.NOT_SET
         if SEPARATOR not in name or SCHEMA.find(name) is None or is_unset:
             return self._node.has_parameter(name) or SCHEMA.is_known(name, values)
-        return SCHEMA.is_known(name, values) or (self._is_unconfigured() and not are_too_many(values))
+        return SCHEMA.is_known(name, values) or self._is_unconfigured()
 
     def _keep(self, proposal: Proposal) -> None:
         """Make what `proposal` has set the current configuration."""
