@@ -38,11 +38,11 @@ class UnusableOverrides:
         }
         return [name for name in self.unknown if name not in corrected]
 
-    def without(self, names: Collection[str]) -> UnusableOverrides | None:
-        """The overrides that are not in `names`, or None if none are left."""
+    def without(self, names: Collection[str]) -> UnusableOverrides:
+        """The overrides that are not in `names`."""
         invalid = {name: problem for name, problem in self.invalid.items() if name not in names}
         unknown = {name: parameter for name, parameter in self.unknown.items() if name not in names}
-        return UnusableOverrides(invalid, unknown) if invalid or unknown else None
+        return UnusableOverrides(invalid, unknown)
 
 
 def without_camera(values: Mapping[str, object]) -> list[str]:

@@ -13,7 +13,6 @@ from itertools import pairwise
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -188,22 +187,3 @@ def undeclare_unset(node: Node, parameters: Iterable[Parameter]) -> None:
         unset = deletion(setting.name)
         if node.has_parameter(setting.name) and node.get_parameter_or(setting.name, unset) is unset:
             node.undeclare_parameter(setting.name)
-
-
-def describe(
-    node: Node, values: Mapping[str, object], request: DescribeParameters.Request, response: Any
-) -> Any:
-    """Response of the service `describe_parameters`, also for every override of a camera in `values`.
-
-    As with rclpy, it is empty if a name is unknown.
-    """
-    described = []
-    for name in request.names:
-        if node.has_parameter(name):
-            described.append(node.describe_parameter(name))
-        elif SCHEMA.is_known(name, values) and (setting := SCHEMA.find(name)):
-            described.append(unset_descriptor(setting))
-        else:
-            return response
-    response.descriptors = described
-    return response
