@@ -352,6 +352,13 @@ def test_deleting_a_parameter_of_the_node_is_refused_with_its_default(
         )
 
 
+def test_setting_the_parameter_that_was_meant_corrects_the_name(ros_domain: int, tmp_path: Path) -> None:
+    with detector(tmp_path, {"cameras": ["front"], "front.max_rte": 5.0}) as tried:
+        assert "Did you mean 'front.max_rate'? Set that one, or" in tried.configure()
+        assert tried.set("front.max_rate", 5.0).successful
+        assert tried.configure() == ""
+
+
 def test_an_override_waits_for_its_camera_although_that_of_a_similar_name_is_set(
     ros_domain: int, tmp_path: Path
 ) -> None:
