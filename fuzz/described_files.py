@@ -20,9 +20,8 @@ from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError, Pro
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 from yolov5_lifecycle.offline.recording import Recording, RecordingError, open_recording
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError, read_parameter_file
-from yolov5_lifecycle.settings.parameter_yaml import MAX_SCALARS
+from yolov5_lifecycle.settings.value_rules import MAX_CLASS_NAME
 from yolov5_lifecycle.sources.camera_info import CameraInfoError, read_camera_info
 
 _CAMERA_INFO = """\
@@ -45,7 +44,6 @@ def check_parameter_file(data: bytes) -> None:
         assert str(nodes).isprintable()
         return
     assert all(pattern.startswith("/") for pattern in nodes)
-    assert sum(map(len, nodes.values())) <= MAX_SCALARS
 
 
 def check_description(data: bytes) -> None:

@@ -34,10 +34,10 @@ from yolov5_lifecycle.models.model import MAX_CLASSES, Model, WeightsError
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
-from yolov5_lifecycle.settings.class_thresholds import class_threshold
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError, assigned_value
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings, validated
+from yolov5_lifecycle.settings.value_rules import class_threshold
 
 _MAX_SEED_BYTES = 4096
 _FILTERS = b"""class_thresholds=["person: 0.5", "0: .25"]

@@ -61,13 +61,14 @@ def test_a_file_speaks_to_the_nodes_it_names(
         pytest.param("/*: {ros__parameters: {lazy: true}}", "found those of: /*.", id="another depth"),
         pytest.param("image_size: 320", "line 1: 'image_size' has a value", id="no node"),
         pytest.param("", "found those of: none.", id="empty"),
-        pytest.param("a: [", "line 2", id="no YAML"),
+        pytest.param("a: [", "line 1: expected", id="no YAML"),
         pytest.param("a: \udcff", "invalid|can't decode", id="not UTF-8"),
         pytest.param('"a"\U00108ff0', r"line 1", id="what cannot be printed"),
         pytest.param("- a", "line 1: expected names of nodes", id="list"),
         pytest.param("a", "line 1: expected names of nodes", id="word"),
         pytest.param("a: &a {ros__parameters: *a}", r"line 1: an alias \(\*a\)", id="alias"),
-        pytest.param("a: {ros__parameters: }", "line 1: a name without a value", id="nothing"),
+        pytest.param("a: {ros__parameters: }", "line 1: expected names and values", id="nothing"),
+        pytest.param("a: {ros__parameters: {b: }}", "line 1: a name without a value", id="no value"),
         pytest.param(
             "/**:\n  ros__parameters: {a: 1}\n  b: {ros__parameters: {a: 2}}",
             r"line 3: 'b' follows the ros__parameters of '/\*\*'.* to the left margin, as '/\*\*/b:'",
@@ -87,7 +88,6 @@ def test_a_file_speaks_to_the_nodes_it_names(
         pytest.param("ros__parameters: {a: 1}", "above ros__parameters is no name", id="no name"),
         pytest.param("yolo-v5: {ros__parameters: {a: 1}}", "'yolo-v5' above", id="bad name"),
         pytest.param("a: {/b: {ros__parameters: {c: 1}}}", "'a//b' above", id="two slashes"),
-        pytest.param(f"{'/**' * 4}: {{ros__parameters: {{c: 1}}}}", "one is enough", id="wildcards"),
     ],
 )
 def test_a_file_that_the_node_cannot_use_is_an_error(path: Path, text: str, told: str) -> None:
@@ -112,26 +112,11 @@ def test_overrides_for_cameras_are_nested_or_dotted(path: Path) -> None:
     assert validated(values).for_camera("front").classes == ("0",)
 
 
-def bomb(depth: int) -> str:
-    """Aliases of aliases: 10 to the power of `depth` values."""
-    levels = [f"l{level}: &l{level} [{', '.join([f'*l{level - 1}'] * 10)}]" for level in range(1, depth)]
-    return "\n".join(["l0: &l0 [x]", *levels])
-
-
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        pytest.param(bomb(12), "has a value, but there is no", id="aliases of aliases"),
-        pytest.param("a: {ros__parameters: {b: &b [1], c: *b}}", "an alias", id="an alias"),
-        pytest.param("{a: " * 50_000, "a name of|nested more than 32", id="mappings"),
-        pytest.param("a: {ros__parameters: {b: " + "[" * 50_000, "no lists or mappings", id="lists"),
-        pytest.param(
-            "a: {ros__parameters: {" + ", ".join(f"p{number}: 1" for number in range(50_000)) + "}}",
-            "more than 20000 names and values",
-            id="parameters",
-        ),
-        pytest.param("a: {ros__parameters: {b: [" + "1, " * 50_000 + "]}}", "more than 20000", id="numbers"),
-        pytest.param("a: {ros__parameters: {" + "b" * 1000 + ": 1}}", "of more than 500", id="long name"),
+        pytest.param("{a: " * 5000, "recursion", id="mappings"),
+        pytest.param("a: {ros__parameters: {b: [[1]]}}", "no lists or mappings", id="lists"),
         pytest.param("#" * (1 << 20) + "#", "more than 1048576 bytes", id="large"),
     ],
 )
@@ -203,7 +188,6 @@ def test_an_assignment_that_ros_would_not_read_is_refused(assignment: str, told:
         ("/**", "/a", True), ("/**/b", "/a/c/b", True), ("/a/**/b", "/a/b", True), ("/*/b", "/a/b", True),
         ("/*", "/a/b", False), ("/a/**/c/**/b", "/a/x/c/y/b", True), ("/a/**/c", "/a/c/b", False),
         ("/**/**", "/a", True), ("/a/**", "/a", True), ("/a", "/a/b", False), ("/a/b", "/a", False),
-        ("/**" * 1000 + "/z", "/a" * 100, False),
     ],
 )  # fmt: skip
 def test_a_name_with_wildcards_is_compared(pattern: str, node: str, is_named: bool) -> None:

@@ -7,7 +7,7 @@ from array import array
 
 import pytest
 
-from yolov5_lifecycle.settings.parameter_yaml import parameter_value
+from yolov5_lifecycle.settings.parameter_file import parameter_value
 from yolov5_lifecycle.settings.settings import SETTINGS
 from yolov5_lifecycle.settings.value_text import MAX_SHOWN, shown_value, value_text
 

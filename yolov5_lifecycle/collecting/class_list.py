@@ -10,7 +10,7 @@ from yolov5_lifecycle.atomic_file import write_whole
 from yolov5_lifecycle.collecting.own_files import CollectingError, own_bytes
 from yolov5_lifecycle.evaluation.data_description import read_description
 from yolov5_lifecycle.evaluation.ground_truth import DataError
-from yolov5_lifecycle.settings.parameter_yaml import MAX_FILE_BYTES
+from yolov5_lifecycle.settings.parameter_file import MAX_FILE_BYTES
 
 DATA = "data.yaml"
 

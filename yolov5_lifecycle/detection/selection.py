@@ -10,10 +10,10 @@ from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.region import Region
 from yolov5_lifecycle.models.class_names import ClassNamesError, safe_name
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.settings.class_thresholds import class_threshold
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.settings.suggestion import did_you_mean
+from yolov5_lifecycle.settings.value_rules import class_threshold
 
 MAX_EXPLAINED = 3
 """Number of unknown entries that are explained; the rest are only counted."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 from typing import NoReturn
 
 from yolov5_lifecycle.commands.entry_points import EXIT_UNABLE, prepare_process
@@ -17,49 +18,32 @@ _ROS_THREADS = 12
 
 def detector() -> NoReturn:
     """Run the command `detector`; exit with code 1 if an import fails."""
-    _prepare_node_process("detector")
-    try:
-        from yolov5_lifecycle.ros.detector import command
-    except ImportError as error:
-        _refuse_python("detector", error)
-    command.main()
+    _run("detector", "yolov5_lifecycle.ros.detector.command")
 
 
 def camera() -> NoReturn:
     """Run the command `camera`; exit with code 1 if an import fails."""
-    _prepare_node_process("camera")
-    try:
-        from yolov5_lifecycle.ros.camera import node
-    except ImportError as error:
-        _refuse_python("camera", error)
-    node.main()
+    _run("camera", "yolov5_lifecycle.ros.camera.node")
 
 
 def console() -> NoReturn:
     """Run the command `console`; exit with code 1 if an import fails."""
-    _prepare_node_process("console")
-    try:
-        from yolov5_lifecycle.ros.console import command
-    except ImportError as error:
-        _refuse_python("console", error)
-    command.main()
+    _run("console", "yolov5_lifecycle.ros.console.command")
 
 
-def _prepare_node_process(command: str) -> None:
-    """Prepare the process; until the node handles signals itself, each ends it with code 0.
+def _run(command: str, module: str) -> NoReturn:
+    """Prepare the process, then run `main` of `module`.
 
-    The imports that follow take seconds, during which a signal would otherwise cause a traceback or kill
-    Python. They also start threads.
+    Until a node handles signals itself, each ends the process with code 0: the imports take seconds, and a
+    signal would otherwise cause a traceback or kill Python. They also start threads.
     """
     prepare_heap()
     prepare_process(command, signal_code=0, further_threads=_ROS_THREADS)
     warn_before_import(command)
-
-
-def _refuse_python(command: str, error: ImportError) -> NoReturn:
-    """Exit with code 1 after reporting the failed import, the Python used and the Python required."""
-    complain(
-        command,
-        f"{import_problem(error)}. The node runs with the Python that built it: see docs/colcon.md.",
-    )
-    sys.exit(EXIT_UNABLE)
+    try:
+        main = import_module(module).main
+    except ImportError as error:
+        remedy = "The node runs with the Python that built it: see docs/colcon.md."
+        complain(command, f"{import_problem(error)}. {remedy}")
+        sys.exit(EXIT_UNABLE)
+    sys.exit(main())

@@ -54,8 +54,7 @@ def qos_problems(node: Node, cameras: Sequence[str], *, are_undecided: bool = Fa
 
 def qos_rules(node: Node) -> list[Callable[[Settings], list[Problem]]]:
     """The rule that a QoS override and `image_reliability` must not both set a camera's reliability."""
-    has_overrides = any(name.startswith(QOS_PREFIX) for name in parameter_overrides(node))
-    return [partial(_reliability_problems, node)] if has_overrides else []
+    return [partial(_reliability_problems, node)]
 
 
 def _reliability_problems(node: Node, settings: Settings) -> list[Problem]:

@@ -1,11 +1,12 @@
-"""Command-line arguments of a node; its parameter files are validated before ROS reads them."""
+"""Command-line arguments of a node; ROS gets the parameter files that can be read."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import rclpy
@@ -16,12 +17,14 @@ from yolov5_lifecycle.commands.command_line import EXIT_USAGE, version_line
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 from yolov5_lifecycle.settings.parameter_file import (
+    Nodes,
     ParameterFileError,
+    Value,
     kind,
     names_node,
+    parameter_value,
     read_parameter_file,
 )
-from yolov5_lifecycle.settings.parameter_yaml import ParameterYamlError, Value, parameter_value
 from yolov5_lifecycle.settings.schema import Setting
 from yolov5_lifecycle.settings.value_text import shown_value, value_text
 
@@ -32,35 +35,21 @@ _NO_LOG = re.compile(r"log(ging)? directory|\.log for writing")
 
 
 @dataclass(frozen=True)
-class ParameterFile:
-    """A file given with --params-file; `nodes` maps node names to parameter values."""
-
-    path: str
-    nodes: Mapping[str, Mapping[str, Value]]
-
-
-@dataclass(frozen=True)
 class StartArguments:
     """Command-line arguments of a node, without its unreadable parameter files.
 
-    `files`: the readable ones. `problems`: why the others cannot be read, and values that contradict each
-    other.
+    `files`: parameters in the readable ones, by path. `problems`: why the others cannot be read, and values
+    that contradict each other.
     """
 
     words: tuple[str, ...]
-    files: tuple[ParameterFile, ...]
+    files: Mapping[str, Nodes]
     problems: tuple[str, ...]
 
     @property
     def own_words(self) -> list[str]:
         """The non-ROS arguments."""
         return list(remove_ros_args(list(self.words))[1:])
-
-    def without_files(self, problem: str) -> StartArguments:
-        """Copy without any parameter file, with `problem` added."""
-        positions = {index for flag, _ in _file_positions(self.words) for index in (flag, flag + 1)}
-        words = tuple(word for index, word in enumerate(self.words) if index not in positions)
-        return StartArguments(words, (), (*self.problems, problem))
 
 
 def start_arguments(arguments: Sequence[str]) -> StartArguments:
@@ -70,16 +59,11 @@ def start_arguments(arguments: Sequence[str]) -> StartArguments:
     """
     for number, word in enumerate(arguments):
         _check_utf8(number, word)
-    words, files, problems = list(arguments), list[ParameterFile](), list[str]()
-    for flag, path in reversed([*_file_positions(arguments)]):
-        file = _read(path)
-        if isinstance(file, ParameterFile):
-            files.insert(0, file)
-        else:
-            problems.insert(0, file)
-            del words[flag : flag + 2]
-    problems += _clashes(words, {file.path: file for file in files})
-    return StartArguments(tuple(words), tuple(files), tuple(problems))
+    read = {path: _read(path) for _, path in _file_positions(arguments)}
+    files = {path: nodes for path, nodes in read.items() if isinstance(nodes, dict)}
+    words = _without_files(arguments, read.keys() - files.keys())
+    problems = (problem for problem in read.values() if isinstance(problem, str))
+    return StartArguments(words, files, (*problems, *_clashes(words, files)))
 
 
 def initialize(arguments: StartArguments) -> StartArguments:
@@ -93,31 +77,30 @@ def initialize(arguments: StartArguments) -> StartArguments:
     except RuntimeError as error:
         if not arguments.files or _FLAG not in str(error):
             raise
-        arguments = arguments.without_files(_refusal(str(error)))
-        _initialize(arguments.words)
+        words = _without_files(arguments.words, arguments.files)
+        arguments = StartArguments(words, {}, (*arguments.problems, _refusal(str(error))))
+        _initialize(words)
     return arguments
 
 
-def misaddressed_files(files: Iterable[ParameterFile], node_name: str) -> Iterator[str]:
+def misaddressed_files(files: Mapping[str, Nodes], node_name: str) -> Iterator[str]:
     """One warning per file that has parameters for other nodes only, which ROS ignores silently.
 
-    `node_name` is fully qualified.
+    `files`: parameters by path. `node_name` is fully qualified.
     """
-    for file in files:
-        names = list(file.nodes)
-        if names and not any(names_node(name, node_name) for name in names):
-            more = ", ..." if len(names) > _MAX_NAMES else ""
-            others = ", ".join(names[:_MAX_NAMES]) + more
+    for path, nodes in files.items():
+        if nodes and not any(names_node(name, node_name) for name in nodes):
+            others = ", ".join([*nodes][:_MAX_NAMES]) + (", ..." if len(nodes) > _MAX_NAMES else "")
             yield (
-                f"the parameter file {file.path} has no effect: it is for {others}, but this node is "
+                f"the parameter file {path} has no effect: it is for {others}, but this node is "
                 f"{node_name}. Use {node_name} or /** as its top-level key."
             )
 
 
-def _read(path: str) -> ParameterFile | str:
-    """Read the file at `path`; return it, or a description of the problem."""
+def _read(path: str) -> Nodes | str:
+    """The parameters in the file at `path`, or why it cannot be read."""
     try:
-        return ParameterFile(path, read_parameter_file(Path(path)))
+        return read_parameter_file(Path(path))
     except ParameterFileError as error:
         return _unreadable(str(error))
 
@@ -126,7 +109,7 @@ def _unreadable(reason: str) -> str:
     return f"the parameter file cannot be read: {reason} Correct the file and restart the node."
 
 
-def _clashes(words: Sequence[str], files: Mapping[str, ParameterFile]) -> Iterator[str]:
+def _clashes(words: Sequence[str], files: Mapping[str, Nodes]) -> Iterator[str]:
     """Problems of parameters given with two types for one node; rcl silently uses the wrong value.
 
     rcl prefers boolean over integer over double over string, regardless of the order: with `device: 0` in a
@@ -158,20 +141,17 @@ def _kind_of(value: Value) -> str:
     return f"{words[type(value)]} {shown_value(value)}"
 
 
-def _assignments(
-    words: Sequence[str], files: Mapping[str, ParameterFile]
-) -> Iterator[tuple[str, str, Value, str]]:
+def _assignments(words: Sequence[str], files: Mapping[str, Nodes]) -> Iterator[tuple[str, str, Value, str]]:
     """Node, name, value and source of each parameter in the ROS arguments."""
-    for index, word in _ros_words(words):
-        following = words[index + 1] if index + 1 < len(words) else ""
-        if word == _FLAG and following in files:
-            for node, values in files[following].nodes.items():
+    for _, option, following in _ros_options(words):
+        if option == _FLAG:
+            for node, values in files[following].items():
                 yield from ((node, name, value, following) for name, value in values.items())
-        elif word in _ASSIGNMENT_FLAGS:
+        elif option in _ASSIGNMENT_FLAGS:
             left, _, text = following.partition(":=")
             node, _, name = left.rpartition(":")
-            with suppress(ParameterYamlError):  # ROS itself rejects it
-                place = f"{word} {following}"
+            with suppress(ParameterFileError):  # ROS itself rejects it
+                place = f"{option} {following}"
                 yield f"/{node.removeprefix('/') or '**'}", name, parameter_value(text), place
 
 
@@ -210,19 +190,24 @@ def _without_source(error: str) -> str:
 
 def _file_positions(words: Sequence[str]) -> Iterator[tuple[int, str]]:
     """Position of each --params-file in the ROS arguments, and the path that follows it."""
-    for index, word in _ros_words(words):
-        if word == _FLAG and index + 1 < len(words):
-            yield index, words[index + 1]
+    return ((index, path) for index, option, path in _ros_options(words) if option == _FLAG)
 
 
-def _ros_words(words: Sequence[str]) -> Iterator[tuple[int, str]]:
-    """Position and value of the arguments from --ros-args to -- or the end."""
+def _without_files(words: Sequence[str], paths: Container[str]) -> tuple[str, ...]:
+    """`words` without each --params-file that one of `paths` follows."""
+    flags = [index for index, path in _file_positions(words) if path in paths]
+    left_out = {*flags, *(index + 1 for index in flags)}
+    return tuple(word for index, word in enumerate(words) if index not in left_out)
+
+
+def _ros_options(words: Sequence[str]) -> Iterator[tuple[int, str, str]]:
+    """Position and value of the arguments from --ros-args to -- or the end, and the argument after each."""
     is_for_ros = False
-    for index, word in enumerate(words):
+    for index, (word, following) in enumerate(pairwise(words)):
         if word in ("--ros-args", "--"):
             is_for_ros = word == "--ros-args"
         elif is_for_ros:
-            yield index, word
+            yield index, word, following
 
 
 _HELP = {"-h", "--help"}

@@ -57,8 +57,24 @@ class OverridableSchema(Schema[Model]):
         )
 
     def validated(self, values: Mapping[str, object]) -> Model:
-        has_overrides = any(SEPARATOR in name for name in values)
-        return self._with_overrides(values) if has_overrides else super().validated(values)
+        own = {name: value for name, value in values.items() if SEPARATOR not in name}
+        given, unknown = self._by_camera(values)
+        overrides, of_cameras = self._validated_overrides(given, own)
+        node, of_node = self._attempt(own, overrides)
+        reported = set(of_node)
+        problems = [
+            *of_node,
+            *(
+                Problem(f"{camera}{SEPARATOR}{problem.setting}", problem.message)
+                for camera, found in of_cameras.items()
+                for problem in found
+                if problem not in reported  # the camera inherits it
+            ),
+            *unknown,
+        ]
+        if problems or node is None:
+            raise SettingsError(problems)
+        return node
 
     def without_camera(self, name: str, values: Mapping[str, object]) -> Problem:
         """The problem of the override `name`, whose camera is not in `values`."""
@@ -94,7 +110,7 @@ class OverridableSchema(Schema[Model]):
     def differing(
         self, ours: Mapping[str, object], others: Mapping[str, object], change: Change
     ) -> list[str]:
-        """Names of the overrides whose `Change` is `change` and whose values differ."""
+        """Names of the settings and overrides whose `Change` is `change` and whose values differ."""
         return [
             name
             for name, setting in self.found({**ours, **others}).items()
@@ -129,26 +145,6 @@ class OverridableSchema(Schema[Model]):
 
     def _may_be_camera(self, name: str) -> bool:
         return not camera_names_rule([name], self.by_name)
-
-    def _with_overrides(self, values: Mapping[str, object]) -> Model:
-        own = {name: value for name, value in values.items() if SEPARATOR not in name}
-        given, unknown = self._by_camera(values)
-        overrides, of_cameras = self._validated_overrides(given, own)
-        node, of_node = self._attempt(own, overrides)
-        reported = set(of_node)
-        problems = [
-            *of_node,
-            *(
-                Problem(f"{camera}{SEPARATOR}{problem.setting}", problem.message)
-                for camera, found in of_cameras.items()
-                for problem in found
-                if problem not in reported  # the camera inherits it
-            ),
-            *unknown,
-        ]
-        if problems or node is None:
-            raise SettingsError(problems)
-        return node
 
     def _by_camera(self, values: Mapping[str, object]) -> tuple[dict[str, dict[str, object]], list[Problem]]:
         """Values of the overrides by camera and setting, and a problem for each unknown one."""

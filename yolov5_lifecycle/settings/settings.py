@@ -348,14 +348,8 @@ class Settings(BaseModel):
 
     def differing(self, other: Settings, change: Change) -> list[str]:
         """Names of the settings and overrides whose `Change` is `change` and whose values differ."""
-        names = [
-            setting.name
-            for setting in SETTINGS
-            if setting.change is change and getattr(self, setting.name) != getattr(other, setting.name)
-        ]
-        if self.overrides == other.overrides:
-            return names
-        return names + SCHEMA.differing(self.overrides, other.overrides, change)
+        ours, others = {**dict(self), **self.overrides}, {**dict(other), **other.overrides}
+        return SCHEMA.differing(ours, others, change)
 
     def digest(self) -> str:
         """Twelve hexadecimal digits that identify this configuration."""

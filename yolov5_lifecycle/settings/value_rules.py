@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping
 
+from pydantic_core import PydanticCustomError
+
 from yolov5_lifecycle.images.region import Region, RegionError
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.camera_names import camera_names_rule
-from yolov5_lifecycle.settings.class_thresholds import MAX_CLASS_NAME, ClassThresholdError, class_thresholds
 from yolov5_lifecycle.settings.schema import violation
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 
 Rule = Callable[..., object]
 """The value as it is stored; raises the error of `violation` for a wrong one."""
+
+MAX_CLASS_NAME = 200
+"""Characters; no model has longer names."""
+_NUMBER = re.compile(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+_MAX_NUMBER = 40
+_MAX_SHOWN = 60
 
 
 def digest(value: str) -> str:
@@ -58,13 +67,34 @@ def classes(value: tuple[str, ...]) -> tuple[str, ...]:
     return value
 
 
+def class_threshold(entry: str) -> tuple[str, float]:
+    """The name or index of a class and its threshold, from 0 to 1, of an entry such as "person: 0.5".
+
+    The last colon separates them: the name of a class may have some.
+    """
+    name, colon, text = (part.strip() for part in entry.rpartition(":"))
+    is_number = len(text) <= _MAX_NUMBER and _NUMBER.fullmatch(text) is not None
+    if len(name) > MAX_CLASS_NAME:
+        raise _no_threshold(entry, f"names a class with more than {MAX_CLASS_NAME} characters")
+    if not (name and colon and is_number and float(text) <= 1):
+        raise _no_threshold(
+            entry, "is not a class name or index, a colon and a number from 0 to 1, as in 'person: 0.5'"
+        )
+    return name, float(text)
+
+
 def thresholds_of_classes(value: tuple[str, ...]) -> tuple[str, ...]:
     """Entries such as "person: 0.5", one per class."""
-    try:
-        class_thresholds(value)
-    except ClassThresholdError as error:
-        raise violation(f"are not class thresholds: {error}.") from None
+    found = set[str]()
+    for name, _ in map(class_threshold, value):
+        if name in found:
+            raise _no_threshold(name, "has more than one threshold")
+        found.add(name)
     return value
+
+
+def _no_threshold(entry: str, problem: str) -> PydanticCustomError:
+    return violation(f"are not class thresholds: '{in_one_line(entry, _MAX_SHOWN)}' {problem}.")
 
 
 def regions(value: tuple[str, ...]) -> tuple[str, ...]:

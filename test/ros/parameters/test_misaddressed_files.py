@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,7 +13,8 @@ from support.detector_process import environment
 from support.worker import worker_domain
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.start_arguments import ParameterFile, misaddressed_files, start_arguments
+from yolov5_lifecycle.ros.start_arguments import misaddressed_files, start_arguments
+from yolov5_lifecycle.settings.parameter_file import Nodes
 
 PARAMETERS = "ros__parameters: {secret: hidden}"
 TOPS = (
@@ -30,7 +31,7 @@ def file_for(folder: Path, *names: str) -> Path:
     return path
 
 
-def files_of(path: Path) -> tuple[ParameterFile, ...]:
+def files_of(path: Path) -> Mapping[str, Nodes]:
     return start_arguments(["detector", "--ros-args", "--params-file", str(path)]).files
 
 

@@ -22,11 +22,9 @@ from rclpy.parameter import Parameter
 from support.preparations import Preparations
 
 from yolov5_lifecycle.ros.detector.node import DetectorNode
-from yolov5_lifecycle.ros.parameters.camera_overrides import MAX_OVERRIDES
-from yolov5_lifecycle.ros.parameters.values import ros_value
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.schema import SettingsError
-from yolov5_lifecycle.settings.settings import SETTINGS, validated
+from yolov5_lifecycle.settings.settings import validated
 
 Values = dict[str, Any]
 
@@ -214,17 +212,6 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             id="no camera can be read",
         ),
         pytest.param(
-            {"cameras": 3, "front.lazy": 1, "front.track_low_threshold": 0.9},
-            [
-                "cameras: ",
-                "front.lazy: 1 is not",
-                "front.track_low_threshold: add",
-                "front.lazy: add",
-                "front.track_low_threshold: 0.9 is above track_high_threshold, 0.25. Lower it",
-            ],
-            id="contradiction of a camera that does not exist",
-        ),
-        pytest.param(
             {**FRONT_AND_REAR, "side.max_rate": -1.0},
             [
                 "side.max_rate: -1.0 is not a number from 0 to 1000.",
@@ -365,16 +352,11 @@ def test_deleting_a_parameter_of_the_node_is_refused_with_its_default(
         )
 
 
-def test_overrides_for_cameras_that_do_not_exist_are_bounded(ros_domain: int, tmp_path: Path) -> None:
-    of_node = {setting.name: ros_value(setting.default) for setting in SETTINGS if setting.per_camera}
-    overrides = {f"{camera}.{name}": value for camera in MANY for name, value in of_node.items()}
-    assert len(overrides) == MAX_OVERRIDES
-    with detector(tmp_path, {"cameras": MANY, **overrides}) as tried:
-        assert "add the camera to cameras" in tried.set("side.lazy", False).reason
-        assert not tried.node.has_parameter("side.lazy")
-        assert tried.set(f"{MANY[0]}.lazy", None).successful
-        assert tried.set("side.lazy", False).successful
-        assert not tried.set("side.depth", False).successful
+def test_setting_the_parameter_that_was_meant_corrects_the_name(ros_domain: int, tmp_path: Path) -> None:
+    with detector(tmp_path, {"cameras": ["front"], "front.max_rte": 5.0}) as tried:
+        assert "Did you mean 'front.max_rate'? Set that one, or" in tried.configure()
+        assert tried.set("front.max_rate", 5.0).successful
+        assert tried.configure() == ""
 
 
 def test_an_override_waits_for_its_camera_although_that_of_a_similar_name_is_set(

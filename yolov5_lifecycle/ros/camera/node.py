@@ -10,13 +10,13 @@ from typing import NoReturn
 
 import rclpy
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
 
 from yolov5_lifecycle.process.standard_streams import complain, flush_output
 from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
 from yolov5_lifecycle.ros.camera.settings import SCHEMA, check_qos_overrides, declared_settings
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
-from yolov5_lifecycle.ros.services import harden
+from yolov5_lifecycle.ros.rclpy_internals import ResilientExecutor
+from yolov5_lifecycle.ros.services import wrap_services
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
 from yolov5_lifecycle.ros.spin import spin, stop_event
 from yolov5_lifecycle.ros.start_arguments import explain, initialize, refuse, start_arguments
@@ -47,7 +47,7 @@ class CameraNode(PrintableNode):
         self._settings = declared_settings(self)
         self._outputs = CameraOutputs(self, self._settings)
         check_qos_overrides(self)
-        harden(self, {})
+        wrap_services(self, {})
         if not self._settings.loop:
             self.get_logger().info(f"waiting for a subscriber to {self._topics}")
         self._stop = threading.Event()
@@ -135,7 +135,7 @@ def _run(arguments: list[str]) -> int:
         return refuse("camera", error)
     for shortage in shortages:
         node.get_logger().warning(shortage)
-    executor = SingleThreadedExecutor()
+    executor = ResilientExecutor()
     executor.add_node(node)
     spin(executor, node, until=lambda: stop.is_set() or node.is_finished)
     failure = node.failure  # read before `close`: only failures up to here count

@@ -27,7 +27,7 @@ from yolov5_lifecycle.ros.console.ros_thread import RosThread
 from yolov5_lifecycle.ros.console.sessions import Sessions, TokenFileError, kept_token, usual_path
 from yolov5_lifecycle.ros.console.web_server import ListenError, WebServer, listening_socket
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
-from yolov5_lifecycle.ros.services import harden
+from yolov5_lifecycle.ros.services import wrap_services
 from yolov5_lifecycle.ros.start_arguments import initialize, refuse, start_arguments
 
 _NAME = "console"
@@ -56,7 +56,7 @@ def _run(arguments: list[str]) -> int:
         node = PrintableNode(_NAME)
     except RuntimeError as error:
         return refuse(_NAME, f"cannot start: {error}")
-    harden(node, {})
+    wrap_services(node, {})
     try:
         asyncio.run(_serve(node, options, listening_socket(options), _sessions(options)))
     except (ListenError, TokenFileError, FileNotFoundError) as error:

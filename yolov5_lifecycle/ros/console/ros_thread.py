@@ -10,9 +10,9 @@ from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from yolov5_lifecycle.ros.rclpy_internals import ResilientExecutor
 from yolov5_lifecycle.ros.spin import spin
 
 Item = TypeVar("Item")
@@ -37,7 +37,7 @@ class RosThread:
         self._loop = loop
         self._is_stopping = threading.Event()
         self._jobs: deque[Callable[[], None]] = deque()
-        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor = ResilientExecutor(context=node.context)
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
 

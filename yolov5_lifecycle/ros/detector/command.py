@@ -12,12 +12,12 @@ from typing import NoReturn
 
 import rclpy
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.process.standard_streams import flush_output
 from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.detector.node import DetectorNode
+from yolov5_lifecycle.ros.rclpy_internals import ResilientExecutor
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
 from yolov5_lifecycle.ros.spin import spin, stop_event
 from yolov5_lifecycle.ros.start_arguments import (
@@ -83,7 +83,7 @@ def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandon
 
 def _serve(node: DetectorNode, stop: threading.Event, finalized_s: float) -> int:
     """Spin `node` until it ends, release everything, and return the exit code."""
-    executor = SingleThreadedExecutor()
+    executor = ResilientExecutor()
     executor.add_node(node)
     autostart = executor.create_task(node.autostart)
     # Torch and pydantic keep 300,000 objects alive; scanning them in a collection blocks all threads 0.15 s.

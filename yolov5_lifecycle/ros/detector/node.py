@@ -34,7 +34,7 @@ from yolov5_lifecycle.ros.rclpy_internals import (
     destroy_state_machine,
     lifecycle_state,
 )
-from yolov5_lifecycle.ros.services import harden
+from yolov5_lifecycle.ros.services import wrap_services
 from yolov5_lifecycle.ros.topics import impossible_names, remapping_problems
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.settings import validated
@@ -95,7 +95,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
             period_s=diagnostics_period_s,
         )
         self._bond = Bond(self)
-        harden(self, {"change_state": self._change_state} | self._reconfiguration.handlers())
+        wrap_services(self, {"change_state": self._change_state} | self._reconfiguration.handlers())
         self._greet()
 
     @property

@@ -16,8 +16,7 @@ from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.session import Session
 from yolov5_lifecycle.ros.parameters.proposal import Proposal, refusal
-from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_SUGGESTIONS, SettingsParameters
-from yolov5_lifecycle.ros.parameters.values import read_parameters
+from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.services import Handler
 from yolov5_lifecycle.settings.schema import Change, Problem
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
@@ -62,23 +61,22 @@ class Reconfiguration:
         }
 
     async def _set_one_by_one(self, request: Any, response: Any) -> Any:
-        asked = read_parameters(request.parameters)
-        suggestions = MAX_SUGGESTIONS
+        asked = [*map(Parameter.from_parameter_msg, request.parameters)]
         whole: Proposal | None = None
         for index, parameter in enumerate(asked):
             if index % _AT_A_TIME == _AT_A_TIME - 1:
                 await self._others()
-            proposal = self._parameters.propose([parameter], suggestions=suggestions)
-            suggestions -= len(proposal.unknown)
+            proposal = self._parameters.propose([parameter])
             result = await self._set(proposal)
             if not result.successful and len(asked) > 1:
-                whole = whole or self._parameters.propose(asked, suggestions=0)
+                whole = whole or self._parameters.propose(asked)
                 result.reason += _remark(proposal, whole)
             response.results.append(result)
         return response
 
     async def _set_together(self, request: Any, response: Any) -> Any:
-        response.result = await self._set(self._parameters.propose(read_parameters(request.parameters)))
+        asked = [*map(Parameter.from_parameter_msg, request.parameters)]
+        response.result = await self._set(self._parameters.propose(asked))
         return response
 
     def _others(self) -> Awaitable[None]:

@@ -3,21 +3,51 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice
 
-from yolov5_lifecycle.ros.parameters.camera_overrides import are_too_many, without_camera
+from rclpy.parameter import Parameter
+
 from yolov5_lifecycle.ros.parameters.proposal import Configuration
-from yolov5_lifecycle.ros.parameters.unusable_overrides import UnusableOverrides
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS, camera_of
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME
 from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS
 from yolov5_lifecycle.settings.value_text import value_text
 
-Configure = Callable[[Mapping[str, object]], Configuration]
-"""The configuration with these values."""
+
+@dataclass(frozen=True)
+class UnusableOverrides:
+    """Parameters from files and the command line without effect, until they are set again or deleted."""
+
+    invalid: Mapping[str, Problem]
+    """By name: of a setting, which then has its fallback, or of a camera's override, which is not set."""
+    unknown: Mapping[str, Parameter]
+    """By names that are not parameters."""
+
+    def deleted_by(self, asked: Sequence[Parameter]) -> tuple[str, ...]:
+        """Names of those overrides, not declared as parameters, that a request deletes."""
+        names = (parameter.name for parameter in asked if parameter.type_ is Parameter.Type.NOT_SET)
+        return tuple(n for n in names if n in self.unknown or (n in self.invalid and SEPARATOR in n))
+
+    def uncorrected(self, values: Mapping[str, object], changed: Collection[str]) -> list[str]:
+        """The unknown names, without those whose probable meaning is among the `changed` parameters."""
+        corrected = {
+            name for name in islice(self.unknown, MAX_SUGGESTIONS) if SCHEMA.meant(name, values) in changed
+        }
+        return [name for name in self.unknown if name not in corrected]
+
+    def without(self, names: Collection[str]) -> UnusableOverrides:
+        """The overrides that are not in `names`."""
+        invalid = {name: problem for name, problem in self.invalid.items() if name not in names}
+        unknown = {name: parameter for name, parameter in self.unknown.items() if name not in names}
+        return UnusableOverrides(invalid, unknown)
+
+
+def without_camera(values: Mapping[str, object]) -> list[str]:
+    """The overrides among `values` whose cameras are not in `values`."""
+    return [name for name in values if SEPARATOR in name and not SCHEMA.is_known(name, values)]
 
 
 def configuration_problems(
@@ -25,27 +55,27 @@ def configuration_problems(
     unusable: UnusableOverrides,
     *,
     changed: Collection[str],
-    configure: Configure,
     node_name: str,
 ) -> list[Problem]:
     """Problems of the `unusable` overrides, then those of the `current` values.
 
-    Overrides for cameras that do not exist are judged, too, as if their cameras existed. `changed`: names of
-    the parameters that were set at run time. `node_name`: the full name of the node.
+    `changed`: names of the parameters that were set at run time. `node_name`: the full name of the node.
     """
     values = current.values
     absent = without_camera({**values, **{name: None for name in unusable.invalid if name not in values}})
     unknown = unusable.uncorrected(values, changed)
-    waiting = {name: values[name] for name in absent if name in values}
     named = [
         _of_name(name, values, unusable, may_suggest=index < MAX_SUGGESTIONS)
         for index, name in enumerate([*absent, *unknown])
     ]
-    judged = [*(p for p in current.problems if p.setting not in absent), *_judged(waiting, values, configure)]
     return [
         *(_removable(problem, "Or remove it", node_name) for problem in unusable.invalid.values()),
         *(_removable(problem, remedy, node_name) for problem, remedy in named),
-        *(problem for problem in judged if not _is_about(problem, unusable.invalid)),
+        *(
+            problem
+            for problem in current.problems
+            if problem.setting not in absent and not _is_about(problem, unusable.invalid)
+        ),
     ]
 
 
@@ -86,7 +116,7 @@ def fixed_cameras(node_name: str) -> Problem:
 def _is_solved_by_another(name: str, values: Mapping[str, object]) -> bool:
     if name in values and SCHEMA.problem(name, values[name]) is not None:
         return False
-    return SCHEMA.is_known(name, values) or (name in values and not are_too_many(values))
+    return SCHEMA.is_known(name, values) or name in values
 
 
 def _of_name(
@@ -110,23 +140,6 @@ def _removable(problem: Problem, remedy: str, node_name: str) -> Problem:
         return problem
     command = f"ros2 param delete {node_name} {problem.setting}"
     return Problem(problem.setting, f"{problem.message} {remedy}: {command}")
-
-
-def _judged(
-    waiting: Mapping[str, object], values: Mapping[str, object], configure: Configure
-) -> list[Problem]:
-    """Problems of the values of `waiting` overrides, if the first MAX_CAMERAS of their cameras existed."""
-    cameras = tuple(islice(dict.fromkeys(map(camera_of, waiting)), MAX_CAMERAS))
-    if not cameras:
-        return []
-    of_node = {name: value for name, value in values.items() if SEPARATOR not in name}
-    of_cameras = {name: value for name, value in waiting.items() if camera_of(name) in cameras}
-    found = {name: SCHEMA.problem(name, value) for name, value in of_cameras.items()}
-    wrong = {name: problem for name, problem in found.items() if problem is not None}
-    right = {name: value for name, value in of_cameras.items() if name not in wrong}
-    problems = configure({**of_node, CAMERAS: cameras, **right}).problems
-    together = (problem for problem in problems if camera_of(problem.setting) in cameras)
-    return [*wrong.values(), *(problem for problem in together if not _is_about(problem, wrong))]
 
 
 def _is_about(problem: Problem, invalid: Iterable[str]) -> bool:

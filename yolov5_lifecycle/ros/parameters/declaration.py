@@ -1,10 +1,13 @@
-"""Declaration of a node's parameters: descriptors, and values from parameter files and command line."""
+"""Declaration of a node's parameters: descriptors, and values from parameter files and command line.
+
+Overrides of settings for a camera are declared only while they have a value, but always described.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import pairwise
 from typing import Any
@@ -16,6 +19,7 @@ from rclpy.parameter import Parameter
 from yolov5_lifecycle.ros.parameters.values import TYPES, coerced, plain_values, ros_value
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, Setting
+from yolov5_lifecycle.settings.settings import SCHEMA
 from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
 from yolov5_lifecycle.settings.value_text import value_text
 
@@ -124,9 +128,10 @@ def descriptor(setting: Setting) -> ParameterDescriptor:
     The console reads the constraints (`ros/console/parameter_view.py`).
     """
     effect = f"{setting.change.value}{'; per camera' if setting.per_camera else ''}"
+    default = json.dumps(ros_value(setting.default), ensure_ascii=False)
     described = ParameterDescriptor(
         description=setting.description,
-        additional_constraints=f"{setting.allowed}; default {_default(setting)}; {effect}",
+        additional_constraints=f"{setting.allowed}; default {default}; {effect}",
         read_only=setting.change is Change.READ_ONLY,
     )
     if setting.minimum is None or setting.maximum is None:
@@ -144,5 +149,41 @@ def descriptor(setting: Setting) -> ParameterDescriptor:
     return described
 
 
-def _default(setting: Setting) -> str:
-    return json.dumps(ros_value(setting.default), ensure_ascii=False)
+def deletion(name: str) -> Parameter:
+    """The request parameter that deletes `name`."""
+    return Parameter(name, Parameter.Type.NOT_SET)
+
+
+def declare_given(node: Node, declaration: Declaration) -> Declaration:
+    """Declare the overrides that `node` was given, of any camera; `declaration` with them."""
+    values, invalid, unknown = dict(declaration.values), dict(declaration.invalid), dict(declaration.unknown)
+    for name in SCHEMA.found(unknown):
+        settings = SCHEMA.found([name])
+        wanted = coerced(unknown.pop(name), settings, may_be_unset=True)
+        given = plain_values([wanted], settings)
+        if problem := SCHEMA.problem(name, given[name]):
+            invalid[name] = problem
+        else:
+            declare_unset(node, settings[name])
+            node.set_parameters([wanted])
+            values |= given
+    return replace(declaration, values=values, invalid=invalid, unknown=unknown)
+
+
+def declare_missing(node: Node, parameters: Iterable[Parameter]) -> None:
+    """Declare those overrides among `parameters` that are about to get their first value."""
+    names = [
+        parameter.name
+        for parameter in parameters
+        if parameter.type_ is not Parameter.Type.NOT_SET and not node.has_parameter(parameter.name)
+    ]
+    for setting in SCHEMA.found(names).values():
+        declare_unset(node, setting)
+
+
+def undeclare_unset(node: Node, parameters: Iterable[Parameter]) -> None:
+    """Undeclare the overrides among `parameters` that were declared, but did not get a value."""
+    for setting in SCHEMA.found(parameter.name for parameter in parameters).values():
+        unset = deletion(setting.name)
+        if node.has_parameter(setting.name) and node.get_parameter_or(setting.name, unset) is unset:
+            node.undeclare_parameter(setting.name)

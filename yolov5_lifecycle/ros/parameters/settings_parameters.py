@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -10,41 +10,36 @@ from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.parameters.camera_overrides import (
-    are_too_many,
-    declare_given,
-    declare_missing,
-    deletion,
-    describe,
-    undeclare_unset,
-    without_camera,
-)
 from yolov5_lifecycle.ros.parameters.configuration_problems import (
+    UnusableOverrides,
     accepted_until_configure,
     configuration_problems,
     explained,
     fixed_cameras,
+    without_camera,
 )
-from yolov5_lifecycle.ros.parameters.declaration import Source, declare, source_table
+from yolov5_lifecycle.ros.parameters.declaration import (
+    Source,
+    declare,
+    declare_given,
+    declare_missing,
+    deletion,
+    source_table,
+    undeclare_unset,
+    unset_descriptor,
+)
 from yolov5_lifecycle.ros.parameters.proposal import Configuration, Proposal, acceptance
-from yolov5_lifecycle.ros.parameters.unusable_overrides import UnusableOverrides
 from yolov5_lifecycle.ros.parameters.values import coerced, plain_values, stays
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, Settings, validated
+from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS
 
 Rule = Callable[[Settings], list[Problem]]
 Validate = Callable[[Mapping[str, object]], Settings]
 """See `validated`."""
 
-MAX_SUGGESTIONS = 3
-"""Max number of unknown names per request for which a similar name is suggested."""
 _BY_EFFORT = (Change.RELOAD, Change.RESUBSCRIBE, Change.LIVE)
-
-
-def has_overrides(names: Iterable[str]) -> bool:
-    """Whether some of `names` override a setting for one camera."""
-    return any(SEPARATOR in name for name in names)
 
 
 class SettingsParameters:
@@ -79,22 +74,21 @@ class SettingsParameters:
         declaration = declare_given(node, declare(node, SCHEMA, arguments=arguments))
         self._given = declaration.sources
         self._sources = {name: self._given[name] for name in declaration.values}
-        self._unusable = UnusableOverrides(declaration.invalid, declaration.unknown).without(())
+        self._unusable = UnusableOverrides(declaration.invalid, declaration.unknown)
         self._current = self._configuration(declaration.values)
 
     def problems(self) -> list[Problem]:
         """Problems of the current values and of the overrides."""
         return configuration_problems(
             self._current,
-            self._unusable or UnusableOverrides({}, {}),
+            self._unusable,
             changed={name for name, source in self._sources.items() if source is Source.RUN_TIME},
-            configure=self._configuration,
             node_name=self._node.get_fully_qualified_name(),
         )
 
     def forget_unusable(self) -> None:
         """Forget the overrides without effect, once `problems` has none."""
-        self._unusable = None
+        self._unusable = UnusableOverrides({}, {})
 
     def settings(self) -> Settings:
         """The current settings; raises SettingsError if the values contradict each other."""
@@ -107,26 +101,35 @@ class SettingsParameters:
         return self._current.values[name]
 
     def describe(self, request: DescribeParameters.Request, response: Any) -> Any:
-        """Response of the service `describe_parameters`; also describes overrides that are not set."""
-        return describe(self._node, self._current.values, request, response)
+        """Response of the service `describe_parameters`; also describes overrides that are not set.
+
+        As with rclpy, it is empty if a name is unknown.
+        """
+        described = []
+        for name in request.names:
+            if self._node.has_parameter(name):
+                described.append(self._node.describe_parameter(name))
+            elif SCHEMA.is_known(name, self._current.values) and (setting := SCHEMA.find(name)):
+                described.append(unset_descriptor(setting))
+            else:
+                return response
+        response.descriptors = described
+        return response
 
     def value_for(self, camera: str, name: str) -> Any:
         """Value of a setting for a camera in `cameras`; see `value`."""
         return self._current.values.get(f"{camera}{SEPARATOR}{name}", self.value(name))
 
-    def propose(self, asked: Sequence[Parameter], *, suggestions: int = MAX_SUGGESTIONS) -> Proposal:
-        """Validate a service request, except for the checks that need the model; changes nothing.
-
-        Suggests a similar name for at most `suggestions` unknown names.
-        """
-        withdrawn = self._unusable.deleted_by(asked) if self._unusable is not None else ()
+    def propose(self, asked: Sequence[Parameter]) -> Proposal:
+        """Validate a service request, except for the checks that need the model; changes nothing."""
+        withdrawn = self._unusable.deleted_by(asked)
         rest = [parameter for parameter in asked if parameter.name not in withdrawn]
         settings = SCHEMA.found(parameter.name for parameter in rest)
         wanted = [coerced(parameter, settings) for parameter in rest]
         values = {**self._current.values, **plain_values(wanted, settings)}
         unknown = tuple(p.name for p in wanted if not self._is_parameter(p, values))
         of_names = [
-            SCHEMA.unknown(name, values, may_suggest=index < suggestions)
+            SCHEMA.unknown(name, values, may_suggest=index < MAX_SUGGESTIONS)
             for index, name in enumerate(unknown)
         ]
         known = [p for p in wanted if p.name not in unknown and not stays(self._node, p)]
@@ -151,15 +154,13 @@ class SettingsParameters:
     def store(self, proposal: Proposal) -> SetParametersResult:
         """Set a valid, current proposal atomically; the caller applies it to the running detection."""
         if proposal.parameters:
-            if has_overrides(parameter.name for parameter in proposal.parameters):
-                declare_missing(self._node, proposal.parameters)
+            declare_missing(self._node, proposal.parameters)
             result = self._node.set_parameters_atomically([*proposal.parameters])
             if not result.successful:
                 undeclare_unset(self._node, proposal.parameters)
                 return result
             self._keep(proposal)
-        if self._unusable is not None:
-            self._unusable = self._unusable.without(proposal.withdrawn)
+        self._unusable = self._unusable.without(proposal.withdrawn)
         return acceptance(proposal) if proposal.unsolved else SetParametersResult(successful=True)
 
     def present(self, parameters: Sequence[Parameter]) -> list[Parameter]:
@@ -201,7 +202,7 @@ class SettingsParameters:
         return {name: value for name, value in values.items() if value is not None or name in present}
 
     def _configuration(self, values: Mapping[str, object]) -> Configuration:
-        absent = without_camera(values) if has_overrides(values) else []
+        absent = without_camera(values)
         problems = [SCHEMA.without_camera(name, values) for name in absent]
         present = {name: value for name, value in values.items() if name not in absent}
         try:
@@ -217,7 +218,7 @@ class SettingsParameters:
         is_unset = parameter.type_ is Parameter.Type.NOT_SET
         if SEPARATOR not in name or SCHEMA.find(name) is None or is_unset:
             return self._node.has_parameter(name) or SCHEMA.is_known(name, values)
-        return SCHEMA.is_known(name, values) or (self._is_unconfigured() and not are_too_many(values))
+        return SCHEMA.is_known(name, values) or self._is_unconfigured()
 
     def _keep(self, proposal: Proposal) -> None:
         """Make what `proposal` has set the current configuration."""
@@ -230,8 +231,7 @@ class SettingsParameters:
         }
         for name in self._sources.keys() - values.keys():
             del self._sources[name]
-        if self._unusable is not None:
-            self._unusable = self._unusable.without(names)
+        self._unusable = self._unusable.without(names)
 
 
 def _kind(before: Settings | None, after: Settings | None) -> Change | None:

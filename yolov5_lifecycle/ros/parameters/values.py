@@ -1,18 +1,13 @@
-"""Conversion of ROS parameters to values of settings, and of requests to parameters; which change nothing."""
+"""Conversion of ROS parameters to values of settings, and back."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterValue
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.settings.schema import Setting
-
-MAX_ENTRIES = 10_000
-"""Max entries of one list in a request; also the limit of the longest setting, `classes`."""
 
 TYPES = {
     bool: Parameter.Type.BOOL,
@@ -21,19 +16,6 @@ TYPES = {
     str: Parameter.Type.STRING,
     tuple: Parameter.Type.STRING_ARRAY,
 }
-_ARRAYS = [name for name in ParameterValue.get_fields_and_field_types() if name.endswith("_array_value")]
-
-
-def read_parameters(messages: Iterable[ParameterMessage]) -> list[Parameter]:
-    """Parameters of a request; raises ValueError for an unknown type or a list over MAX_ENTRIES."""
-    return [_read(message) for message in messages]
-
-
-def _read(message: ParameterMessage) -> Parameter:
-    # rclpy iterates over every entry, which takes 60 ms for a million of them.
-    if (longest := max(len(getattr(message.value, name)) for name in _ARRAYS)) > MAX_ENTRIES:
-        raise ValueError(f"a parameter has a list of {longest} entries; at most {MAX_ENTRIES} are accepted.")
-    return Parameter.from_parameter_msg(message)
 
 
 def coerced(
