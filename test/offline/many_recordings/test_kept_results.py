@@ -91,8 +91,8 @@ def test_another_calibration_makes_other_results_in_int8_only(tmp_path: Path) ->
     calibration = path_beside(weights)
 
     def digest(precision: str) -> str:
-        settings = {"weights": str(weights), "precision": precision, "runtime": "openvino"}
-        return plan_for(tmp_path, **settings).settings_sha256
+        plan = plan_for(tmp_path, weights=str(weights), precision=precision, runtime="openvino")
+        return plan.settings_sha256
 
     found = [(digest("int8"), digest("auto"))]
     for content in (path_beside(embedded).read_bytes(), b"another"):
