@@ -75,7 +75,6 @@ def test_settings_select_an_export_like_other_weights(tmp_path: Path) -> None:
     path.write_bytes(small_export())
     settings = Settings(weights=str(path), image_size=96)
     prepared = prepare_model(settings, [(48, 96)])
-    assert prepared.facts["precision choice"] == "that of the export"
     assert prepared.detector.class_names == NAMES
     prepared.close()
     with pytest.raises(ValueError, match="expected 00"):

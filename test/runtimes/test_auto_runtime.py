@@ -190,6 +190,15 @@ def test_what_no_runtime_can_do_is_refused(tmp_path: Path, device: str, precisio
         choose_runtime(random_model(), device=device, precision=precision, frame_hw=(64, 64), folder=tmp_path)
 
 
+@pytest.mark.parametrize("precision", ["int8", "bf16"])
+def test_what_one_runtime_computes_is_not_measured(tmp_path: Path, precision: str) -> None:
+    choice = choose_runtime(
+        random_model(), device="cpu", precision=precision, frame_hw=(64, 64), folder=tmp_path
+    )
+    assert choice == Choice("openvino", f"the only one for {precision}")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_auto_loads_what_was_chosen_and_says_why() -> None:
     detector = load_detector(random_model(), device="cpu", image_size=64)
     assert detector.runtime.name in INSTALLED

@@ -30,8 +30,7 @@ class Detector:
     detect at the same time there are `lanes`.
 
     `class_names` by class id. `image_size`: longer side of the network input in pixels, a multiple of
-    `stride`, the largest stride of the model; else ValueError. `choice` and `precision_choice`: why this
-    runtime and its precision were selected.
+    `stride`, the largest stride of the model; else ValueError. `choice`: why this runtime was selected.
     `mask_coefficients`: their number per prediction, 0 if the model does not segment. `cost`: of an image of
     `image_size` x `image_size`, None if it is unknown. `fixed_hw`: the only size of the network input, if the
     model takes no other.
@@ -46,7 +45,6 @@ class Detector:
         image_size: int,
         stride: int,
         choice: str = "as set",
-        precision_choice: str = "as set",
         mask_coefficients: int = 0,
         cost: Cost | None = None,
         fixed_hw: tuple[int, int] | None = None,
@@ -54,7 +52,6 @@ class Detector:
         check_image_size(image_size, stride)
         self.runtime = runtime
         self.choice = choice
-        self.precision_choice = precision_choice
         self.class_names = tuple(class_names)
         self.image_size = image_size
         self.stride = stride
@@ -146,7 +143,6 @@ class Detector:
             image_size=self.image_size,
             stride=self.stride,
             choice=self.choice,
-            precision_choice=self.precision_choice,
             mask_coefficients=self.mask_coefficients,
             cost=self.cost,
             fixed_hw=self.fixed_hw,

@@ -8,19 +8,16 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from yolov5_lifecycle.checkpoints.locate import confined, find_weights, load_weights
+from yolov5_lifecycle.checkpoints.locate import WeightsFile, confined, find_weights, load_weights
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processors
 from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.models.cost import Cost, check_memory
+from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.process.memory import release_unused_memory
-from yolov5_lifecycle.quantization.calibration_file import (
-    CalibrationError,
-    find_calibration,
-    path_beside,
-    remedy,
-)
+from yolov5_lifecycle.quantization.calibration_file import find_quantization
+from yolov5_lifecycle.runtimes.quantization import Quantization
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import MAX_PARALLEL_FRAMES, Settings
 
@@ -52,7 +49,6 @@ class PreparedModel:
             "runtime choice": self.detector.choice,
             "device": runtime.device,
             "precision": runtime.precision,
-            "precision choice": self.detector.precision_choice,
             "cost": str(self.detector.cost or ""),
             "parallel frames": self.lanes.reason,
         }
@@ -91,24 +87,15 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
     Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
     """
     weights = load_weights(weights_path(settings), sha256=settings.weights_sha256)
-    calibration = find_calibration(
-        weights,
-        precision=settings.precision,
+    detector = load_detector(
+        weights.content,
+        runtime=settings.runtime,
         device=settings.device,
-        allowed=partial(confined, folders=_folders(settings)) if settings.weights_dirs else None,
+        precision=settings.precision,
+        image_size=settings.image_size,
+        cameras=len(sizes_hw),
+        quantization=_quantization(weights, settings),
     )
-    try:
-        detector = load_detector(
-            weights.content,
-            runtime=settings.runtime,
-            device=settings.device,
-            precision=settings.precision,
-            image_size=settings.image_size,
-            cameras=len(sizes_hw),
-            calibration=calibration,
-        )
-    except CalibrationError as error:
-        raise CalibrationError(f"{path_beside(weights.path)}: {error}. {remedy(weights.path)}.") from None
     try:
         _warm_up(detector, sizes_hw)
         lanes = _lanes(detector, sizes_hw, settings)
@@ -116,6 +103,14 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
         detector.close()
         raise
     return PreparedModel(settings, detector, weights.path, weights.sha256, lanes)
+
+
+def _quantization(weights: WeightsFile, settings: Settings) -> Quantization | None:
+    """That of the calibration beside `weights`, which int8 needs; an export refuses int8 by itself."""
+    if settings.precision != "int8" or isinstance(weights.content, Export):
+        return None
+    allowed = partial(confined, folders=_folders(settings)) if settings.weights_dirs else None
+    return find_quantization(weights, image_size=settings.image_size, allowed=allowed)
 
 
 def _warm_up(detector: Detector, sizes_hw: Sequence[tuple[int, int]]) -> None:

@@ -1,1 +1,1 @@
-"""int8 on a CPU: activation ranges, the file that keeps them, and when they are worth using."""
+"""int8 on a CPU: activation ranges, and the file that keeps them."""

@@ -1,12 +1,9 @@
-"""The calibration file beside a weights file: activation ranges for int8, and what was measured with them."""
+"""The calibration file beside a weights file: what int8 needs to know of the activations of its network."""
 
 from __future__ import annotations
 
 import hashlib
-import json
-import logging
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,10 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from yolov5_lifecycle.atomic_file import write_whole
 from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
-from yolov5_lifecycle.models.export import Export
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line, shell_command
-from yolov5_lifecycle.quantization.reference import Reference
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.quantization import (
     Activation,
@@ -28,17 +23,12 @@ from yolov5_lifecycle.runtimes.quantization import (
     convolutions,
 )
 
-SUFFIX = ".calibration.json"
 MAX_FILE_BYTES = 4 << 20
-MAX_TENSORS = 10_000
 _MAX_TOLD = 200
-
-_log = logging.getLogger(__name__)
 
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Figure = Annotated[float, Field(ge=-1e9, le=1e9)]
-Share = Annotated[float, Field(ge=0, le=1)]
 Range = tuple[Figure, Figure]
 """Lowest and highest value of an activation."""
 
@@ -47,56 +37,22 @@ class CalibrationError(ValueError):
     """A calibration that is missing, damaged or made for something else; the message has the remedy."""
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+class Calibration(BaseModel):
+    """The content of a calibration file. Those of version 2 had further fields, which are ignored."""
 
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
-class Measurement(_Record):
-    """A runtime in one precision, measured on the calibration images and compared with fp32."""
-
-    runtime: Literal["onnxruntime", "openvino"]
-    precision: Literal["fp32", "int8", "bf16"]
-    ms_per_image: Annotated[float, Field(gt=0, le=1e6)]
-    processor_ms_per_image: Annotated[float, Field(gt=0, le=1e6)]
-    """Of all processors together; another busy process affects this less."""
-    agreement_f1: Share
-    """F1 of its detections, those of fp32 taken as the truth; the same class, IoU of at least 0.5."""
-    box_iou: Share
-    """Mean IoU of the boxes that agree."""
-    map_loss: Annotated[float, Field(ge=-100, le=100)] | None = None
-    """Points of mAP@50:95 lost; None if there was no ground truth."""
-
-
-class Calibration(_Record):
-    """The content of a calibration file."""
-
-    format: Literal["yolov5_lifecycle calibration 2"] = "yolov5_lifecycle calibration 2"
-    """Version 1 had neither a digest nor a reference, so that nothing would show whether it is damaged."""
+    format: Literal["yolov5_lifecycle calibration 2", "yolov5_lifecycle calibration 3"] = (
+        "yolov5_lifecycle calibration 3"
+    )
     weights_sha256: Digest
-    data_sha256: Digest
-    """Digest of the pixels of the calibration images."""
-    images: Annotated[int, Field(ge=1, le=1_000_000)]
     image_size: Annotated[int, Field(ge=32, le=4096)]
-    confidence_threshold: Share
-    iou_threshold: Share
-    weight_bits: Literal[7, 8]
-    """Bits of the weights when it was measured; 7 on x86 without VNNI."""
-    ranges: Annotated[dict[Name, Range], Field(min_length=1, max_length=MAX_TENSORS)]
+    ranges: Annotated[dict[Name, Range], Field(min_length=1)]
     """Range of what each convolution reads, by its path in the network, as in the names of its weights."""
-    means: Annotated[dict[Name, tuple[Figure, ...]], Field(max_length=MAX_TENSORS)]
+    means: dict[Name, tuple[Figure, ...]]
     """Mean of each channel that the convolution reads."""
-    fp32_layers: Annotated[tuple[Name, ...], Field(max_length=MAX_TENSORS)]
+    fp32_layers: tuple[Name, ...]
     """Paths of the convolutions that stay in fp32."""
-    reference: Reference
-    detections: Annotated[int, Field(ge=0, le=1_000_000_000)]
-    """Detections of fp32 in the compared images; the fewer, the less is known."""
-    measured: Annotated[tuple[Measurement, ...], Field(max_length=20)]
-    computer_sha256: Digest
-    """The computer on which it was measured, see `computer_digest`."""
-    processor: Annotated[str, Field(max_length=200)]
-    abilities: Annotated[tuple[Name, ...], Field(max_length=50)]
-    versions: Annotated[dict[Name, Name], Field(max_length=20)]
-    """Version by package name."""
 
     @field_validator("ranges")
     @classmethod
@@ -110,14 +66,19 @@ class Calibration(_Record):
     def _fits_together(self) -> Calibration:
         if self.means.keys() != self.ranges.keys():
             raise ValueError("means: expected those of the same convolutions as the ranges")
-        for name, (low, high) in self.ranges.items():
-            width = high - low
-            if not all(low - width <= mean <= high + width for mean in self.means[name]):
-                raise ValueError(f"{name[:50]!r}: expected means near the range, {low:g} to {high:g}")
-        measured = [(each.runtime, each.precision) for each in self.measured]
-        if len(set(measured)) < len(measured):
-            raise ValueError("measured: expected each runtime and precision once")
         return self
+
+    @classmethod
+    def of(cls, quantization: Quantization, weights_sha256: str, image_size: int) -> Calibration:
+        """That of `quantization`, for these weights and this size."""
+        read = quantization.activations
+        return cls(
+            weights_sha256=weights_sha256,
+            image_size=image_size,
+            ranges={name: each.range for name, each in read.items()},
+            means={name: each.means for name, each in read.items()},
+            fp32_layers=tuple(sorted(quantization.fp32_layers)),
+        )
 
     @property
     def quantization(self) -> Quantization:
@@ -125,143 +86,65 @@ class Calibration(_Record):
         activations = {name: Activation(range_, self.means[name]) for name, range_ in self.ranges.items()}
         return Quantization(activations, frozenset(self.fp32_layers), weight_bits(abilities()))
 
-    def measurement(self, runtime: str, precision: str) -> Measurement | None:
-        """What was measured with `runtime` in `precision`."""
-        wanted = (runtime, precision)
-        return next((each for each in self.measured if (each.runtime, each.precision) == wanted), None)
-
-
-class _Stored(Calibration):
-    """What the file holds: the calibration, and the digest that shows damage."""
-
-    content_sha256: Digest
-
-    @property
-    def calibration(self) -> Calibration:
-        """Without the digest; raises ValueError if that is of other content."""
-        calibration = Calibration.model_validate(self.model_dump(exclude={"content_sha256"}))
-        if self.content_sha256 != content_sha256(calibration):
-            raise ValueError("it is damaged or was edited: its content does not match its own digest")
-        return calibration
-
-
-def content_sha256(calibration: Calibration) -> str:
-    """Digest of everything in `calibration`, which its file also holds."""
-    return hashlib.sha256(_text(calibration.model_dump(mode="json")).encode()).hexdigest()
-
 
 def path_beside(weights: Path) -> Path:
     """Path of the calibration for the file `weights`."""
-    return weights.with_name(weights.stem + SUFFIX)
+    return weights.with_name(f"{weights.stem}.calibration.json")
 
 
-def remedy(weights: Path) -> str:
-    """How to create a calibration for the file `weights`."""
-    return (
-        f"Create one with `{shell_command('calibrate', weights, 'DATA')}`, where DATA is a folder of images, "
-        "a video or a recording; or use precision 'fp32'"
-    )
+def find_quantization(
+    weights: WeightsFile, *, image_size: int, allowed: Callable[[Path], Path] | None = None
+) -> Quantization:
+    """That of the calibration beside `weights`, which must be for them and for `image_size`.
+
+    Raises CalibrationError with the command that makes such a calibration, and what `allowed` raises for a
+    path outside the folders of the user.
+    """
+    path = path_beside(weights.path)
+    real = path if allowed is None else allowed(path)
+    try:
+        calibration = read_calibration(real)
+        _check_made_for(calibration, weights, image_size)
+    except (CalibrationError, QuantizationError) as error:
+        command = shell_command("calibrate", weights.path, "DATA", "--image-size", image_size)
+        raise CalibrationError(
+            f"{path}: {error}. Create one with `{command}`, where DATA is a folder of images, a video or a "
+            "recording; or use precision 'fp32'."
+        ) from None
+    return calibration.quantization
 
 
-def read_calibration(path: Path, *, weights: Path, weights_sha256: str) -> Calibration:
-    """The calibration at `path` for the file `weights` with the digest `weights_sha256`.
+def _check_made_for(calibration: Calibration, weights: WeightsFile, image_size: int) -> None:
+    found, expected = calibration.weights_sha256, weights.sha256
+    if found != expected:
+        raise CalibrationError(
+            f"the calibration was made for other weights (sha256 {found[:12]}..., not {expected[:12]}...)"
+        )
+    if calibration.image_size != image_size:
+        raise CalibrationError(
+            f"the calibration was made for image_size {calibration.image_size}, not {image_size}"
+        )
+    with torch.device("meta"):
+        network = Network(weights.model.architecture)
+    calibration.quantization.check(convolutions(network))
 
-    Raises CalibrationError; nothing in the file is executed, and at most MAX_FILE_BYTES are read.
+
+def read_calibration(path: Path) -> Calibration:
+    """The calibration at `path`; at most MAX_FILE_BYTES are read.
+
+    Raises CalibrationError, without the path and the remedy.
     """
     try:
-        stored = _Stored.model_validate_json(read_regular_file(path, MAX_FILE_BYTES))
-        calibration = stored.calibration
+        return Calibration.model_validate_json(read_regular_file(path, MAX_FILE_BYTES))
     except FileNotFoundError:
-        raise CalibrationError(f"{path}: calibration not found. {remedy(weights)}.") from None
+        raise CalibrationError("calibration not found") from None
     except OSError as error:
         problem = f"it cannot be read: {error.strerror}"
     except ValidationError as error:
         problem = _first_problem(error)
-    except ValueError as error:  # not a regular file, too large, or another digest
+    except RegularFileError as error:
         problem = str(error)
-    else:
-        if calibration.weights_sha256 != weights_sha256:
-            raise CalibrationError(
-                f"{path}: the calibration was made for other weights (sha256 "
-                f"{calibration.weights_sha256[:12]}..., not {weights_sha256[:12]}...). {remedy(weights)}."
-            )
-        return calibration
-    raise CalibrationError(f"{path}: this is not a usable calibration: {problem}. {remedy(weights)}.")
-
-
-def find_calibration(
-    weights: WeightsFile,
-    *,
-    precision: str,
-    device: str,
-    allowed: Callable[[Path], Path] | None = None,
-) -> Calibration | str:
-    """The calibration beside `weights`, or why none can be used.
-
-    Precision int8 needs one: raises CalibrationError without it, and what `allowed` raises for a path outside
-    the folders of the user. With auto, an unusable calibration is only logged; other precisions need none.
-    """
-    if isinstance(weights.content, Export):
-        return "an export to ONNX is run as it is"
-    if not _is_considered(precision, device):
-        return "int8 was not requested"
-    path = path_beside(weights.path)
-    if precision == "auto" and not os.path.lexists(path):
-        return f"int8 was not calibrated: there is no {path}"
-    try:
-        real = path if allowed is None else allowed(path)
-        calibration = read_calibration(real, weights=weights.path, weights_sha256=weights.sha256)
-        _check_network(calibration, path, weights)
-    except ValueError as error:
-        if precision == "int8":
-            raise
-        _log.warning("int8 is not considered: %s", error)
-        return f"int8 is not considered: {error}"
-    return calibration
-
-
-def calibration_digest(weights: Path, *, precision: str, device: str) -> str | None:
-    """SHA-256 of the calibration beside the file `weights`; None if it is missing or not needed.
-
-    A file that cannot be read counts as missing: `find_calibration` reports the problem.
-    """
-    if not _is_considered(precision, device):
-        return None
-    try:
-        return hashlib.sha256(read_regular_file(path_beside(weights), MAX_FILE_BYTES)).hexdigest()
-    except (OSError, RegularFileError):
-        return None
-
-
-def _is_considered(precision: str, device: str) -> bool:
-    return precision in ("int8", "auto") and device in ("auto", "cpu")
-
-
-def _check_network(calibration: Calibration, path: Path, weights: WeightsFile) -> None:
-    with torch.device("meta"):
-        network = Network(weights.model.architecture)
-    try:
-        calibration.quantization.check(convolutions(network))
-    except QuantizationError as error:
-        raise CalibrationError(f"{path}: {error}. {remedy(weights.path)}.") from None
-
-
-def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write the file at `path`, whole or not at all. Raises OSError."""
-    fields = calibration.model_dump(mode="json") | {"content_sha256": content_sha256(calibration)}
-    write_whole(path, _text(fields).encode())
-
-
-def _text(fields: Mapping[str, object]) -> str:
-    """JSON with a line for each field, and for each entry of a field that has names."""
-    lines = []
-    for name, value in fields.items():
-        text = json.dumps(value)
-        if isinstance(value, dict):
-            entries = (f"  {json.dumps(key)}: {json.dumps(entry)}" for key, entry in value.items())
-            text = "{\n" + ",\n".join(entries) + "\n }"
-        lines.append(f" {json.dumps(name)}: {text}")
-    return "{\n" + ",\n".join(lines) + "\n}\n"
+    raise CalibrationError(f"this is not a usable calibration: {problem}")
 
 
 def _first_problem(error: ValidationError) -> str:
@@ -269,3 +152,19 @@ def _first_problem(error: ValidationError) -> str:
     place = ".".join(map(str, first["loc"]))
     told = f"{place[:100]}: {first['msg']}" if place else first["msg"]
     return in_one_line(told)[:_MAX_TOLD].rstrip(".")
+
+
+def write_calibration(path: Path, calibration: Calibration) -> None:
+    """Write the file at `path`, whole or not at all. Raises OSError."""
+    write_whole(path, f"{calibration.model_dump_json()}\n".encode())
+
+
+def calibration_digest(weights: Path) -> str | None:
+    """SHA-256 of the calibration beside the file `weights`; None if there is none.
+
+    A file that cannot be read counts as missing: `find_quantization` reports the problem.
+    """
+    try:
+        return hashlib.sha256(read_regular_file(path_beside(weights), MAX_FILE_BYTES)).hexdigest()
+    except (OSError, RegularFileError):
+        return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
@@ -21,7 +21,7 @@ from yolov5_lifecycle.runtimes.cache import (
     read_cache,
     write_cache,
 )
-from yolov5_lifecycle.runtimes.registry import REQUIREMENTS, installed_runtimes
+from yolov5_lifecycle.runtimes.registry import COARSE, COARSE_RUNTIME, REQUIREMENTS, installed_runtimes
 from yolov5_lifecycle.runtimes.speed import measure_ms
 from yolov5_lifecycle.runtimes.torch_device import resolve_device, resolve_precision
 
@@ -49,11 +49,13 @@ def choose_runtime(
     folder: Path | None = None,
     measure: Callable[..., dict[str, float]] = measure_ms,
 ) -> Choice:
-    """The runtime for `auto`: torch on a GPU; on a CPU the fastest at input size `frame_hw`.
+    """The runtime for `auto`: torch on a GPU; on a CPU the fastest at input size `frame_hw` in fp32.
 
     Results are cached in `folder` (default: the user's cache), so each combination of architecture, input
     size, installed packages and CPU is measured once. Raises DeviceError.
     """
+    if precision in COARSE:
+        return Choice(COARSE_RUNTIME, f"the only one for {precision}")
     torch_device = resolve_device(device)
     resolve_precision(precision, torch_device)
     installed = installed_runtimes()
@@ -61,7 +63,7 @@ def choose_runtime(
         return Choice("torch", f"the only one for {torch_device.type}")
     if installed == ["torch"]:
         return Choice("torch", "the only one installed")
-    record = (folder or cache_folder("choices")) / f"{choice_key(model, installed, frame_hw)}.json"
+    record = (folder or cache_folder("choices")) / f"{_key(model, installed, frame_hw)}.json"
     figures_ms = read_figures(record, installed)
     if figures_ms is not None:
         return _fastest(figures_ms, f"cached in {record}")
@@ -78,30 +80,16 @@ def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
     return Choice(chosen, f"{figures}; {origin}")
 
 
-def choice_key(model: Model, installed: list[str], frame_hw: tuple[int, int], *further: str) -> str:
-    """Cache key of everything that affects speed, including `further`; the weight values do not."""
-    circumstances = [repr(model.architecture), frame_hw, *_computer(installed), *further]
-    return _digest(circumstances)[:16]
-
-
-def computer_digest() -> str:
-    """SHA-256 of everything that affects speed but the model: processor, threads, builds of the runtimes."""
-    return _digest(_computer(installed_runtimes()))
-
-
-def _computer(installed: list[str]) -> list[object]:
+def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
+    """Cache key of everything that affects speed; the weight values do not."""
     packages = sorted({"numpy", *(package for runtime in installed for package in REQUIREMENTS[runtime])})
-    return [[installed_build(package) for package in packages], processor(), torch.get_num_threads()]
+    builds = [installed_build(package) for package in packages]
+    circumstances = [repr(model.architecture), frame_hw, builds, processor(), torch.get_num_threads()]
+    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()[:16]
 
 
-def _digest(circumstances: list[object]) -> str:
-    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()
-
-
-def read_figures(
-    path: Path, names: Collection[str], *, required: Collection[str] = ("torch",)
-) -> dict[str, float] | None:
-    """Milliseconds by runtime, or by other `names`; None if `write_figures` did not write the file.
+def read_figures(path: Path, installed: list[str]) -> dict[str, float] | None:
+    """Milliseconds by runtime; None if `write_figures` did not write the file.
 
     Also None for a missing or damaged file, which the next measurement replaces.
     """
@@ -110,8 +98,8 @@ def read_figures(
         figures_ms = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    usable = isinstance(figures_ms, dict) and set(required) <= figures_ms.keys()
-    if usable and all(name in names and _is_duration(ms) for name, ms in figures_ms.items()):
+    usable = isinstance(figures_ms, dict) and "torch" in figures_ms
+    if usable and all(name in installed and _is_duration(ms) for name, ms in figures_ms.items()):
         return figures_ms  # type: ignore[no-any-return]
     return None
 

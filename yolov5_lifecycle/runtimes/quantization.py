@@ -54,32 +54,19 @@ class Quantization:
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     def of_modules(self, network: Network) -> dict[nn.Module, Activation]:
-        """The input of each int8 convolution of `network`; raises QuantizationError."""
+        """The input of each int8 convolution of `network`, which must fit, see `check`."""
         found = convolutions(network)
-        self.check(found)
         return {found[name]: read for name, read in self.activations.items() if name not in self.fp32_layers}
 
     def check(self, found: Mapping[str, nn.Conv2d]) -> None:
         """Raise QuantizationError unless the activations are those of the convolutions `found`."""
-        missing = found.keys() - self.activations.keys()
-        unknown = (self.activations.keys() | self.fp32_layers) - found.keys()
-        other = {
-            name
-            for name, read in self.activations.items()
-            if name in found and len(read.means) != found[name].in_channels
-        }
-        problems = [
-            f"{len(names)} {what}: {', '.join(sorted(in_one_line(name)[:100] for name in names)[:_TOLD])}"
-            for names, what in (
-                (missing, "missing"),
-                (unknown, "unknown"),
-                (other, "with another number of channels"),
-            )
-            if names
-        ]
-        if problems:
+        channels = {name: module.in_channels for name, module in found.items()}
+        means = {name: len(read.means) for name, read in self.activations.items()}
+        names = channels.keys() | means.keys() | self.fp32_layers
+        if wrong := sorted(name for name in names if channels.get(name, -1) != means.get(name)):
+            told = ", ".join(in_one_line(name)[:100] for name in wrong[:_TOLD])
             raise QuantizationError(
-                f"the ranges do not match this network's {len(found)} convolutions: {'; '.join(problems)}"
+                f"the ranges do not match this network's {len(found)} convolutions: {told}"
             )
 
 

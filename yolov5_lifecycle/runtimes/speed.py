@@ -15,17 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.quantization import Quantization
-from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, RuntimeAbsentError, load_runtime
+from yolov5_lifecycle.runtimes.registry import RuntimeAbsentError, load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 
 _ROUNDS = 9
 _WARM_UPS = 2
 _NOTHING_FOUND = 1.0  # as min_objectness: detections in a grey image must not affect the timing
 _ENOUGH_S = 2.0  # large networks are measured in fewer rounds
-
-INT8_FIGURES = ("fp32", "int8", "fp32 processor", "int8 processor")
-"""Milliseconds, and those of the processor, which another busy process affects less."""
 
 Key = TypeVar("Key")
 Run = Callable[[], object]
@@ -56,30 +52,6 @@ def measure_ms(
     for runtime in running.values():
         runtime.close()
     return {name: each.wall_ms for name, each in taken.items()}
-
-
-def measure_int8_ms(
-    model: Model, runtime: str, quantization: Quantization, *, frame_hw: tuple[int, int]
-) -> dict[str, float]:
-    """Median milliseconds per frame of `frame_hw` on the CPU: fp32 in `runtime`, and int8; see INT8_FIGURES.
-
-    Raises RuntimeAbsentError, QuantizationError and InferenceError.
-    """
-    frame = _grey(frame_hw)
-    runtimes = {
-        "fp32": load_runtime(model, runtime, device="cpu", precision="fp32"),
-        "int8": load_runtime(
-            model, COARSE_RUNTIME, device="cpu", precision="int8", quantization=quantization
-        ),
-    }
-    runs = {name: partial(loaded, frame, "rgb", _NOTHING_FOUND) for name, loaded in runtimes.items()}
-    for _ in range(_WARM_UPS):
-        _run_all(runs.values())
-    taken = _take_turns(runs)
-    for loaded in runtimes.values():
-        loaded.close()
-    wall = {name: each.wall_ms for name, each in taken.items()}
-    return wall | {f"{name} processor": each.processor_ms for name, each in taken.items()}
 
 
 def measure_lanes_ms(

@@ -69,8 +69,8 @@ class Settings(BaseModel):
     )
     precision: Annotated[Literal["auto", "fp32", "fp16", "bf16", "int8"], Change.RELOAD] = Field(
         "auto",
-        description="Precision of the network. auto: fp16 on CUDA; on a CPU fp32, or int8 where a "
-        "calibration says that it pays. fp16 needs a GPU, bf16 and int8 a CPU.",
+        description="Precision of the network. auto: fp16 on CUDA, fp32 on a CPU. fp16 needs a GPU, bf16 and "
+        "int8 a CPU; int8 needs the file that calibrate writes.",
     )
     image_size: Annotated[int, Change.RELOAD] = Field(
         640,

@@ -10,16 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.calibrations import a_calibration, calibration_at, measurement
+from support.calibrations import a_calibration
 from support.random_model import random_model
 
 from yolov5_lifecycle import load_model
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.calibrate.agreement import agreement
-from yolov5_lifecycle.offline.calibrate.calibration_frames import (
-    ChosenImage,
+from yolov5_lifecycle.offline.calibrate.calibration_images import (
     Source,
     diverse_images,
     farthest,
@@ -27,11 +25,12 @@ from yolov5_lifecycle.offline.calibrate.calibration_frames import (
     of_one_size,
 )
 from yolov5_lifecycle.offline.calibrate.command import main, report, verdict
+from yolov5_lifecycle.offline.calibrate.measuring import Measurement, Worth, agreement
 from yolov5_lifecycle.offline.image_files import VideoFrame
-from yolov5_lifecycle.quantization.calibration_file import path_beside
+from yolov5_lifecycle.quantization.calibration_file import path_beside, read_calibration
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
+from yolov5_lifecycle.runtimes.speed import Taken
 
 needs_openvino = pytest.mark.skipif(
     "openvino" not in installed_runtimes(), reason="no openvino: make install"
@@ -42,17 +41,14 @@ def plain(level: int, size_hw: tuple[int, int] = (48, 64)) -> ColourImage:
     return ColourImage(np.full((*size_hw, 3), level, np.uint8), "bgr")
 
 
-def levels_of(found: list[ChosenImage]) -> list[int]:
-    return [int(each.image.pixels[0, 0, 0]) for each in found]
-
-
 def chosen(levels: list[int], count: int, *, claimed: int) -> list[int]:
     frames = [VideoFrame(number, float(number), plain(level)) for number, level in enumerate(levels)]
     found = diverse_images(
         Source(frames, claimed), count, lambda image: image, lost=lambda *_: None, seen=lambda _: None
     )
-    assert [levels[each.number] for each in found] == levels_of(found)
-    return levels_of(found)
+    of_images = [int(image.pixels[0, 0, 0]) for _, image in found]
+    assert [levels[number] for number, _ in found] == of_images
+    return of_images
 
 
 def test_different_images_are_preferred_to_similar_ones() -> None:
@@ -71,7 +67,6 @@ def test_images_are_spread_over_a_source_of_any_claimed_length(claimed: int) -> 
 
 def test_a_source_without_images_has_none() -> None:
     assert chosen([], 5, claimed=0) == []
-    assert of_one_size([]) == []
 
 
 def test_all_images_get_the_size_of_most() -> None:
@@ -107,9 +102,7 @@ def detections(*boxes: tuple[int, int, int]) -> Detections:
     ],
 )
 def test_agreement_counts_pairs(truth: Detections, found: Detections, f1: float, box_iou: float) -> None:
-    same = agreement([truth], [found])
-    assert same.f1 == pytest.approx(f1)
-    assert same.box_iou == pytest.approx(box_iou)
+    assert agreement([truth], [found]) == pytest.approx((f1, box_iou))
 
 
 @pytest.fixture(scope="module")
@@ -136,12 +129,12 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
     path = path_beside(weights)
     assert main([str(weights), str(folder / "images"), "--image-size", "64"]) == 0
     told = capsys.readouterr()
-    assert "broken.png: left out: " in told.err
-    calibration = calibration_at(path)
-    assert told.out == report(calibration, path, "DATA has no labels")
-    assert calibration.measurement("openvino", "int8").map_loss is None  # type: ignore[union-attr]
-    assert (calibration.images, calibration.image_size) == (6, 64)
-    assert {each.precision for each in calibration.measured} >= {"fp32", "int8"}
+    assert "broken.png: rejected: " in told.err
+    for line in ("fp32 in openvino  ", "int8 in openvino  ", "mAP loss    unknown: DATA has no labels\n"):
+        assert line in told.out
+    assert told.out.splitlines()[-2] == f"written     {path}"
+    assert told.out.splitlines()[-1].startswith(("int8 does not pay: ", "int8 pays: "))
+    assert read_calibration(path).image_size == 64
     detector = load_model(weights, precision="int8", device="cpu", image_size=64)
     assert detector.runtime.precision == "int8"
     detector.close()
@@ -191,7 +184,7 @@ def test_an_interrupted_calibration_writes_nothing(folder: Path, tmp_path: Path)
     output = tmp_path / "best.calibration.json"
     paths = [str(folder / "best.safetensors"), str(folder / "images"), "-o", str(output)]
     with ChildProcess("calibrate", [entry_point("calibrate"), *paths], os.environ) as process:
-        process.wait_for_output("broken.png: left out", 60)
+        process.wait_for_output("broken.png: rejected", 60)
         assert process.stop(signal.SIGINT) == 130
     assert "interrupted; nothing was written" in process.output
     assert "Traceback" not in process.output
@@ -208,11 +201,46 @@ def test_a_number_of_images_that_makes_no_sense_is_refused(
     assert "expected 1 to 2000" in capsys.readouterr().err
 
 
-def test_the_verdict_names_what_keeps_auto_at_fp32() -> None:
-    def of(int8_ms: float, agreement_f1: float = 0.99) -> str:
-        measured = (measurement("fp32", 20.0, 1.0), measurement("int8", int8_ms, agreement_f1))
-        return verdict(a_calibration(measured=measured, weight_bits=weight_bits(abilities())))
+def worth(
+    int8_ms: float, f1: float = 0.99, *, saved: float = 3.0, detections: int = 50, loss: float | str = "?"
+) -> Worth:
+    """fp32 takes 26 and 20 ms; `saved`: processor time of fp32 / that of int8."""
+    measured = (
+        Measurement("openvino", "fp32", Taken(26.0, 70.0), 1.0, 1.0),
+        Measurement("openvino", "int8", Taken(int8_ms, 60.0 / saved), f1, 0.97),
+        Measurement("onnxruntime", "fp32", Taken(20.0, 60.0), 1.0, 1.0),
+    )
+    return Worth(measured, detections, loss)
 
-    assert of(10.0).startswith("precision auto uses int8 because int8 is 2.00 x as fast as fp32 here")
-    assert of(19.0).startswith("precision auto uses fp32 because int8 is 1.05 x as fast as fp32 here")
-    assert of(10.0, 0.9).startswith("precision auto uses fp32 because int8 agrees with fp32 to 0.900 (F1)")
+
+@pytest.mark.parametrize(
+    ("measured", "told"),
+    [
+        pytest.param(
+            worth(10.0),
+            "int8 pays: int8 is 2.00 x as fast as fp32 here (10.0 ms, not 20.0; 3.00 x by processor time) "
+            "and agrees with it to 0.990 (F1). With image_size 320, type: ros2 param set /yolov5 precision "
+            "int8",
+            id="faster and good",
+        ),
+        pytest.param(worth(17.3), "int8 pays: ", id="just fast enough"),
+        pytest.param(worth(17.5), "int8 does not pay: int8 is 1.14 x as fast", id="hardly faster"),
+        pytest.param(worth(10.0, saved=1.1), "int8 does not pay: ", id="faster beside a busy process only"),
+        pytest.param(worth(10.0, 0.98), "int8 pays: ", id="just good enough"),
+        pytest.param(worth(10.0, 0.979), "int8 does not pay: int8 agrees with fp32 to 0.979 (F1)", id="bad"),
+        pytest.param(
+            worth(10.0, detections=49), "int8 does not pay: only 49 detections", id="too few detections"
+        ),
+        pytest.param(worth(10.0, loss=1.0), "int8 pays: ", id="little mAP lost"),
+        pytest.param(worth(10.0, loss=1.1), "int8 does not pay: int8 loses 1.1 points of mAP", id="mAP lost"),
+    ],
+)
+def test_the_verdict_is_the_line_to_type_or_why_not(measured: Worth, told: str) -> None:
+    assert verdict(measured, 320).startswith(told)
+    assert verdict(measured, 320).endswith(("precision int8", "Keep precision auto, which is fp32 on a CPU."))
+
+
+def test_the_report_has_the_loss_of_int8_in_its_row(tmp_path: Path) -> None:
+    lines = report(a_calibration(), worth(10.0, loss=0.236), tmp_path).splitlines()
+    assert [line[-10:].strip() for line in lines[:4]] == ["mAP loss", "1.000", "0.24", "1.000"]
+    assert "layers      1 in int8, 1 and the last one in fp32" in lines

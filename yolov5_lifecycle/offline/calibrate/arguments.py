@@ -20,9 +20,8 @@ examples:
   calibrate best.pt shots/data.yaml --split train
   calibrate best.pt images --image-size 320 --confidence-threshold 0.4
 
-The file is written next to the weights, where the detector looks for it. It is used with precision int8, and
-with precision auto if int8 agrees with fp32 and is so much faster on this computer that it pays. See
-docs/int8.md.
+The file is written next to the weights, where the detector looks for it with precision int8. The command
+prints whether int8 pays on this computer, and the line to type. See docs/int8.md.
 """
 
 
@@ -62,7 +61,7 @@ def command_parser() -> argparse.ArgumentParser:
     for name in ("confidence_threshold", "iou_threshold"):
         parser.add_argument(
             f"--{name.replace('_', '-')}",
-            type=_share,
+            type=float,
             default=SETTINGS_BY_NAME[name].default,
             metavar="SHARE",
             help="like the setting of the same name (default: %(default)s)",
@@ -74,13 +73,3 @@ def _count(text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) < 5 and 1 <= int(text) <= 2000):
         raise argparse.ArgumentTypeError(f"expected 1 to 2000, found {text!r}")
     return int(text)
-
-
-def _share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"expected a number from 0 to 1, found {text!r}")
-    return value

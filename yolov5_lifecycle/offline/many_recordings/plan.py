@@ -44,7 +44,7 @@ class Plan:
     settings_sha256: str
     """Digest of everything but model and recording that the results depend on."""
     is_open: bool
-    """Whether runtime or precision depend on what is measured."""
+    """Whether the runtime depends on what is measured."""
 
     def chosen(self, runtime: str, precision: str) -> Plan:
         """The plan with what the first worker has chosen."""
@@ -57,13 +57,13 @@ def plan_of(settings: Settings, output: Path, options: Options) -> Plan:
     """The plan for the model that `settings` select, as its file is now; raises WeightsError and OSError."""
     weights = Path(os.path.abspath(weights_path(settings)))  # noqa: PTH100
     digest = weights_digest(weights, sha256=settings.weights_sha256)
-    calibration = calibration_digest(weights, precision=settings.precision, device=settings.device)
+    calibration = calibration_digest(weights) if settings.precision == "int8" else None
     return Plan(
         output=output,
         options=options,
         settings=_changed(settings, weights=str(weights), weights_sha256=digest),
         settings_sha256=_settings_sha256(settings.model_dump(mode="json"), options, calibration),
-        is_open=settings.runtime == "auto" or (settings.precision == "auto" and calibration is not None),
+        is_open=settings.runtime == "auto",
     )
 
 
@@ -72,7 +72,7 @@ def _changed(settings: Settings, **values: str) -> Settings:
 
 
 def _settings_sha256(values: Mapping[str, object], options: Options, calibration: str | None) -> str:
-    """`calibration`: the digest of the one that may lead to int8."""
+    """`calibration`: the digest of the one that int8 uses."""
     settings = {name: value for name, value in values.items() if name not in _PLACE_OF_WEIGHTS}
     used = {name: value for name, value in asdict(options).items() if value or name not in _ADDED_LATER}
     text = json.dumps([settings, used, *([calibration] if calibration else [])], sort_keys=True)
