@@ -28,7 +28,12 @@ _MAX_PATH = 100
 _OF_WINDOWS = re.compile(r"\\|^[A-Za-z]:/")
 
 Kind = Literal[
-    "broken labels", "unusable images", "failed images", "images without labels", "unusable entries"
+    "broken labels",
+    "unusable images",
+    "failed images",
+    "missing images",
+    "images without labels",
+    "unusable entries",
 ]
 
 
@@ -66,8 +71,8 @@ class Problems:
         self.first: list[str] = []
         self._tell = tell
 
-    def add(self, kind: Kind, where: object, reason: object) -> None:
-        self.counts[kind] += 1
+    def add(self, kind: Kind, where: object, reason: object, *, count: int = 1) -> None:
+        self.counts[kind] += count
         if len(self.first) < MAX_LISTED:
             text = f"{kind}: {in_one_line(str(where), _MAX_SHOWN)}: {in_one_line(str(reason), _MAX_SHOWN)}"
             self.first.append(text)

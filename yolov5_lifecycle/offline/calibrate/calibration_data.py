@@ -18,9 +18,9 @@ from yolov5_lifecycle.offline.calibrate.calibration_frames import (
     open_bag,
     open_files,
 )
-from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
+from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
+from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData
 from yolov5_lifecycle.offline.evaluate.labelled_data import has_labels, kind_of, labelled_data
-from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData
 from yolov5_lifecycle.offline.recordings import is_recording
 
 

@@ -21,7 +21,7 @@ from yolov5_lifecycle.offline.calibrate.calibration_data import CalibrationData,
 from yolov5_lifecycle.offline.calibrate.calibration_frames import fitted
 from yolov5_lifecycle.offline.calibrate.map_loss import MapLoss
 from yolov5_lifecycle.offline.detecting import Account
-from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
+from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration

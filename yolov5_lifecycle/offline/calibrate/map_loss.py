@@ -6,10 +6,11 @@ from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses
+from yolov5_lifecycle.evaluation.figures import mean_of_classes
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
+from yolov5_lifecycle.evaluation.matching import match
 from yolov5_lifecycle.offline.detecting import DetectingError, Watch
-from yolov5_lifecycle.offline.evaluate.evaluating import evaluate_models
-from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData
+from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData, evaluate_models
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.settings import Settings
 
@@ -49,8 +50,6 @@ class MapLoss:
             return None
 
     def _points(self, data: LabelledData, detectors: dict[str, Detector]) -> float:
-        from yolov5_lifecycle.evaluation.matching import match, mean_of_classes  # pycocotools is optional
-
         def prepared(wanted: Settings, _: object) -> PreparedModel:
             return PreparedModel(
                 wanted, detectors[wanted.precision], self._weights.path, self._weights.sha256
@@ -60,7 +59,7 @@ class MapLoss:
         classes, evaluations = evaluate_models(
             data, wanted, watch=self._watch, problems=self._problems, prepare=prepared
         )
-        fp32, int8 = (mean_of_classes(match(one.images, classes.names).ap50_95) for one in evaluations)
+        fp32, int8 = (float(mean_of_classes(match(one.images, classes.names).ap50_95)) for one in evaluations)
         return round(100 * (fp32 - int8), _DIGITS)
 
     def _obstacle(self) -> str:
