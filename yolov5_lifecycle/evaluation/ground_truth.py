@@ -98,10 +98,13 @@ class Boxes:
     """(n,) whether the box surrounds many objects, as COCO's `iscrowd`: detections in it are not counted."""
 
     @classmethod
-    def of(cls, rows: Sequence[Sequence[float]], class_ids: Sequence[int]) -> Boxes:
-        """Boxes with the corners `rows`, none of them a crowd."""
+    def of(
+        cls, rows: Sequence[Sequence[float]], class_ids: Sequence[int], is_crowd: Sequence[bool] | None = None
+    ) -> Boxes:
+        """Boxes with the corners `rows`; None: none of them is a crowd."""
         xyxy = np.array(rows, np.float64).reshape(-1, 4)
-        return cls(xyxy, np.array(class_ids, np.int64), np.zeros(len(xyxy), np.bool_))
+        crowds = np.zeros(len(xyxy), np.bool_) if is_crowd is None else np.array(is_crowd, np.bool_)
+        return cls(xyxy, np.array(class_ids, np.int64), crowds)
 
     def __len__(self) -> int:
         return len(self.class_ids)
