@@ -99,28 +99,12 @@ def all_unreadable(folder: Path) -> Path:
     return data
 
 
-def ids_beyond_the_model(folder: Path) -> Path:
-    data = shapes(folder / "shapes", images=1)
-    (data / "data.yaml").write_text("val: images\n")
-    for label in (data / "labels" / "val").iterdir():
-        label.write_text("4 0.5 0.5 0.1 0.1\n")
-    return data
-
-
 def crowds_only(folder: Path) -> Path:
     source = as_coco(shapes(folder / "shapes", images=1))
     content = json.loads(source.read_text())
     content["annotations"] = [one | {"iscrowd": 1} for one in content["annotations"]]
     source.write_text(json.dumps(content))
     return source
-
-
-def absent_image(folder: Path) -> Path:
-    data = shapes(folder / "shapes", images=1)
-    (data / "list.txt").write_text("images/val/absent.jpg\n")
-    (data / "data.yaml").write_text("val: list.txt\n")
-    (data / "labels" / "val" / "absent.txt").write_text("0 0.5 0.5 0.1 0.1\n")
-    return data
 
 
 def without_detections(folder: Path) -> Path:
@@ -146,9 +130,7 @@ def other_stamps(folder: Path) -> Path:
         pytest.param(no_data, [], "file or folder not found", id="missing"),
         pytest.param(a_text, [], "expected a folder with images/ and labels/", id="a text"),
         pytest.param(all_unreadable, [], "none of 2 images could be used", id="unreadable"),
-        pytest.param(ids_beyond_the_model, [], "images has an object of the classes", id="unknown ids"),
         pytest.param(crowds_only, [], "images has an object of the classes", id="crowds only"),
-        pytest.param(absent_image, [], "val/absent.jpg: file not found", id="absent image"),
         pytest.param(without_detections, [], "there are no detections (", id="no detections"),
         pytest.param(
             two_truths, [], "choose one of its detection topics with --truth-topic", id="two truths"
@@ -263,11 +245,6 @@ def test_the_name_of_a_weights_file_is_not_interpreted(
     monkeypatch.chdir(data.parent)
     Path(name).symlink_to(WEIGHTS)
     assert run([name, str(data), *FAST, "--compare", name]) == 0
-
-
-def test_weights_that_do_not_exist_are_named(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["missing.pt", str(data), *FAST]) == 1
-    assert "missing.pt" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -143,14 +143,13 @@ def _usage_problem(arguments: argparse.Namespace) -> str:
     """The conflict between command-line arguments, or ""."""
     kind = kind_of(arguments.data)
     compared = [] if arguments.compare is None else _compared(arguments.compare)
-    useless = _useless(arguments.assignments) | _useless(compared) - {"weights"}
+    named, named_other = (
+        {assignment.partition("=")[0] for assignment in assignments}
+        for assignments in (arguments.assignments, compared)
+    )
+    useless = (named | named_other - {"weights"}) & _USELESS.keys()
     problems = [f"the setting {name} has no effect: {_USELESS[name]}" for name in sorted(useless)]
     for name in _data_options(arguments).useless(kind):
         option = f"--{name.replace('_', '-')}"
         problems.append(f"{option} does not apply to {arguments.data}, a data set of the kind {kind}")
     return "; ".join(problems)
-
-
-def _useless(assignments: Sequence[str]) -> set[str]:
-    """The settings in `assignments` that have no effect."""
-    return {assignment.partition("=")[0] for assignment in assignments} & _USELESS.keys()
