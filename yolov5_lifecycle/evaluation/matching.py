@@ -105,7 +105,12 @@ def found_annotations(images: Sequence[EvaluatedImage]) -> list[dict[str, Any]]:
     """The detections in COCO's format."""
     found = [image.found for image in images]
     scores = np.concatenate([*(one.scores for one in found), np.empty(0)]).astype(np.float64)
-    return _annotations([one.boxes_xyxy for one in found], [one.class_ids for one in found], score=scores)
+    return _annotations(
+        [one.boxes_xyxy for one in found],
+        [one.class_ids for one in found],
+        iscrowd=np.zeros(len(scores), np.int64),
+        score=scores,
+    )
 
 
 def _annotations(
@@ -133,8 +138,7 @@ def _evaluated(truth: dict[str, Any], found: list[dict[str, Any]]) -> Any:
     from pycocotools.cocoeval import COCOeval
 
     with contextlib.redirect_stdout(io.StringIO()):
-        detections = [{**one, "iscrowd": 0} for one in found]
-        evaluation = COCOeval(_indexed(truth), _indexed({**truth, "annotations": detections}), "bbox")
+        evaluation = COCOeval(_indexed(truth), _indexed({**truth, "annotations": found}), "bbox")
         evaluation.params.areaRng, evaluation.params.areaRngLbl = [_ANY_AREA], ["all"]
         evaluation.params.maxDets = [MAX_DETECTIONS]
         evaluation.evaluate()
