@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.evaluation.evaluated import EvaluatedClasses
+from yolov5_lifecycle.evaluation.evaluated import MAX_DETECTIONS, EvaluatedClasses
 from yolov5_lifecycle.evaluation.ground_truth import Boxes, DataError, LabelError
 
 DATA = ("dog", "unicorn", "cat", "bird")
@@ -27,7 +27,17 @@ def test_two_models_are_evaluated_in_the_classes_that_both_know_and_want() -> No
         found = classes.found(Detections(boxes, np.linspace(1, 0.5, len(ids), dtype=np.float32), ids), model)
         expected = [name for name in names if name in classes.names]
         assert [classes.names[class_id] for class_id in found.class_ids] == expected
-        assert len(found.xyxy) == len(found.scores) == len(expected)
+        assert len(found) == len(expected)
+
+
+def test_only_the_best_detections_of_a_class_count() -> None:
+    count = MAX_DETECTIONS + 5
+    ids = np.zeros(2 * count, np.int64)
+    ids[1::2] = 1
+    boxes = np.tile(np.array(BOX, np.float32), (2 * count, 1))
+    many = Detections(boxes, np.linspace(1, 0.5, 2 * count, dtype=np.float32), ids)
+    kept = EvaluatedClasses.shared(None, [(("cat", "dog"), None)]).found(many, 0)
+    np.testing.assert_array_equal(kept.scores, many.scores[: 2 * MAX_DETECTIONS])
 
 
 def test_without_names_the_ids_are_those_of_the_model() -> None:

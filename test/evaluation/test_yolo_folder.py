@@ -11,6 +11,8 @@ from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 
 BOX = "0 0.5 0.5 0.2 0.2\n"
 NAMES = "names: [cat, dog]\n"
+SPLIT = "images/val/1 images/train/2"
+BOTH = "images/train/2.jpg images/val/1.jpg"
 
 
 def data_set(folder: Path, description: str | None, *labelled: str) -> Path:
@@ -49,86 +51,45 @@ class Told:
 
 
 @pytest.mark.parametrize(
-    ("description", "labelled", "split", "found"),
+    ("description", "labelled", "found"),
     [
+        pytest.param(None, "images/1 images/a/2", "images/1.jpg images/a/2.jpg", id="no yaml"),
+        pytest.param("", "images/1", "images/1.jpg", id="no entries"),
+        pytest.param(None, "1 a/2", "1.jpg a/2.jpg", id="no yaml, labels beside images"),
+        pytest.param("val: images/val\ntrain: images/train\n", SPLIT, "images/val/1.jpg", id="val"),
+        pytest.param("train: images/train\nval:\n", SPLIT, "images/train/2.jpg", id="val empty"),
+        pytest.param("path: ~\ntrain: images/train\nval: null\n", SPLIT, "images/train/2.jpg", id="val null"),
+        pytest.param("val: [images/val, images/train]\n", SPLIT, BOTH, id="several"),
+        pytest.param("path: below\nval: images\n", "below/images/1", "below/images/1.jpg", id="path"),
+        pytest.param("path: /elsewhere\nval: images\n", "images/1", "images/1.jpg", id="path elsewhere"),
         pytest.param(
-            None, ["images/1", "images/a/2"], None, ["images/1.jpg", "images/a/2.jpg"], id="no yaml"
+            "val: ../valid/images\n", "valid/images/1", "valid/images/1.jpg", id="as Roboflow writes"
         ),
-        pytest.param(NAMES, ["images/1"], None, ["images/1.jpg"], id="no entries"),
-        pytest.param(None, ["1", "a/2"], None, ["1.jpg", "a/2.jpg"], id="no yaml, labels beside images"),
+        pytest.param("val: shots\n", "shots/1", "shots/1.jpg", id="labels beside images"),
+        pytest.param("val: images/1.jpg\n", "images/1 images/2", "images/1.jpg", id="one image"),
         pytest.param(
-            f"val: images/val\n{NAMES}",
-            ["images/val/1", "images/train/2"],
-            None,
-            ["images/val/1.jpg"],
-            id="val",
-        ),
-        pytest.param(
-            f"train: images/train\nval:\n{NAMES}",
-            ["images/val/1", "images/train/2"],
-            None,
-            ["images/train/2.jpg"],
-            id="val empty",
-        ),
-        pytest.param(
-            f"path: ~\ntrain: images/train\nval: null\n{NAMES}",
-            ["images/val/1", "images/train/2"],
-            None,
-            ["images/train/2.jpg"],
-            id="val null",
-        ),
-        pytest.param(
-            f"val: images/val\ntrain: images/train\n{NAMES}",
-            ["images/val/1", "images/train/2"],
-            "train",
-            ["images/train/2.jpg"],
-            id="split",
-        ),
-        pytest.param(
-            f"val: [images/a, images/b]\n{NAMES}",
-            ["images/a/1", "images/b/2"],
-            None,
-            ["images/a/1.jpg", "images/b/2.jpg"],
-            id="several",
-        ),
-        pytest.param(
-            f"path: below\nval: images\n{NAMES}", ["below/images/1"], None, ["below/images/1.jpg"], id="path"
-        ),
-        pytest.param(
-            f"path: /elsewhere\nval: images\n{NAMES}",
-            ["images/1"],
-            None,
-            ["images/1.jpg"],
-            id="path elsewhere",
-        ),
-        pytest.param(
-            f"val: ../valid/images\n{NAMES}",
-            ["valid/images/1"],
-            None,
-            ["valid/images/1.jpg"],
-            id="as Roboflow writes",
-        ),
-        pytest.param(f"val: shots\n{NAMES}", ["shots/1"], None, ["shots/1.jpg"], id="labels beside images"),
-        pytest.param(
-            f"val: images/1.jpg\n{NAMES}", ["images/1", "images/2"], None, ["images/1.jpg"], id="one image"
-        ),
-        pytest.param(
-            f"val: images\nroboflow:\n  a: {{b: [c, 1]}}\ndownload: |\n  code\n{NAMES}",
-            ["images/1"],
-            None,
-            ["images/1.jpg"],
+            "val: images\nroboflow:\n  a: {b: [c, 1]}\ndownload: |\n  code\n",
+            "images/1",
+            "images/1.jpg",
             id="more entries",
         ),
     ],
 )
 def test_the_images_are_those_of_the_entry(
-    description: str | None, labelled: list[str], split: str | None, found: list[str], tmp_path: Path
+    description: str | None, labelled: str, found: str, tmp_path: Path
 ) -> None:
-    data = data_set(tmp_path / "data", description, *labelled)
-    told = Told()
-    assert told.names(data, split) == found
-    if description is not None:
-        assert Told().names(data / "data.yaml", split) == found
+    text = None if description is None else description + NAMES
+    data = data_set(tmp_path / "data", text, *labelled.split())
+    for given in (data, data / "data.yaml") if text else (data,):
+        assert Told().names(given) == found.split()
+
+
+def test_the_split_chooses_the_entry(tmp_path: Path) -> None:
+    text = f"val: images/val\ntrain: images/train\n{NAMES}"
+    data = data_set(tmp_path / "data", text, *SPLIT.split())
+    assert Told().names(data, "train") == ["images/train/2.jpg"]
+    with pytest.raises(DataError, match=r"there is no entry 'test', only: val, train\."):
+        Told().read(data, "test")
 
 
 @pytest.mark.parametrize(
@@ -289,12 +250,6 @@ def test_a_folder_with_several_descriptions_asks_for_one(tmp_path: Path) -> None
     (data / "b.yml").touch()
     with pytest.raises(DataError, match=r"expected one data.yaml, found a.yaml, b.yml"):
         Told().read(data)
-
-
-def test_a_missing_split_is_refused(tmp_path: Path) -> None:
-    data = data_set(tmp_path / "data", f"val: images\n{NAMES}", "images/1")
-    with pytest.raises(DataError, match=r"there is no entry 'test', only: val\."):
-        Told().read(data, "test")
 
 
 def test_the_root_widens_what_may_be_read(tmp_path: Path) -> None:

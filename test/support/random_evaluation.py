@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage, Found
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
 from yolov5_lifecycle.evaluation.ground_truth import Boxes
 
 CLASS_NAMES = ("cat", "dog", "bird")
@@ -31,7 +32,6 @@ def _random_image(
     found = np.sort((xyxy[copied] + rng.normal(0, noise, (len(copied), 4))).reshape(-1, 2, 2), axis=1)
     others = rng.integers(0, classes, len(copied))
     found_ids = np.where(rng.random(len(copied)) < 0.75, class_ids[copied], others)
-    scores = np.sort(rng.random(len(copied)))[::-1]
-    return EvaluatedImage(
-        f"{number}.png", SIZE_HW, truth, Found(found.reshape(-1, 4), scores.copy(), found_ids)
-    )
+    scores = np.sort(rng.random(len(copied)).astype(np.float32))[::-1]
+    detections = Detections(found.reshape(-1, 4).astype(np.float32), scores, found_ids)
+    return EvaluatedImage(f"{number}.png", SIZE_HW, truth, detections)

@@ -34,7 +34,7 @@ def average_precision(images: Sequence[EvaluatedImage], class_id: int, min_iou: 
     for rank, (_, number, row) in enumerate(ranked, start=1):
         image = images[number]
         candidates = [
-            (iou(image.found.xyxy[row], image.truth.xyxy[target]), target)
+            (iou(image.found.boxes_xyxy[row].astype(np.float64), image.truth.xyxy[target]), target)
             for at, target in free
             if at == number
         ]

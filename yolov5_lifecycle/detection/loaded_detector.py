@@ -15,6 +15,17 @@ from yolov5_lifecycle.runtimes.registry import load_export, load_runtime
 from yolov5_lifecycle.runtimes.torch_device import resolve_device
 
 
+class FixedSizeError(ValueError):
+    """An export takes images of another size only; `image_size` is the setting for it."""
+
+    def __init__(self, wanted: int, size_hw: tuple[int, int]) -> None:
+        self.image_size = max(size_hw)
+        super().__init__(
+            f"Image size {wanted}: this export takes images of {size_hw[1]}x{size_hw[0]} only. Set "
+            f"image_size to {self.image_size}."
+        )
+
+
 def load_detector(
     model: Model | Export,
     *,
@@ -66,11 +77,7 @@ def load_detector(
 def _of_export(export: Export, *, device: str, precision: str, image_size: int, runtime: str) -> Detector:
     """A detector that runs `export` as it is; a fixed size of its images must be that of `image_size`."""
     if export.size_hw and image_size != max(export.size_hw):
-        height, width = export.size_hw
-        raise ValueError(
-            f"Image size {image_size}: this export takes images of {width}x{height} only. Set image_size to "
-            f"{max(export.size_hw)}."
-        )
+        raise FixedSizeError(image_size, export.size_hw)
     check_image_size(image_size, export.stride)
     from yolov5_lifecycle.checkpoints.onnx_file import export_cost  # without exports there may be no onnx
 

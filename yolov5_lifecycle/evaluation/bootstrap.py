@@ -9,14 +9,14 @@ image contributes to both, such as being difficult, cancels in the difference.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.evaluation.figures import METRICS, Row
-from yolov5_lifecycle.evaluation.matching import ClassMatches, Matches
+from yolov5_lifecycle.evaluation.figures import METRICS, by_metric, counts_at, rows, share
+from yolov5_lifecycle.evaluation.matching import Matches
 
 RESAMPLES = 1000
 SEED = 20_240_229
@@ -37,159 +37,101 @@ class Interval:
 
     first: float
     second: float
-    low: float
-    high: float
-    verdict: str
-    """`better`, `worse`, `no difference shown`, `too few images`, or "" if one has no such figure."""
-
-
-Samples = Mapping[str, NDArray[np.float64]]
-"""By metric, (resamples, 1 + classes): all classes together, then each; NaN without objects."""
+    difference_low: float
+    difference_high: float
+    verdict: str | None
+    """`better`, `worse`, `no difference shown`, `too few images`, or None if one has no such figure."""
 
 
 def drawn_weights(image_count: int, resamples: int = RESAMPLES) -> NDArray[np.int32]:
     """(resamples, images): how often each image is drawn, the same in every run."""
-    rng = np.random.default_rng(SEED)
     shares = np.full(image_count, 1 / image_count)
-    return rng.multinomial(image_count, shares, size=resamples).astype(np.int32)
+    return np.random.default_rng(SEED).multinomial(image_count, shares, size=resamples).astype(np.int32)
 
 
 def resampled(
     matches: Matches, thresholds: NDArray[np.float64], weights: NDArray[np.int32]
 ) -> dict[str, NDArray[np.float64]]:
-    """The figures for each row of `weights`, at the confidence threshold of each class."""
-    classes = [
-        _resampled_class(one, threshold, weights)
-        for one, threshold in zip(matches.classes, thresholds.tolist(), strict=True)
-    ]
-    right, wrong, objects = (
-        np.stack([one[name] for one in classes], axis=1) for name in ("right", "wrong", "objects")
-    )
-    right, wrong, objects = (
-        np.concatenate((values.sum(axis=1, keepdims=True), values), axis=1)
-        for values in (right, wrong, objects)
-    )
-    samples = {
-        "precision": _divided(right, right + wrong),
-        "recall": _divided(right, objects),
-        "f1": np.where(objects > 0, _divided(2 * right, right + wrong + objects), np.nan),
-    }
-    for name in ("ap50", "ap50_95"):
-        values = np.stack([one[name] for one in classes], axis=1)
-        samples[name] = np.concatenate((_mean_of_classes(values)[:, None], values), axis=1)
-    return samples
+    """By metric (r, 1 + classes) for the rows of `weights`: all classes together, then each; NaN without."""
+    each = [_average_precisions(matches, number, weights) for number in range(len(matches.class_names))]
+    ap50, ap50_95 = np.stack(each, axis=2)
+    return by_metric(counts_at(matches, thresholds, weights), ap50, ap50_95)
 
 
 def differences(
-    first: Samples, second: Samples, rows: Sequence[tuple[Row, Row]], image_count: int
+    matches: Sequence[Matches], thresholds: Sequence[NDArray[np.float64]]
 ) -> list[dict[str, Interval]]:
-    """By metric the interval of each pair of `rows`: all classes together, then each."""
+    """By metric the interval of all classes together, then of each; for both models."""
+    weights = drawn_weights(matches[0].objects.shape[1])
+    one, other = (resampled(*pair, weights) for pair in zip(matches, thresholds, strict=True))
+    figures = zip(*map(rows, matches, thresholds), strict=True)
     return [
         {
             name: interval(
-                first[name][:, number],
-                second[name][:, number],
-                one.figures[name],
-                other.figures[name],
-                image_count,
+                (one[name][:, number], other[name][:, number]),
+                (row.figures[name], row_of_other.figures[name]),
+                weights.shape[1],
             )
             for name in METRICS
         }
-        for number, (one, other) in enumerate(rows)
+        for number, (row, row_of_other) in enumerate(figures)
     ]
 
 
 def interval(
-    first: NDArray[np.float64],
-    second: NDArray[np.float64],
-    first_figure: float,
-    second_figure: float,
+    samples: tuple[NDArray[np.float64], NDArray[np.float64]],
+    figures: tuple[float, float],
     image_count: int,
     *,
     margin: float = 0.0,
 ) -> Interval:
     """Interval of the difference from resamples (r,) of both models, and whether it exceeds `margin`."""
-    differences = second - first
+    differences = samples[1] - samples[0]
     known = differences[np.isfinite(differences)]
-    if not len(known) or not np.isfinite(second_figure - first_figure):
-        return Interval(first_figure, second_figure, float("nan"), float("nan"), "")
+    if not len(known) or not np.isfinite(figures).all():
+        return Interval(*figures, float("nan"), float("nan"), None)
     low, high = np.quantile(known, ((1 - SHARE) / 2, (1 + SHARE) / 2)).tolist()
-    return Interval(first_figure, second_figure, low, high, _verdict(low, high, image_count, margin))
+    verdict = "better" if low > margin else "worse" if high < -margin else "no difference shown"
+    return Interval(*figures, low, high, verdict if image_count >= MIN_IMAGES else "too few images")
 
 
-def _verdict(low: float, high: float, image_count: int, margin: float) -> str:
-    if image_count < MIN_IMAGES:
-        return "too few images"
-    return "better" if low > margin else "worse" if high < -margin else "no difference shown"
-
-
-def _resampled_class(
-    matches: ClassMatches, threshold: float, weights: NDArray[np.int32]
-) -> dict[str, NDArray[np.float64]]:
-    """Counts at the threshold and average precisions of one class, each (resamples,)."""
-    is_right, is_ignored = matches.is_right[0], matches.is_ignored[0]
-    above = matches.scores > threshold
-    count = len(matches.objects)
-    right = np.bincount(matches.images[above & is_right], minlength=count)
-    wrong = np.bincount(matches.images[above & ~is_right & ~is_ignored], minlength=count)
-    precision = _average_precisions(matches, weights)
-    return {
-        "right": (weights @ right).astype(np.float64),
-        "wrong": (weights @ wrong).astype(np.float64),
-        "objects": (weights @ matches.objects).astype(np.float64),
-        "ap50": precision[:, 0],
-        "ap50_95": precision.mean(axis=1),
-    }
-
-
-def _average_precisions(matches: ClassMatches, weights: NDArray[np.int32]) -> NDArray[np.float64]:
-    """(resamples, 10): the average precision at each IoU threshold; NaN without objects."""
-    found = np.empty((len(weights), 10), np.float64)
-    for rows in _portions(len(weights), len(matches.scores)):
+def _average_precisions(
+    matches: Matches, class_id: int, weights: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Average precisions (r,) of a class at IoU 0.5, and in the mean of all IoU thresholds."""
+    of_class = matches.of_class(class_id)
+    images, is_right = matches.images[of_class], matches.is_right[:, of_class]
+    is_ignored = matches.is_ignored[:, of_class]
+    found = np.empty((len(weights), len(is_right)), np.float64)
+    for portion in _portions(len(weights), len(images)):
         # Detections first: sums over them run along whole rows, which is ten times faster.
-        drawn = np.ascontiguousarray(weights[rows].T)[matches.images]  # (d, r)
-        objects = (weights[rows] @ matches.objects).astype(np.float64)
+        drawn = np.ascontiguousarray(weights[portion].T)[images]  # (d, r)
+        objects = (weights[portion] @ matches.objects[class_id]).astype(np.float64)
         all_of = np.cumsum(drawn, axis=0, dtype=np.int32)
-        for level in range(10):
-            is_right, ignored = matches.is_right[level], matches.is_ignored[level]
+        for level, (right, ignored) in enumerate(zip(is_right, is_ignored, strict=True)):
             counted = all_of
             if ignored.any():
                 counted = np.cumsum(drawn * ~ignored[:, None], axis=0, dtype=np.int32)
-            found[rows, level] = _average_precision(drawn[is_right], counted[is_right], objects)
-    return found
+            found[portion, level] = _average_precision(drawn[right], counted[right], objects)
+    return found[:, 0], found.mean(axis=1)
 
 
 def _average_precision(
     right: NDArray[np.int32], counted: NDArray[np.int32], objects: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Average precision (r,) of resamples.
+    """Average precision (r,) of resamples; NaN without objects.
 
     `right` (p, r): the weight of each right detection, best first; `counted` (p, r): that of all detections
     up to there. Between right detections recall stays and precision falls, so nothing else matters.
     """
     hits = np.cumsum(right, axis=0, dtype=np.int32)
-    precision = hits / (counted + _TINY)
-    best = np.maximum.accumulate(precision[::-1], axis=0)[::-1]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        recall = hits / objects
+    best = np.maximum.accumulate((hits / (counted + _TINY))[::-1], axis=0)[::-1]
     # A recall that pycocotools asks for counts at the first detection that reaches it.
-    reached = np.searchsorted(_RECALLS, recall, side="right")
+    reached = np.searchsorted(_RECALLS, share(hits, objects), side="right")
     steps = np.diff(reached, axis=0, prepend=0)
-    average: NDArray[np.float64] = (best * steps).sum(axis=0) / len(_RECALLS)
-    return np.where(objects > 0, average, np.nan)
+    return np.where(objects > 0, (best * steps).sum(axis=0) / len(_RECALLS), np.nan)
 
 
 def _portions(resamples: int, detections: int) -> Iterator[slice]:
     size = max(MAX_ELEMENTS // max(detections, 1), 1)
     return (slice(start, start + size) for start in range(0, resamples, size))
-
-
-def _divided(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(whole > 0, part / whole, np.nan), np.float64)
-
-
-def _mean_of_classes(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean over the classes (r, classes) that have objects; NaN if none has."""
-    known = np.isfinite(values)
-    return _divided(np.where(known, values, 0).sum(axis=1), known.sum(axis=1).astype(np.float64))

@@ -6,9 +6,8 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 from pydantic_core import from_json
 
 from yolov5_lifecycle.evaluation.ground_truth import (
@@ -57,14 +56,16 @@ def read_coco_file(
     """
     progress("reading the COCO file")
     content = _content(path)
+    categories = _categories(content["categories"], problems)
     try:
-        categories = _categories(content["categories"], problems)
+        class_names = class_names_of(list(categories.values()), 0, MAX_CLASSES)
     except ClassNamesError as error:
         raise DataError(f"{path}: {error}.") from None
+    class_ids = {number: class_id for class_id, number in enumerate(categories)}
     images = _images(content["images"], problems)
     folder = absolute(root) if root else _folder(path, images, problems)
     broken: set[int] = set()
-    objects = _objects(content["annotations"], images.keys(), categories, problems, broken)
+    objects = _objects(content["annotations"], images.keys(), class_ids, problems, broken)
     found = []
     for image_id, (name, size_hw) in images.items():
         if image_id in broken:
@@ -74,10 +75,11 @@ def read_coco_file(
         except LabelError as error:
             problems.add("unusable entries", f"image {image_id}", error)
             continue
-        found.append(LabelledPath(image_path, Labels(_boxes(objects[image_id]), size_hw=size_hw)))
+        boxes, ids, crowds = zip(*objects[image_id], strict=True) if image_id in objects else ((), (), ())
+        found.append(LabelledPath(image_path, Labels(Boxes.of(boxes, ids, crowds), size_hw=size_hw)))
     if not found or not any(len(image.labels.boxes) for image in found):
         raise DataError(f"{path}: no image has labels that can be used. {problems.summary}".strip())
-    return LabelledFolder(categories.names, tuple(found))
+    return LabelledFolder(class_names, tuple(found))
 
 
 def _content(path: Path) -> Mapping[str, list[Any]]:
@@ -105,14 +107,8 @@ def _parsed_bytes(text: bytes) -> int:
     return values + len(text) * (1 if text.isascii() else 4)
 
 
-class _Categories(NamedTuple):
-    """Class names in the order of their ids in the file, and the class id of each category id."""
-
-    names: tuple[str, ...]
-    ids: dict[int, int]
-
-
-def _categories(records: Sequence[Any], problems: Problems) -> _Categories:
+def _categories(records: Sequence[Any], problems: Problems) -> dict[int, object]:
+    """The names by id."""
     names: dict[int, object] = {}
     for record in records:
         match record:
@@ -121,8 +117,7 @@ def _categories(records: Sequence[Any], problems: Problems) -> _Categories:
                 continue
         reason = f"expected a unique id and a name, found {_shown(record)}"
         problems.add("unusable entries", "categories", reason)
-    ids = {number: class_id for class_id, number in enumerate(names)}
-    return _Categories(class_names_of(list(names.values()), 0, MAX_CLASSES), ids)
+    return names
 
 
 def _is_name(name: object) -> bool:
@@ -190,14 +185,14 @@ def _is_there(folder: Path, name: str) -> bool:
         return False
 
 
-_Object = tuple[int, tuple[float, float, float, float], bool]
-"""Class id, corners in pixels, whether it is a crowd."""
+_Object = tuple[tuple[float, float, float, float], int, bool]
+"""Corners in pixels, class id, whether it is a crowd."""
 
 
 def _objects(
     records: list[Any],
     image_ids: Any,
-    categories: _Categories,
+    class_ids: Mapping[int, int],
     problems: Problems,
     broken: set[int],
 ) -> Mapping[int, list[_Object]]:
@@ -208,7 +203,7 @@ def _objects(
         try:
             if not isinstance(image_id, int) or image_id not in image_ids:
                 raise LabelError("its image is missing or cannot be used")
-            objects[image_id].append(_object(record, categories))
+            objects[image_id].append(_object(record, class_ids))
             if len(objects[image_id]) > MAX_BOXES_PER_IMAGE:
                 raise LabelError(f"its image has more than {MAX_BOXES_PER_IMAGE} objects")
         except LabelError as error:
@@ -225,9 +220,9 @@ def _consumed(records: list[Any]) -> Iterator[Any]:
         yield records.pop()
 
 
-def _object(record: Mapping[str, Any], categories: _Categories) -> _Object:
+def _object(record: Mapping[str, Any], class_ids: Mapping[int, int]) -> _Object:
     category_id = record.get("category_id")
-    if not isinstance(category_id, int) or category_id not in categories.ids:
+    if not isinstance(category_id, int) or category_id not in class_ids:
         raise LabelError(f"expected the id of a category, found {_shown(category_id)}")
     match record.get("bbox"):
         case [float() | int(), float() | int(), float() | int(), float() | int()] as bbox:
@@ -236,7 +231,7 @@ def _object(record: Mapping[str, Any], categories: _Categories) -> _Object:
             raise LabelError(f"expected a bbox of 4 numbers, found {_shown(other)}")
     if not (width > 0 and height > 0):
         raise LabelError(f"expected a width and height above 0, found {width:g} and {height:g}")
-    return categories.ids[category_id], (x, y, x + width, y + height), record.get("iscrowd") in (1, True)
+    return (x, y, x + width, y + height), class_ids[category_id], record.get("iscrowd") in (1, True)
 
 
 def _pixels(bbox: Sequence[float]) -> Iterator[float]:
@@ -252,8 +247,3 @@ def _shown(value: object) -> str:
     if isinstance(value, (str, int, float, type(None))):
         return repr(value)[:40]
     return "a list" if isinstance(value, list) else "an object"
-
-
-def _boxes(objects: Sequence[_Object]) -> Boxes:
-    boxes = Boxes.of([box for _, box, _ in objects], [class_id for class_id, _, _ in objects])
-    return Boxes(boxes.xyxy, boxes.class_ids, np.array([crowd for *_, crowd in objects], np.bool_))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,11 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.evaluation.figures import sweep
-from yolov5_lifecycle.evaluation.matching import ClassMatches, Matches, mean_of_classes
+from yolov5_lifecycle.evaluation.figures import Counts, mean_of_classes, sweep
+from yolov5_lifecycle.evaluation.matching import Matches
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.process.missing_package import absence_of
-from yolov5_lifecycle.unfinished import temporary_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,26 +29,23 @@ _CONFIDENCES = np.linspace(0, 1, 1001)
 _RECALLS = np.linspace(0, 1, 101)
 
 
-def draw_pr_curve(path: Path, matches: Matches, class_names: Sequence[str]) -> None:
+def draw_pr_curve(path: Path, matches: Matches) -> None:
     """Draw precision over recall at IoU 0.5, as average precision is computed from it. Raises OSError."""
-    precision = np.where(matches.precision[0] < 0, np.nan, matches.precision[0]).T
-    average = matches.ap50
+    precision = np.where(matches.precision[0] < 0, np.nan, matches.precision[0])  # (101, classes)
+    label = f"all, mAP {float(mean_of_classes(matches.ap50)):.3f}"
     with _axes(path, "Precision over recall, IoU 0.5", "recall", "precision") as axes:
-        _draw_classes(axes, _RECALLS, precision, _labelled(class_names, average))
-        mean = _mean(precision)
-        label = f"all, mAP {mean_of_classes(average):.3f}"
-        axes.plot(_RECALLS, mean, color="black", linewidth=2.5, label=label)
+        _draw_classes(axes, _RECALLS, precision.T, _labelled(matches.class_names, matches.ap50))
+        axes.plot(_RECALLS, mean_of_classes(precision), color="black", linewidth=2.5, label=label)
         _finish(axes)
 
 
-def draw_f1_curve(path: Path, matches: Matches, class_names: Sequence[str], threshold: float) -> None:
+def draw_f1_curve(path: Path, matches: Matches, threshold: float) -> None:
     """Draw F1 over the confidence threshold, with a line at the `threshold` that is set. Raises OSError."""
-    each = np.array([_f1([one]) for one in matches.classes])
-    together = _f1(matches.classes)
-    best = _best(each)
+    each = np.array([_f1(*sweep(matches, number)) for number in range(len(matches.class_names))])
+    together = _f1(*sweep(matches))
+    label = f"all, {float(np.nan_to_num(together).max()):.3f}"
     with _axes(path, "F1 over confidence threshold, IoU 0.5", "confidence threshold", "F1") as axes:
-        _draw_classes(axes, _CONFIDENCES, each, _labelled(class_names, best))
-        label = f"all, {float(np.nan_to_num(together).max()):.3f}"
+        _draw_classes(axes, _CONFIDENCES, each, _labelled(matches.class_names, each.max(axis=1)))
         axes.plot(_CONFIDENCES, together, color="black", linewidth=2.5, label=label)
         axes.axvline(threshold, color="black", linestyle=":", linewidth=1, label=f"set, {threshold:g}")
         _finish(axes)
@@ -72,29 +66,12 @@ def draw_confusion_matrix(path: Path, counts: NDArray[np.int64], class_names: Se
         axes.set_yticks(range(len(counts)), [*names, "no object"])
 
 
-def matplotlib_problem() -> str:
-    """Why matplotlib cannot be used, with the remedy; "" if it can."""
-    with _matplotlib_folder():
-        return absence_of("matplotlib.figure")
-
-
-def _f1(classes: Sequence[ClassMatches]) -> NDArray[np.float64]:
-    """F1 of `classes` together at each of _CONFIDENCES; NaN without objects."""
-    counts = sweep(classes)
+def _f1(scores: NDArray[np.float64], counts: Counts) -> NDArray[np.float64]:
+    """F1 at each of _CONFIDENCES; NaN without objects."""
     if not counts.objects:
         return np.full(len(_CONFIDENCES), np.nan)
-    return np.append(counts.f1, 0.0)[counts.at(_CONFIDENCES)]  # -1, no detection, is the last
-
-
-def _best(curves: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The maximum of each row; NaN for one without objects."""
-    return np.where(np.isnan(curves).all(axis=1), np.nan, np.nan_to_num(curves).max(axis=1))
-
-
-def _mean(curves: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean over the rows that are known."""
-    known = curves[~np.isnan(curves).all(axis=1)]
-    return np.asarray(known.mean(axis=0) if len(known) else np.full(curves.shape[1], np.nan), np.float64)
+    lowest_above = np.searchsorted(-scores, -_CONFIDENCES, side="left") - 1
+    return np.append(counts.f1, 0.0)[lowest_above]  # -1, no detection, is the last
 
 
 def _labelled(class_names: Sequence[str], figures: NDArray[np.float64]) -> list[str]:
@@ -131,32 +108,14 @@ def _plain(label: str) -> str:
 @contextmanager
 def _axes(path: Path, title: str, x_label: str, y_label: str) -> Iterator[Axes]:
     """Axes to draw on; written to `path` as a PNG file at the end."""
-    with _matplotlib_folder():
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-        figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, layout="constrained")
-        canvas = FigureCanvasAgg(figure)
-        axes = figure.add_subplot()
-        yield axes
-        axes.set(title=title, xlabel=x_label, ylabel=y_label)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # the font may lack letters of a class name
-            canvas.print_png(str(path), metadata={"Software": None})  # type: ignore[no-untyped-call]
-
-
-@contextmanager
-def _matplotlib_folder() -> Iterator[None]:
-    """Within the context, matplotlib writes its settings and font list to a temporary folder.
-
-    Unless the user has set MPLCONFIGDIR.
-    """
-    if "MPLCONFIGDIR" in os.environ:
-        yield
-        return
-    with temporary_folder() as folder:
-        os.environ["MPLCONFIGDIR"] = str(folder)
-        try:
-            yield
-        finally:
-            del os.environ["MPLCONFIGDIR"]
+    figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    yield axes
+    axes.set(title=title, xlabel=x_label, ylabel=y_label)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the font may lack letters of a class name
+        canvas.print_png(str(path), metadata={"Software": None})  # type: ignore[no-untyped-call]

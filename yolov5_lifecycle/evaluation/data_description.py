@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,15 +19,8 @@ SPLITS = ("val", "test", "train")
 _NO_PATH = ("", "~", "null", "Null", "NULL")
 """An entry without a value, as YAML writes it."""
 
-
 _RESOLVER = yaml.resolver.Resolver()
-_CONSTRUCTOR = yaml.constructor.SafeConstructor()
-_CONSTRUCTORS: Mapping[str, Callable[[yaml.ScalarNode], object]] = {
-    "tag:yaml.org,2002:bool": _CONSTRUCTOR.construct_yaml_bool,
-    "tag:yaml.org,2002:int": _CONSTRUCTOR.construct_yaml_int,
-    "tag:yaml.org,2002:float": _CONSTRUCTOR.construct_yaml_float,
-    "tag:yaml.org,2002:null": _CONSTRUCTOR.construct_yaml_null,
-}
+_READ = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("bool", "int", "float", "null"))
 
 
 @dataclass(frozen=True)
@@ -87,10 +80,7 @@ def _loaded(name: object) -> object:
     if not isinstance(name, PlainText) or len(name) > MAX_NAME_LENGTH:
         return name
     tag = _RESOLVER.resolve(yaml.ScalarNode, name, (True, False))  # type: ignore[no-untyped-call]
-    construct = _CONSTRUCTORS.get(tag)
-    if construct is None:
-        return name
     try:
-        return construct(yaml.ScalarNode("", name))
+        return yaml.safe_load(name) if tag in _READ else name
     except ValueError:  # such as 0b_, a number without digits
         return name

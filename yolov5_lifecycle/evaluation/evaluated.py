@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,21 +14,21 @@ from yolov5_lifecycle.settings.suggestion import did_you_mean
 
 MIN_CONFIDENCE = 0.001
 """Detections with a lower score are not evaluated, as in YOLOv5's own validation."""
+MAX_DETECTIONS = 100
+"""Only this many of the best detections per image and class count, as in COCO's evaluation."""
 _MAX_SHOWN = 10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EvaluatedClasses:
     """The classes that the data set and the models share, by name.
 
-    `of_data` and `of_model` map their class ids to indices into `names`; others are left out.
+    `of_data` and `of_models` have the index into `names` of each of their class ids; -1: left out.
     """
 
     names: tuple[str, ...]
-    of_data: Mapping[int, int]
-    of_models: tuple[Mapping[int, int], ...]
-    class_count: int
-    """How many class ids the data set has."""
+    of_data: NDArray[np.int64]
+    of_models: tuple[NDArray[np.int64], ...]
     left_out: tuple[str, ...]
     """Classes of the data set that a model does not know or that its settings leave out."""
 
@@ -52,64 +52,39 @@ class EvaluatedClasses:
         if not names:
             raise DataError(_nothing_shared(data_names, models[0][0]))
         index = {name: number for number, name in enumerate(names)}
-        return cls(
-            names,
-            _ids(data_names, index),
-            tuple(_ids(model_names, index) for model_names, _ in models),
-            len(data_names),
-            tuple(name for name in dict.fromkeys(data_names) if name not in index),
+        of_data, *of_models = (
+            np.array([index.get(name, -1) for name in each], np.int64)
+            for each in (data_names, *(model_names for model_names, _ in models))
         )
+        left_out = tuple(name for name in dict.fromkeys(data_names) if name not in index)
+        return cls(names, of_data, tuple(of_models), left_out)
 
     def truth(self, boxes: Boxes) -> Boxes:
         """The boxes of these classes, with indices into `names`; raises LabelError for unknown ids."""
-        if len(boxes) and boxes.class_ids.max() >= self.class_count:
+        if boxes.class_ids.max(initial=0) >= len(self.of_data):
             found = int(boxes.class_ids.max())
-            raise LabelError(f"expected a class from 0 to {self.class_count - 1}, found {found}")
-        indices, is_shared = _mapped(boxes.class_ids, self.of_data)
-        return Boxes(boxes.xyxy[is_shared], indices, boxes.is_crowd[is_shared])
+            raise LabelError(f"expected a class from 0 to {len(self.of_data) - 1}, found {found}")
+        indices = self.of_data[boxes.class_ids]
+        is_shared = indices >= 0
+        return Boxes(boxes.xyxy[is_shared], indices[is_shared], boxes.is_crowd[is_shared])
 
-    def found(self, detections: Detections, model: int) -> Found:
-        """The detections of the model number `model` that are of these classes, highest score first."""
-        indices, is_shared = _mapped(detections.class_ids, self.of_models[model])
-        return Found(
-            detections.boxes_xyxy[is_shared].astype(np.float64),
-            detections.scores[is_shared].astype(np.float64),
-            indices,
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Detections of an image, one row each, highest score first."""
-
-    xyxy: NDArray[np.float64]
-    """(n, 4) corners in pixels."""
-    scores: NDArray[np.float64]
-    """(n,) in [0, 1]."""
-    class_ids: NDArray[np.int64]
-    """(n,) indices into `EvaluatedClasses.names`."""
+    def found(self, detections: Detections, model: int) -> Detections:
+        """The MAX_DETECTIONS best of each of these classes, of the model number `model`."""
+        indices = self.of_models[model][detections.class_ids]
+        order = np.argsort(indices, kind="stable")
+        rank = np.arange(len(order)) - np.searchsorted(indices[order], indices[order])
+        kept = np.sort(order[(indices[order] >= 0) & (rank < MAX_DETECTIONS)])
+        return Detections(detections.boxes_xyxy[kept], detections.scores[kept], indices[kept])
 
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedImage:
-    """What is in an image, and what was found."""
+    """What is in an image, and what was found; classes are indices into `EvaluatedClasses.names`."""
 
     label: str
     size_hw: tuple[int, int]
     truth: Boxes
-    found: Found
-
-
-def _ids(names: Sequence[str], index: Mapping[str, int]) -> dict[int, int]:
-    return {class_id: index[name] for class_id, name in enumerate(names) if name in index}
-
-
-def _mapped(
-    class_ids: NDArray[np.int64], mapping: Mapping[int, int]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The indices of the ids in `mapping`, and which of the ids those are."""
-    indices = np.array([mapping.get(class_id, -1) for class_id in class_ids.tolist()], np.int64)
-    return indices[indices >= 0], indices >= 0
+    found: Detections
 
 
 def _nothing_shared(data_names: Sequence[str], model_names: Sequence[str]) -> str:

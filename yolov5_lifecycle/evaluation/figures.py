@@ -1,45 +1,54 @@
-"""Precision, recall and F1 at confidence thresholds, of single classes and of all together."""
+"""Precision, recall and F1 at confidence thresholds, and the confusion matrix."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.evaluation.matching import ClassMatches, Matches, mean_of_classes
+from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
+from yolov5_lifecycle.evaluation.matching import Matches
 
 METRICS = ("precision", "recall", "f1", "ap50", "ap50_95")
+MIN_IOU = 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Counts:
-    """Detections above a threshold: right and wrong ones, and the objects that there are."""
+    """Numbers of right and wrong detections, and of the objects that there are: arrays that broadcast."""
 
-    right: int
-    wrong: int
-    objects: int
-
-    def __add__(self, other: Counts) -> Counts:
-        return Counts(self.right + other.right, self.wrong + other.wrong, self.objects + other.objects)
+    right: NDArray[np.int64]
+    wrong: NDArray[np.int64]
+    objects: NDArray[np.int64]
 
     @property
-    def precision(self) -> float:
+    def precision(self) -> NDArray[np.float64]:
         """Share of the detections that are right; NaN without detections."""
-        return _share(self.right, self.right + self.wrong)
+        return share(self.right, self.right + self.wrong)
 
     @property
-    def recall(self) -> float:
+    def recall(self) -> NDArray[np.float64]:
         """Share of the objects that were found; NaN without objects."""
-        return _share(self.right, self.objects)
+        return share(self.right, self.objects)
 
     @property
-    def f1(self) -> float:
+    def f1(self) -> NDArray[np.float64]:
         """Harmonic mean of precision and recall; 0 if nothing was found, NaN without objects."""
-        return (
-            _share(2 * self.right, self.right + self.wrong + self.objects) if self.objects else float("nan")
-        )
+        return share(2 * self.right, np.where(self.objects > 0, self.right + self.wrong + self.objects, 0))
+
+
+def share(part: NDArray[np.number], whole: NDArray[np.number]) -> NDArray[np.float64]:
+    """`part` of `whole`; NaN where that is 0."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(whole > 0, np.divide(part, whole), np.nan)
+
+
+def mean_of_classes(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean over the last axis, of the classes that have objects; NaN if none has."""
+    known = np.isfinite(values)
+    return share(np.where(known, values, 0).sum(axis=-1), known.sum(axis=-1))
 
 
 @dataclass(frozen=True)
@@ -49,114 +58,160 @@ class Row:
     name: str
     images: int
     """Images with such an object."""
-    counts: Counts
-    ap50: float
-    ap50_95: float
-
-    @property
-    def figures(self) -> dict[str, float]:
-        """The figures by METRICS; NaN where there is none."""
-        counts = self.counts
-        return dict(
-            zip(
-                METRICS,
-                (counts.precision, counts.recall, counts.f1, self.ap50, self.ap50_95),
-                strict=True,
-            )
-        )
+    objects: int
+    right: int
+    wrong: int
+    figures: Mapping[str, float]
+    """By METRICS; NaN where there is none."""
 
 
-def rows(matches: Matches, class_names: Sequence[str], thresholds: NDArray[np.float64]) -> list[Row]:
-    """The figures of all classes together, then of each, at its confidence threshold.
+def rows(matches: Matches, thresholds: NDArray[np.float64]) -> list[Row]:
+    """The figures of all classes together, then of each, at its confidence threshold and IoU 0.5.
 
     Together: precision, recall and F1 of all detections and objects; the mean of the average precisions of
     the classes that have objects.
     """
-    counts = [
-        counts_at(one, threshold) for one, threshold in zip(matches.classes, thresholds.tolist(), strict=True)
-    ]
-    with_objects = [one.objects > 0 for one in matches.classes]
-    together = Row(
-        "all",
-        int(np.any(with_objects, axis=0).sum()),
-        sum(counts, Counts(0, 0, 0)),
-        mean_of_classes(matches.ap50),
-        mean_of_classes(matches.ap50_95),
-    )
+    counts = counts_at(matches, thresholds)
+    is_present = matches.objects > 0
+    images = [is_present.any(axis=0).sum(), *is_present.sum(axis=1)]
+    figures = by_metric(counts, matches.ap50[None], matches.ap50_95[None])
     return [
-        together,
-        *(
-            Row(name, int(present.sum()), count, ap50, ap50_95)
-            for name, present, count, ap50, ap50_95 in zip(
-                class_names,
-                with_objects,
-                counts,
-                matches.ap50.tolist(),
-                matches.ap50_95.tolist(),
-                strict=True,
-            )
-        ),
+        Row(
+            name,
+            int(images[place]),
+            int(counts.objects[0, place]),
+            int(counts.right[0, place]),
+            int(counts.wrong[0, place]),
+            {metric: float(values[0, place]) for metric, values in figures.items()},
+        )
+        for place, name in enumerate(("all", *matches.class_names))
     ]
 
 
-def counts_at(matches: ClassMatches, threshold: float) -> Counts:
-    """The counts of a class for detections with a score above `threshold`, at IoU 0.5."""
-    above = matches.scores > threshold
-    right = matches.is_right[0] & above
-    wrong = ~matches.is_right[0] & ~matches.is_ignored[0] & above
-    return Counts(int(right.sum()), int(wrong.sum()), int(matches.objects.sum()))
+def counts_at(
+    matches: Matches, thresholds: NDArray[np.float64], weights: NDArray[np.int32] | None = None
+) -> Counts:
+    """Counts (r, 1 + classes) of the detections above the threshold of their class, at IoU 0.5.
+
+    All classes together, then each; for each row of `weights` (r, images), how often an image counts. None:
+    once, r = 1.
+    """
+    drawn = np.ones((1, matches.objects.shape[1]), np.int32) if weights is None else weights
+    is_above = matches.scores > thresholds[matches.class_ids]
+    is_right, is_ignored = matches.is_right[0], matches.is_ignored[0]
+
+    def total(is_counted: NDArray[np.bool_]) -> NDArray[np.int64]:
+        return _with_sum([drawn @ of_class for of_class in _by_image(matches, is_counted)])
+
+    objects = _with_sum([drawn @ of_class for of_class in matches.objects])
+    return Counts(total(is_above & is_right), total(is_above & ~is_right & ~is_ignored), objects)
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep:
-    """Counts of the detections with at least each score that occurs, highest first."""
-
-    scores: NDArray[np.float64]
-    """(s,) distinct scores, descending."""
-    right: NDArray[np.int64]
-    """(s,)."""
-    wrong: NDArray[np.int64]
-    """(s,)."""
-    objects: int
-
-    @property
-    def precision(self) -> NDArray[np.float64]:
-        """(s,); NaN where all detections are ignored."""
-        with np.errstate(invalid="ignore"):
-            return np.asarray(self.right / (self.right + self.wrong), np.float64)
-
-    @property
-    def recall(self) -> NDArray[np.float64]:
-        """(s,); NaN without objects."""
-        return np.asarray(self.right / self.objects if self.objects else np.full(len(self.right), np.nan))
-
-    @property
-    def f1(self) -> NDArray[np.float64]:
-        """(s,); NaN without objects."""
-        if not self.objects:
-            return np.full(len(self.right), np.nan)
-        return np.asarray(2 * self.right / (self.right + self.wrong + self.objects), np.float64)
-
-    def at(self, thresholds: NDArray[np.float64]) -> NDArray[np.int64]:
-        """(t,) index of the lowest score above each threshold; -1 if there is none."""
-        return np.searchsorted(-self.scores, -thresholds, side="left") - 1
+def _by_image(matches: Matches, is_counted: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
+    """For each class the number of such detections in each image."""
+    slices = map(matches.of_class, range(len(matches.class_names)))
+    count = matches.objects.shape[1]
+    return [np.bincount(matches.images[rows][is_counted[rows]], minlength=count) for rows in slices]
 
 
-def sweep(classes: Sequence[ClassMatches]) -> Sweep:
-    """The counts of `classes` together at IoU 0.5, for each score that occurs in them."""
-    scores = np.concatenate([*(one.scores for one in classes), np.empty(0)])
-    right = np.concatenate([*(one.is_right[0] for one in classes), np.empty(0, np.bool_)])
-    ignored = np.concatenate([*(one.is_ignored[0] for one in classes), np.empty(0, np.bool_)])
-    order = np.argsort(-scores, kind="stable")
-    scores, right, ignored = scores[order], right[order], ignored[order]
+def _with_sum(of_classes: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    each = np.stack(of_classes, axis=1)
+    return np.concatenate((each.sum(axis=1, keepdims=True), each), axis=1)
+
+
+def by_metric(
+    counts: Counts, ap50: NDArray[np.float64], ap50_95: NDArray[np.float64]
+) -> dict[str, NDArray[np.float64]]:
+    """By METRICS (r, 1 + classes) from `counts` of that shape and average precisions (r, classes)."""
+    averages = [np.column_stack((mean_of_classes(values), values)) for values in (ap50, ap50_95)]
+    return dict(zip(METRICS, (counts.precision, counts.recall, counts.f1, *averages), strict=True))
+
+
+def sweep(matches: Matches, class_id: int | None = None) -> tuple[NDArray[np.float64], Counts]:
+    """Distinct scores (s,), descending, and the counts of the detections with at least each, at IoU 0.5.
+
+    Of a class, or of all together.
+    """
+    rows = slice(None) if class_id is None else matches.of_class(class_id)
+    order = np.argsort(-matches.scores[rows], kind="stable")
+    scores, is_right = matches.scores[rows][order], matches.is_right[0, rows][order]
+    is_wrong = ~is_right & ~matches.is_ignored[0, rows][order]
     is_last = np.append(scores[1:] < scores[:-1], True)[: len(scores)]
-    return Sweep(
-        scores[is_last],
-        np.cumsum(right)[is_last].astype(np.int64),
-        np.cumsum(~right & ~ignored)[is_last].astype(np.int64),
-        sum(int(one.objects.sum()) for one in classes),
+    objects = matches.objects[slice(None) if class_id is None else class_id].sum()
+    return scores[is_last], Counts(np.cumsum(is_right)[is_last], np.cumsum(is_wrong)[is_last], objects)
+
+
+def confusion_matrix(
+    images: Sequence[EvaluatedImage], matches: Matches, thresholds: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """(classes + 1, classes + 1) numbers of objects by true class, a row each, and detected class.
+
+    The last column has the objects that were missed, the last row the detections without an object.
+    Objects are first matched with detections of their own class, so the diagonal has the right detections of
+    the table; then the rest are matched with one another, highest IoU first.
+    """
+    is_above = matches.scores > thresholds[matches.class_ids]
+    is_right = is_above & matches.is_right[0]
+    is_free = np.zeros(len(matches.rows), np.bool_)
+    is_free[matches.rows] = is_above & ~is_right & ~matches.is_ignored[0]
+    is_missed = np.concatenate([*(~image.truth.is_crowd for image in images), np.empty(0, np.bool_)])
+    is_missed[matches.targets[is_right]] = False
+    size = len(matches.class_names) + 1
+    counts = np.diag(np.bincount(matches.class_ids[is_right], minlength=size))
+    of_images = zip(
+        images,
+        _split(is_free, [len(image.found) for image in images]),
+        _split(is_missed, [len(image.truth) for image in images]),
+        strict=True,
     )
+    for image, free, missed in of_images:
+        _add_rest(counts, image, free, missed)
+    return counts
 
 
-def _share(part: int, whole: int) -> float:
-    return part / whole if whole else float("nan")
+def occurring(
+    counts: NDArray[np.int64], class_names: Sequence[str]
+) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """The matrix without classes that have neither objects nor detections, and the names of the others."""
+    is_there = (counts.sum(axis=0) + counts.sum(axis=1))[:-1] > 0
+    kept = [*np.flatnonzero(is_there).tolist(), len(class_names)]
+    return counts[np.ix_(kept, kept)], tuple(class_names[class_id] for class_id in kept[:-1])
+
+
+def _split(values: NDArray[np.bool_], lengths: Sequence[int]) -> list[NDArray[np.bool_]]:
+    return np.split(values, np.cumsum(lengths, dtype=np.int64)[:-1]) if lengths else []
+
+
+def _add_rest(
+    counts: NDArray[np.int64], image: EvaluatedImage, is_free: NDArray[np.bool_], is_missed: NDArray[np.bool_]
+) -> None:
+    """Add the detections `is_free` and objects `is_missed` of one image to `counts`, in place."""
+    found, truth = image.found.class_ids[is_free], image.truth.class_ids[is_missed]
+    pairs = _pairs(image.found.boxes_xyxy[is_free].astype(np.float64), image.truth.xyxy[is_missed])
+    for row, target in pairs:
+        counts[truth[target], found[row]] += 1
+    rest, missed = (
+        np.delete(ids, taken)
+        for ids, taken in ((found, [row for row, _ in pairs]), (truth, [target for _, target in pairs]))
+    )
+    counts[-1] += np.bincount(rest, minlength=len(counts))
+    counts[:, -1] += np.bincount(missed, minlength=len(counts))
+
+
+def _pairs(boxes_xyxy: NDArray[np.float64], others_xyxy: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Pairs of rows with an IoU of at least MIN_IOU, each row once, the highest IoU first."""
+    if not len(boxes_xyxy) or not len(others_xyxy):
+        return []
+    from pycocotools import mask as coco
+
+    xywh, others = (
+        np.concatenate((xyxy[:, :2], xyxy[:, 2:] - xyxy[:, :2]), axis=1) for xyxy in (boxes_xyxy, others_xyxy)
+    )
+    iou = np.asarray(coco.iou(xywh, others, [0] * len(others)))
+    places = np.argwhere(iou >= MIN_IOU)
+    taken: dict[int, int] = {}  # rows by targets
+    row_is_free = np.ones(len(xywh), np.bool_)
+    for row, target in places[np.argsort(-iou[tuple(places.T)], kind="stable")].tolist():
+        if row_is_free[row] and target not in taken:
+            taken[target], row_is_free[row] = row, False
+    return [(row, target) for target, row in taken.items()]

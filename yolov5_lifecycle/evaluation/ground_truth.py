@@ -28,7 +28,12 @@ _MAX_PATH = 100
 _OF_WINDOWS = re.compile(r"\\|^[A-Za-z]:/")
 
 Kind = Literal[
-    "broken labels", "unusable images", "failed images", "images without labels", "unusable entries"
+    "broken labels",
+    "unusable images",
+    "failed images",
+    "missing images",
+    "images without labels",
+    "unusable entries",
 ]
 
 
@@ -66,8 +71,8 @@ class Problems:
         self.first: list[str] = []
         self._tell = tell
 
-    def add(self, kind: Kind, where: object, reason: object) -> None:
-        self.counts[kind] += 1
+    def add(self, kind: Kind, where: object, reason: object, *, count: int = 1) -> None:
+        self.counts[kind] += count
         if len(self.first) < MAX_LISTED:
             text = f"{kind}: {in_one_line(str(where), _MAX_SHOWN)}: {in_one_line(str(reason), _MAX_SHOWN)}"
             self.first.append(text)
@@ -93,10 +98,13 @@ class Boxes:
     """(n,) whether the box surrounds many objects, as COCO's `iscrowd`: detections in it are not counted."""
 
     @classmethod
-    def of(cls, rows: Sequence[Sequence[float]], class_ids: Sequence[int]) -> Boxes:
-        """Boxes with the corners `rows`, none of them a crowd."""
+    def of(
+        cls, rows: Sequence[Sequence[float]], class_ids: Sequence[int], is_crowd: Sequence[bool] | None = None
+    ) -> Boxes:
+        """Boxes with the corners `rows`; None: none of them is a crowd."""
         xyxy = np.array(rows, np.float64).reshape(-1, 4)
-        return cls(xyxy, np.array(class_ids, np.int64), np.zeros(len(xyxy), np.bool_))
+        crowds = np.zeros(len(xyxy), np.bool_) if is_crowd is None else np.array(is_crowd, np.bool_)
+        return cls(xyxy, np.array(class_ids, np.int64), crowds)
 
     def __len__(self) -> int:
         return len(self.class_ids)

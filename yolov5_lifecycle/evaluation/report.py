@@ -1,30 +1,28 @@
-"""The figures as a table and as JSON."""
+"""The figures as tables."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.evaluation.bootstrap import Interval
-from yolov5_lifecycle.evaluation.figures import METRICS, Row
-from yolov5_lifecycle.evaluation.thresholds import Threshold
+from yolov5_lifecycle.evaluation.figures import Row
 from yolov5_lifecycle.printable import in_one_line
 
-HEADS = {"precision": "precision", "recall": "recall", "f1": "F1", "ap50": "mAP@50", "ap50_95": "mAP@50:95"}
+_HEADS = {"precision": "precision", "recall": "recall", "f1": "F1", "ap50": "mAP@50", "ap50_95": "mAP@50:95"}
 _MAX_NAME = 40
 
 
 def table(rows: Sequence[Row]) -> str:
     """Figures of all classes together and of each that has objects or detections, in columns."""
-    cells = [["class", "images", "objects", *HEADS.values()]]
-    shown = [row for row in rows if row.counts.objects or row.counts.right or row.counts.wrong]
-    for row in shown:
-        figures = [_shown(row.figures[name]) for name in METRICS]
-        cells.append([_named(row.name), str(row.images), str(row.counts.objects), *figures])
+    shown = [row for row in rows if row.objects or row.right or row.wrong]
+    cells = [["class", "images", "objects", *_HEADS.values()]] + [
+        [_named(row.name), str(row.images), str(row.objects), *map(_shown, row.figures.values())]
+        for row in shown
+    ]
     absent = len(rows) - len(shown)
     return _aligned(cells) + (
         f"{absent} more classes have neither objects nor detections\n" if absent else ""
@@ -40,9 +38,9 @@ def comparison_table(
         for metric in shown:
             found = of_class[metric]
             if found.verdict:
-                both = f"{found.low:+.3f} to {found.high:+.3f}"
+                both = f"{found.difference_low:+.3f} to {found.difference_high:+.3f}"
                 figures = [_shown(found.first), _shown(found.second), both, found.verdict]
-                cells.append([_named(name), HEADS[metric], *figures])
+                cells.append([_named(name), _HEADS[metric], *figures])
     return _aligned(cells)
 
 
@@ -55,48 +53,6 @@ def confusion_table(counts: NDArray[np.int64], names: Sequence[str]) -> str:
     return _aligned(cells)
 
 
-def row_as_json(row: Row) -> dict[str, Any]:
-    """Figures and counts of a class; None where there is no figure."""
-    return {
-        "name": row.name,
-        "images": row.images,
-        "objects": row.counts.objects,
-        "right": row.counts.right,
-        "wrong": row.counts.wrong,
-        "missed": row.counts.objects - row.counts.right,
-        **{name: number(value) for name, value in row.figures.items()},
-    }
-
-
-def intervals_as_json(differences: Mapping[str, Interval]) -> dict[str, Any]:
-    return {
-        metric: {
-            "first": number(found.first),
-            "second": number(found.second),
-            "difference_low": number(found.low),
-            "difference_high": number(found.high),
-            "verdict": found.verdict or None,
-        }
-        for metric, found in differences.items()
-    }
-
-
-def threshold_as_json(threshold: Threshold) -> dict[str, Any]:
-    counts = threshold.counts
-    return {
-        "name": threshold.name,
-        "threshold": threshold.value,
-        "precision": number(counts.precision),
-        "recall": number(counts.recall),
-        "f1": number(counts.f1),
-    }
-
-
-def number(value: float) -> float | None:
-    """`value` as JSON has it: None instead of NaN."""
-    return value if math.isfinite(value) else None
-
-
 def _shown(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else "-"
 
@@ -107,13 +63,8 @@ def _named(name: str) -> str:
 
 def _aligned(cells: Sequence[Sequence[str]]) -> str:
     """Rows with columns of one width: texts to the left, numbers to the right."""
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    is_text = [any(cell[:1].isalpha() for cell in column[1:]) for column in zip(*cells, strict=True)]
-    lines = (
-        "  ".join(
-            cell.ljust(width) if text else cell.rjust(width)
-            for cell, width, text in zip(row, widths, is_text, strict=True)
-        )
-        for row in cells
-    )
-    return "".join(f"{line.rstrip()}\n" for line in lines)
+    columns = []
+    for column in zip(*cells, strict=True):
+        is_text = any(cell[:1].isalpha() for cell in column[1:])
+        columns.append([f"{cell:{'<' if is_text else '>'}{max(map(len, column))}}" for cell in column])
+    return "".join(f"{'  '.join(row).rstrip()}\n" for row in zip(*columns, strict=True))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -11,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE
-from yolov5_lifecycle.evaluation.figures import Counts, Sweep, sweep
+from yolov5_lifecycle.evaluation.figures import METRICS, Counts, sweep
 from yolov5_lifecycle.evaluation.matching import Matches
 
-
-class GoalError(ValueError):
-    """A text that is not a goal; the message lists the possible goals."""
+_LEAST = re.compile(r"(recall|precision)=(0?\.\d+|1(?:\.0*)?)", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -28,17 +28,12 @@ class Goal:
 
     @classmethod
     def parsed(cls, text: str) -> Goal:
-        """The goal `f1`, `recall=0.9` or `precision=0.95`; raises GoalError."""
-        kind, _, least = text.partition("=")
+        """The goal `f1`, `recall=0.9` or `precision=0.95`; raises ArgumentTypeError."""
         if text == "f1":
             return cls("f1")
-        try:
-            value = float(least)
-        except ValueError:
-            value = float("nan")
-        if kind not in ("recall", "precision") or not 0 < value <= 1:
-            raise GoalError(f"expected f1, recall=0.9 or precision=0.95, found {text[:40]!r}")
-        return cls("recall" if kind == "recall" else "precision", value)
+        if (found := _LEAST.fullmatch(text)) and float(found[2]):
+            return cls("recall" if found[1] == "recall" else "precision", float(found[2]))
+        raise ArgumentTypeError(f"expected f1, recall=0.9 or precision=0.95, found {text[:40]!r}")
 
     def __str__(self) -> str:
         return "the best F1" if self.kind == "f1" else f"{self.kind} of at least {self.least:g}"
@@ -54,32 +49,33 @@ class Threshold:
     counts: Counts
     """With `value`; without it, at the score that comes closest."""
 
+    @property
+    def figures(self) -> dict[str, float]:
+        """Precision, recall and F1; NaN where there is none."""
+        return {name: float(getattr(self.counts, name)) for name in METRICS[:3]}
 
-def chosen_thresholds(matches: Matches, class_names: Sequence[str], goal: Goal) -> list[Threshold]:
+
+def chosen_thresholds(matches: Matches, goal: Goal) -> list[Threshold]:
     """The threshold of all classes together, then that of each."""
-    together = _chosen("all", sweep(matches.classes), goal)
-    each = zip(class_names, matches.classes, strict=True)
-    return [together, *(_chosen(name, sweep([one]), goal) for name, one in each)]
+    together = _chosen("all", sweep(matches), goal)
+    each = enumerate(matches.class_names)
+    return [together, *(_chosen(name, sweep(matches, class_id), goal) for class_id, name in each)]
 
 
-def _chosen(name: str, counts: Sweep, goal: Goal) -> Threshold:
-    if not counts.objects or not len(counts.scores):  # nothing to choose from
-        return Threshold(name, None, Counts(0, 0, counts.objects))
-    values = {"f1": counts.f1, "recall": counts.recall, "precision": counts.precision}[goal.kind]
-    values = np.nan_to_num(values, nan=0.0)
-    reached = np.flatnonzero(values >= goal.least) if goal.kind != "f1" else np.arange(0)
-    if goal.kind == "recall":  # the fewest detections, and so the highest precision
-        best = int(reached[0]) if len(reached) else len(values) - 1
-    elif goal.kind == "precision":  # the most detections, and so the highest recall
-        best = int(reached[-1]) if len(reached) else int(values.argmax())
-    else:
-        best = int(values.argmax())
-    is_reached = len(reached) > 0 or goal.kind == "f1"
-    return Threshold(
-        name,
-        _between(counts.scores, best) if is_reached else None,
-        Counts(int(counts.right[best]), int(counts.wrong[best]), counts.objects),
-    )
+def _chosen(name: str, swept: tuple[NDArray[np.float64], Counts], goal: Goal) -> Threshold:
+    scores, counts = swept
+    if not len(scores) or not counts.objects:  # nothing to choose from
+        nothing = np.zeros((), np.int64)
+        return Threshold(name, None, Counts(nothing, nothing, counts.objects))
+    values = np.nan_to_num(getattr(counts, goal.kind))
+    reached = np.flatnonzero(values >= goal.least)
+    best = int(values.argmax())
+    if len(reached) and goal.kind == "recall":  # the fewest detections, and so the highest precision
+        best = int(reached[0])
+    elif len(reached) and goal.kind == "precision":  # the most detections, and so the highest recall
+        best = int(reached[-1])
+    chosen = Counts(counts.right[best], counts.wrong[best], counts.objects)
+    return Threshold(name, _between(scores, best) if len(reached) else None, chosen)
 
 
 def _between(scores: NDArray[np.float64], last: int) -> float:
@@ -96,37 +92,28 @@ def _between(scores: NDArray[np.float64], last: int) -> float:
 
 def threshold_yaml(thresholds: Sequence[Threshold], goal: Goal, node: str) -> str:
     """The thresholds and their figures as a parameter file of the node with the full name `node`."""
-    head = f"# Chosen for {goal}, on the evaluated images; on others it may be missed.\n"
-    missed = "".join(
-        f"# {_quoted(one.name)}: out of reach, the closest is {_described(one.counts)}\n"
-        for one in thresholds
-        if one.value is None and one.counts.objects
-    )
-    absent = sum(not one.counts.objects for one in thresholds)
-    if absent:
-        missed += f"# Classes without objects, and so without a threshold: {absent}.\n"
     together, *classes = thresholds
-    lines = []
+    lines = [f"# Chosen for {goal}, on the evaluated images; on others it may be missed."]
+    if any(one.value is not None for one in thresholds):
+        lines += [f"{node}:", "  ros__parameters:"]
     if together.value is not None:
-        lines.append(f"confidence_threshold: {together.value:.12g}  # {_described(together.counts)}")
-    reached = [one for one in classes if one.value is not None]
-    if reached:
-        lines.append("class_thresholds:")
-        lines += [
-            f"  - {_quoted(f'{one.name}: {one.value:.12g}')}  # {_described(one.counts)}" for one in reached
-        ]
-    if not lines:
-        return head + missed
-    return f"{head}{node}:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines) + missed
+        lines.append(f"    confidence_threshold: {together.value:.12g}  # {_described(together)}")
+    if reached := [one for one in classes if one.value is not None]:
+        lines.append("    class_thresholds:")
+    for one in reached:
+        lines.append(f"      - {_quoted(f'{one.name}: {one.value:.12g}')}  # {_described(one)}")
+    for one in thresholds:
+        if one.value is None and one.counts.objects:
+            lines.append(f"# {_quoted(one.name)}: out of reach, the closest is {_described(one)}")
+    if absent := sum(not one.counts.objects for one in thresholds):
+        lines.append(f"# Classes without objects, and so without a threshold: {absent}.")
+    return "".join(f"{line}\n" for line in lines)
 
 
-def _described(counts: Counts) -> str:
-    shown = (
-        f"{name} {value:.3f}"
-        for name, value in (("precision", counts.precision), ("recall", counts.recall), ("F1", counts.f1))
-        if np.isfinite(value)
-    )
-    return ", ".join(shown)
+def _described(threshold: Threshold) -> str:
+    words = {"precision": "precision", "recall": "recall", "f1": "F1"}
+    figures = threshold.figures.items()
+    return ", ".join(f"{words[name]} {value:.3f}" for name, value in figures if np.isfinite(value))
 
 
 def _quoted(text: str) -> str:

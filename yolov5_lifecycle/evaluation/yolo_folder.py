@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+from collections import Counter
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -14,12 +15,10 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_IMAGES,
     MAX_OBJECTS,
     PROGRESS_PERIOD,
-    Boxes,
     DataError,
     LabelError,
     LabelledFolder,
     LabelledPath,
-    Labels,
     Problems,
     Progress,
     check_count,
@@ -58,7 +57,7 @@ def read_yolo_folder(
     reader = _Reader(folder, absolute(root) if root else folder, problems)
     progress("looking for images")
     wanted = _entries(description, data, split)
-    paths = _paths(reader, wanted, description.folder)
+    paths = reader.images(wanted, description.folder)
     class_count = len(description.class_names or ()) or MAX_CLASSES
     if not paths:
         raise DataError(
@@ -114,16 +113,6 @@ def _entries(description: DataDescription, data: Path, split: str | None) -> tup
     return splits[split]
 
 
-def _paths(reader: _Reader, texts: tuple[str, ...], base: str) -> list[Path]:
-    """The images of the entries `texts`, each once."""
-    paths: dict[Path, None] = {}
-    for text in dict.fromkeys(texts):
-        for path in reader.images(text, base):
-            paths[path] = None
-            check_count(path.parent, "images in a data set", len(paths), MAX_IMAGES)
-    return list(paths)
-
-
 class _Reader:
     """Finds images and reads their labels; `label_files` counts those that exist.
 
@@ -134,13 +123,20 @@ class _Reader:
         self.root = root
         self.label_files = 0
         self._tree = FolderTree()
-        self._lines = 0
-        self._label_characters = 0
-        self._objects = 0
+        self._counts: Counter[str] = Counter()
         self._folder = folder
         self._problems = problems
 
-    def images(self, entry: str, base: str) -> Iterator[Path]:
+    def images(self, wanted: tuple[str, ...], base: str) -> list[Path]:
+        """The image files of the entries `wanted`, relative to `base`, each once."""
+        paths: dict[Path, None] = {}
+        for entry in dict.fromkeys(wanted):
+            for path in self._images(entry, base):
+                paths[path] = None
+                check_count(path.parent, "images in a data set", len(paths), MAX_IMAGES)
+        return list(paths)
+
+    def _images(self, entry: str, base: str) -> Iterator[Path]:
         """The image files of an entry: a folder, whatever is below it, or a list of files."""
         path = self._located(entry, base)
         if path is None:
@@ -157,21 +153,19 @@ class _Reader:
         label_path = _label_path(path, self.root)
         try:
             text = label_text(label_path)
-            labels = None if text is None else self._parsed(label_path, text, class_count)
+            self._count(label_path.parent, "characters in label files", len(text or ""), MAX_LABEL_CHARACTERS)
+            labels = parsed_labels(text or "", class_count)
         except LabelError as error:
             self.label_files += 1
             self._problems.add("broken labels", label_path, error)
             return None
-        self.label_files += labels is not None
-        return LabelledPath(path, labels or Labels(Boxes.of([], [])))
+        self.label_files += text is not None
+        self._count(label_path.parent, "objects in a data set", len(labels.boxes), MAX_OBJECTS)
+        return LabelledPath(path, labels)
 
-    def _parsed(self, path: Path, text: str, class_count: int) -> Labels:
-        self._label_characters += len(text)
-        check_count(path.parent, "characters in label files", self._label_characters, MAX_LABEL_CHARACTERS)
-        labels = parsed_labels(text, class_count)
-        self._objects += len(labels.boxes)
-        check_count(path.parent, "objects in a data set", self._objects, MAX_OBJECTS)
-        return labels
+    def _count(self, where: Path, what: str, more: int, limit: int) -> None:
+        self._counts[what] += more
+        check_count(where, what, self._counts[what], limit)
 
     def _located(self, entry: str, base: str) -> Path | None:
         """The path of an entry; like in YOLOv5, without a leading `../` if only that path exists."""
@@ -208,21 +202,16 @@ class _Reader:
             self._problems.add("unusable entries", path, error)
             return
         lines = list(islice(io.StringIO(text, newline=None), MAX_IMAGES + 1))
-        self._lines += len(lines)
-        check_count(path, "lines in the lists of images", self._lines, MAX_IMAGES)
+        self._count(path, "lines in the lists of images", len(lines), MAX_IMAGES)
         for line in filter(None, dict.fromkeys(map(str.strip, lines))):
-            if (image := self._listed_image(path, line)) is not None:
-                yield image
-
-    def _listed_image(self, path: Path, line: str) -> Path | None:
-        try:
-            image = confined_path(self.root, line, base=path.parent)
-            if not _is_image(image):
-                raise LabelError(f"expected a file that ends in {', '.join(IMAGE_SUFFIXES)}")
-        except LabelError as error:
-            self._problems.add("unusable entries", path, error)
-            return None
-        return image
+            try:
+                image = confined_path(self.root, line, base=path.parent)
+                if not _is_image(image):
+                    raise LabelError(f"expected a file that ends in {', '.join(IMAGE_SUFFIXES)}")
+            except LabelError as error:
+                self._problems.add("unusable entries", path, error)
+                continue
+            yield image
 
 
 def _is_image(path: Path) -> bool:

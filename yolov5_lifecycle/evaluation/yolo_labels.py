@@ -43,9 +43,8 @@ def parsed_labels(text: str, class_count: int) -> Labels:
     Raises LabelError, with the line, if one is broken: an image with unknown objects cannot be evaluated.
     """
     objects = objects_in(text, class_count)
-    boxes = dict.fromkeys((class_id, corners) for (class_id, _), corners in objects.items())
-    xyxy, class_ids = [corners for _, corners in boxes], [class_id for class_id, _ in boxes]
-    return Labels(Boxes.of(xyxy, class_ids), in_fractions=True)
+    boxes = dict.fromkeys((corners, class_id) for (class_id, _), corners in objects.items())
+    return Labels(Boxes.of(*zip(*boxes, strict=True)) if boxes else Boxes.of([], []), in_fractions=True)
 
 
 def objects_in(text: str, class_count: int) -> dict[tuple[int, tuple[float, ...]], tuple[float, ...]]:
@@ -79,7 +78,11 @@ def _object(fields: list[str], class_count: int) -> tuple[int, tuple[float, ...]
     outside = [value for value in values if not -_TOLERANCE <= value <= 1 + _TOLERANCE]
     if outside:
         raise LabelError(f"expected fractions of the image from 0 to 1, found {outside[0]:g}")
-    corners = _corners_of_box(values) if len(values) == 4 else _corners_of_polygon(values)
+    if len(values) == 4:
+        cx, cy, width, height = values
+        corners = (cx - width / 2, cy - height / 2, cx + width / 2, cy + height / 2)
+    else:
+        corners = (min(values[0::2]), min(values[1::2]), max(values[0::2]), max(values[1::2]))
     x1, y1, x2, y2 = (min(max(corner, 0.0), 1.0) for corner in corners)
     if not (x1 < x2 and y1 < y2):
         raise LabelError("the object has no area")
@@ -94,13 +97,3 @@ def _number(field: str) -> float:
     if not math.isfinite(value):
         raise LabelError(f"expected numbers, found {field[:20]!r}")
     return value
-
-
-def _corners_of_box(cxcywh: list[float]) -> tuple[float, ...]:
-    cx, cy, width, height = cxcywh
-    return cx - width / 2, cy - height / 2, cx + width / 2, cy + height / 2
-
-
-def _corners_of_polygon(values: list[float]) -> tuple[float, ...]:
-    xs, ys = values[0::2], values[1::2]
-    return min(xs), min(ys), max(xs), max(ys)

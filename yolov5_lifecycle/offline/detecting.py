@@ -12,7 +12,8 @@ from typing import Protocol, TypeVar
 from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
-from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
+from yolov5_lifecycle.detection.loaded_detector import FixedSizeError
+from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel, prepare_model
 from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
@@ -83,6 +84,19 @@ class Watch(Protocol):
         """Called after every image."""
 
 
+def prepared_for(settings: Settings, prepare: Prepare) -> PreparedModel:
+    """The model that `prepare` loads; one of a fixed image size with that, unless `settings` set another.
+
+    Raises what `prepare` raises.
+    """
+    try:
+        return prepare(settings, (USUAL_SOURCE_HW,))
+    except FixedSizeError as error:
+        if "image_size" in settings.model_fields_set:
+            raise
+        return prepare(settings.model_copy(update={"image_size": error.image_size}), (USUAL_SOURCE_HW,))
+
+
 class OfflineDetector:
     """Detector that owns the model that `prepare` loads and applies `settings` to every image.
 
@@ -96,7 +110,7 @@ class OfflineDetector:
     ) -> None:
         self.settings = settings
         self._watch = watch
-        self._detector = prepare(settings, (USUAL_SOURCE_HW,)).detector
+        self._detector = prepared_for(settings, prepare).detector
         self.class_names = self._detector.class_names
         if problems := model_problems(settings, self.class_names):
             raise SettingsError(problems)

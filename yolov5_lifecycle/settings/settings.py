@@ -344,7 +344,8 @@ class Settings(BaseModel):
         if not name:
             return self
         own = overrides_of(name, self._overrides)
-        return Settings.model_construct(**{**dict(self), "cameras": (), **own})
+        given = self.model_fields_set | own.keys()
+        return Settings.model_construct(given, **{**dict(self), "cameras": (), **own})
 
     def differing(self, other: Settings, change: Change) -> list[str]:
         """Names of the settings and overrides whose `Change` is `change` and whose values differ."""

@@ -20,9 +20,9 @@ from yolov5_lifecycle.offline.calibrate.calibration_images import CalibrationDat
 from yolov5_lifecycle.offline.calibrate.command import main
 from yolov5_lifecycle.offline.calibrate.measuring import map_loss
 from yolov5_lifecycle.offline.detecting import Account
-from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
+from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
+from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData
 from yolov5_lifecycle.offline.evaluate.labelled_data import has_labels, labelled_data
-from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData
 from yolov5_lifecycle.quantization.calibration_file import read_calibration
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 from yolov5_lifecycle.settings.settings import validated

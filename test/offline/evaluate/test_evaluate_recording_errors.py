@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from support.recorded_scene import TOPIC
 
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
 from yolov5_lifecycle.offline.evaluate import labelled_recording
+from yolov5_lifecycle.offline.recording import Recording
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 
@@ -138,6 +140,18 @@ def test_an_image_that_repeats_a_stamp_is_counted_and_left_out(
     report = report_of(tmp_path / "out")
     assert report["data"]["images"] == 3
     assert report["data"]["problems"]["counts"] == {"unusable images": 1}
+
+
+def test_images_that_a_recording_claims_and_lacks_are_counted_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = labelled_drive(tmp_path / "drive")
+    one_of = Recording.one_of
+    monkeypatch.setattr(Recording, "one_of", lambda *words, **more: replace(one_of(*words, **more), count=5))
+    assert evaluate(drive, "--compare", "confidence_threshold=0.5") == 0
+    output, error = capsys.readouterr()
+    assert error.count("missing images: ") == error.count("the recording claims 5 images, but has 3") == 1
+    assert "not evaluated: 2 missing images\n" in output
 
 
 def test_the_classes_are_those_of_the_node_that_published_the_detections(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser
-from yolov5_lifecycle.offline.evaluate.data_options import add_data_options
+from yolov5_lifecycle.offline.evaluate.arguments import add_data_options
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
 
 _EPILOG = """\

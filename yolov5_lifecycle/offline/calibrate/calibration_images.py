@@ -18,9 +18,9 @@ from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detecting import StoredImage
-from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
+from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
+from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData
 from yolov5_lifecycle.offline.evaluate.labelled_data import has_labels, kind_of, labelled_data
-from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData
 from yolov5_lifecycle.offline.image_files import VideoFile, has_still_images, image_files
 from yolov5_lifecycle.offline.recordings import is_recording
 

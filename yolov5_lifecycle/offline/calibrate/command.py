@@ -25,7 +25,7 @@ from yolov5_lifecycle.offline.calibrate.calibration_images import (
     read_calibration_data,
 )
 from yolov5_lifecycle.offline.calibrate.measuring import Worth, map_loss
-from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
+from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
 from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output

@@ -13,11 +13,12 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.evaluation.figures import mean_of_classes
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
+from yolov5_lifecycle.evaluation.matching import match
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detecting import DetectingError, Watch
-from yolov5_lifecycle.offline.evaluate.evaluating import evaluate_models
-from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData
+from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData, evaluate_models
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.runtimes.speed import Taken, median, time_taken
 from yolov5_lifecycle.settings.settings import Settings
@@ -150,7 +151,6 @@ def map_loss(
         return "DATA has no labels"
     if absence := absence_of("pycocotools.cocoeval"):
         return absence
-    from yolov5_lifecycle.evaluation.matching import match, mean_of_classes
 
     def prepared(wanted: Settings, _: object) -> PreparedModel:
         return PreparedModel(wanted, detectors[wanted.precision], weights.path, weights.sha256)
@@ -160,5 +160,7 @@ def map_loss(
         classes, evaluations = evaluate_models(data, wanted, watch=watch, problems=problems, prepare=prepared)
     except (DataError, DetectingError) as error:
         return str(error)
-    first, second = (mean_of_classes(match(each.images, classes.names).ap50_95) for each in evaluations)
+    first, second = (
+        float(mean_of_classes(match(each.images, classes.names).ap50_95)) for each in evaluations
+    )
     return round(100 * (first - second), 2)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser
-from yolov5_lifecycle.evaluation.thresholds import Goal, GoalError
+from yolov5_lifecycle.evaluation.data_description import SPLITS
+from yolov5_lifecycle.evaluation.thresholds import Goal
 from yolov5_lifecycle.offline.detector_options import add_detector_options
-from yolov5_lifecycle.offline.evaluate.data_options import add_data_options
 
 _EPILOG = """\
 DATA is one of
@@ -24,6 +25,21 @@ examples:
   evaluate best.pt shots --compare older.pt
   evaluate best.pt shots --compare runtime=openvino,image_size=320
 """
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataOptions:
+    """How to read a data set: see `add_data_options`; `truth_topic` is the topic of corrected detections."""
+
+    split: str | None = None
+    root: Path | None = None
+    topic: str | None = None
+    truth_topic: str | None = None
+
+    def useless(self, kind: str) -> list[str]:
+        """The given options that do not apply to data sets of this `kind`."""
+        of_kind = {"YOLO": ("split", "root"), "COCO": ("root",), "recording": ("topic", "truth_topic")}[kind]
+        return [name for name, value in vars(self).items() if value is not None and name not in of_kind]
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -51,7 +67,7 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--thresholds",
-        type=_goal,
+        type=Goal.parsed,
         metavar="GOAL",
         help="f1, recall=0.9 or precision=0.95: print thresholds that reach it, as detector parameters",
     )
@@ -65,8 +81,17 @@ def command_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _goal(text: str) -> Goal:
-    try:
-        return Goal.parsed(text)
-    except GoalError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
+def add_data_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options split, root and topic."""
+    parser.add_argument(
+        "--split",
+        choices=SPLITS,
+        help=f"images of data.yaml to use (default: the first of {', '.join(SPLITS)})",
+    )
+    parser.add_argument(
+        "--root",
+        type=Path,
+        metavar="FOLDER",
+        help="folder of the labelled images; nothing outside it is read (default: that of data.yaml or JSON)",
+    )
+    parser.add_argument("--topic", help="image topic of a recording (default: the only one)")

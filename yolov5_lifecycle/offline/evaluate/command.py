@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
+from dataclasses import fields
 
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
-from yolov5_lifecycle.evaluation.curves import matplotlib_problem
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.offline.detecting import Account, DetectingError
 from yolov5_lifecycle.offline.detector_options import unwound_by_sigterm, wanted_settings
-from yolov5_lifecycle.offline.evaluate.arguments import command_parser
-from yolov5_lifecycle.offline.evaluate.compared_settings import compared_settings
-from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
+from yolov5_lifecycle.offline.evaluate.arguments import DataOptions, command_parser
 from yolov5_lifecycle.offline.evaluate.evaluating import NOT_APPLIED, evaluate_models
 from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of, labelled_data
-from yolov5_lifecycle.offline.evaluate.output_files import write_files
 from yolov5_lifecycle.offline.evaluate.result import EvaluationResult
 from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.process.missing_package import absence_of, import_problem
@@ -29,6 +27,8 @@ from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _COMMAND = "evaluate"
+_BETWEEN_ASSIGNMENTS = re.compile(r",(?=[a-z_0-9]+=)")
+_ASSIGNMENT = re.compile(r"[a-z_0-9]+=")
 _EVERYWHERE = "detections of any size count anywhere in the image, as labels do"
 _USELESS = {
     **dict.fromkeys(NOT_APPLIED, _EVERYWHERE),
@@ -61,19 +61,21 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
 
 
 def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) -> int:
-    settings = _settings(arguments, [])
-    wanted = [settings]
+    wanted = [_settings(arguments, [])]
     if arguments.compare is not None:
-        wanted.append(_settings(arguments, compared_settings(arguments.compare)))
-    if problem := absence_of("pycocotools.cocoeval") or (arguments.output and matplotlib_problem()):
+        wanted.append(_settings(arguments, _compared(arguments.compare)))
+    problem = absence_of("pycocotools.cocoeval")
+    if not problem and arguments.output:
+        problem = absence_of("matplotlib.figure")
+    if problem:
         return _complain(problem)
     watch = _Watch(terminal)
     with ExitStack() as stack:
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
-        options = _data_options(arguments)
-        data = stack.enter_context(
-            labelled_data(arguments.data, options, watch.problems, progress=terminal.begin)
+        opened = labelled_data(
+            arguments.data, _data_options(arguments), watch.problems, progress=terminal.begin
         )
+        data = stack.enter_context(opened)
         classes, evaluations = evaluate_models(
             data, wanted, watch=watch, problems=watch.problems, prepare=prepare
         )
@@ -83,18 +85,19 @@ def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) ->
         )
         text = result.text(arguments.node)
         if folder is not None:
-            write_files(
-                folder,
-                result.as_json(),
-                matches=result.matches[0],
-                class_names=classes.names,
-                threshold=settings.confidence_threshold,
-                confusion=result.confusion,
-                confused=result.confused,
-                images=[evaluation.images for evaluation in evaluations],
-            )
+            result.write(folder)
         terminal.close()
     return write_output(_COMMAND, text)
+
+
+def _compared(other: str) -> list[str]:
+    """Assignments `name=value` of `other`: `name=value[,name=value]`, or the path of a weights file.
+
+    A file whose name looks like an assignment is given as `./name=value.pt`.
+    """
+    if _ASSIGNMENT.match(other):
+        return _BETWEEN_ASSIGNMENTS.split(other)
+    return [string_assignment("weights", other)]
 
 
 def _settings(arguments: argparse.Namespace, further: Sequence[str]) -> Settings:
@@ -105,12 +108,7 @@ def _settings(arguments: argparse.Namespace, further: Sequence[str]) -> Settings
 
 
 def _data_options(arguments: argparse.Namespace) -> DataOptions:
-    return DataOptions(
-        split=arguments.split,
-        root=arguments.root,
-        topic=arguments.topic,
-        truth_topic=arguments.truth_topic,
-    )
+    return DataOptions(**{field.name: getattr(arguments, field.name) for field in fields(DataOptions)})
 
 
 class _Watch:
@@ -144,15 +142,14 @@ def _complain(problem: str) -> int:
 def _usage_problem(arguments: argparse.Namespace) -> str:
     """The conflict between command-line arguments, or ""."""
     kind = kind_of(arguments.data)
-    compared = [] if arguments.compare is None else compared_settings(arguments.compare)
-    useless = _useless(arguments.assignments) | _useless(compared) - {"weights"}
+    compared = [] if arguments.compare is None else _compared(arguments.compare)
+    named, named_other = (
+        {assignment.partition("=")[0] for assignment in assignments}
+        for assignments in (arguments.assignments, compared)
+    )
+    useless = (named | named_other - {"weights"}) & _USELESS.keys()
     problems = [f"the setting {name} has no effect: {_USELESS[name]}" for name in sorted(useless)]
     for name in _data_options(arguments).useless(kind):
         option = f"--{name.replace('_', '-')}"
         problems.append(f"{option} does not apply to {arguments.data}, a data set of the kind {kind}")
     return "; ".join(problems)
-
-
-def _useless(assignments: Sequence[str]) -> set[str]:
-    """The settings in `assignments` that have no effect."""
-    return {assignment.partition("=")[0] for assignment in assignments} & _USELESS.keys()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,9 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.detection.selection import class_ids, selection
 from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE, EvaluatedClasses, EvaluatedImage
-from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Problems, check_count
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Labels, Problems, check_count
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.offline.detecting import OfflineDetector, Watch
-from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData, LabelledImage
+from yolov5_lifecycle.offline.detecting import OfflineDetector, StoredImage, Watch, prepared_for
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
@@ -35,6 +35,29 @@ _WHILE_EVALUATING = {
     **{name: SETTINGS_BY_NAME[name].default for name in ("class_thresholds", *NOT_APPLIED)},
 }
 """Average precision needs detections below the thresholds; those above are the same with and without them."""
+
+
+class LabelledImage(StoredImage, Protocol):
+    """A stored image with its ground truth and its number in the data set, from 0."""
+
+    @property
+    def number(self) -> int: ...
+
+    @property
+    def labels(self) -> Labels: ...
+
+
+@dataclass(frozen=True)
+class LabelledData:
+    """An open data set.
+
+    Each call of `images` starts over. `class_names` None: class ids are those of the model.
+    """
+
+    kind: str
+    class_names: tuple[str, ...] | None
+    expected: int
+    images: Callable[[], Iterable[LabelledImage]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,20 +78,10 @@ class _Model:
 
     def __init__(self, number: int, settings: Settings, watch: Watch, prepare: Prepare) -> None:
         self.number = number
-        self.settings = settings
-        self._prepared: list[PreparedModel] = []
-
-        def remembered(wanted: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
-            self._prepared.append(prepare(wanted, sizes_hw))
-            return self._prepared[-1]
-
-        self.offline = OfflineDetector(
-            settings.model_copy(update=_WHILE_EVALUATING), watch, with_masks=False, prepare=remembered
-        )
-
-    @property
-    def prepared(self) -> PreparedModel:
-        return self._prepared[-1]
+        evaluated = settings.model_copy(update=_WHILE_EVALUATING)
+        self.prepared = prepared_for(evaluated, prepare)
+        self.offline = OfflineDetector(evaluated, watch, with_masks=False, prepare=lambda *_: self.prepared)
+        self.settings = settings.model_copy(update={"image_size": self.prepared.settings.image_size})
 
     @property
     def wanted(self) -> frozenset[int] | None:
@@ -80,8 +93,8 @@ class _Model:
         chosen = selection(self.settings, self.offline.class_names)
         thresholds = np.full(len(classes.names), chosen.confidence_threshold)
         for class_id, threshold in chosen.class_thresholds:
-            if class_id in classes.of_models[self.number]:
-                thresholds[classes.of_models[self.number][class_id]] = threshold
+            if (index := classes.of_models[self.number][class_id]) >= 0:
+                thresholds[index] = threshold
         return thresholds
 
     def time_ms(self, image: ColourImage) -> float:
@@ -152,7 +165,7 @@ def _found(
                 problems.add("broken labels", stored.label, error)
             return
         found = classes.found(detections, model.number)
-        counts["found"] += len(found.scores)
+        counts["found"] += len(found)
         check_count("the model", "detections", counts["found"], MAX_FOUND, remedy=_FEWER)
         images[stored.number] = EvaluatedImage(stored.label, image.size_hw, truth, found)
         if stored.number in sample:

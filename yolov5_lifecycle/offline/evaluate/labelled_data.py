@@ -10,8 +10,8 @@ from pathlib import Path
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Labels, Problems, Progress, keep_silent
 from yolov5_lifecycle.evaluation.yolo_folder import YAML_SUFFIXES, read_yolo_folder
-from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
-from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData
+from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
+from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData
 from yolov5_lifecycle.offline.image_files import ImageFile
 from yolov5_lifecycle.offline.recordings import is_recording
 

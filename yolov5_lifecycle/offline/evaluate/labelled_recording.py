@@ -27,8 +27,8 @@ from yolov5_lifecycle.evaluation.ground_truth import (
 )
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.models.class_names import ClassNamesError, safe_name
-from yolov5_lifecycle.offline.evaluate.data_options import DataOptions
-from yolov5_lifecycle.offline.evaluate.labelled_images import LabelledData
+from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
+from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData
 from yolov5_lifecycle.offline.recording import (
     RecordedImage,
     RecordedTopic,
@@ -36,6 +36,7 @@ from yolov5_lifecycle.offline.recording import (
     Stamp,
     open_recording,
 )
+from yolov5_lifecycle.offline.terminal import missing_images
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
 _LABEL_INFO = "vision_msgs/msg/LabelInfo"
@@ -62,14 +63,8 @@ def labelled_recording(
         truth_topic = _truth_topic(source, recording, options.truth_topic)
         class_names = _label_info(recording, truth_topic, problems)
         class_ids = {name: index for index, name in enumerate(class_names)}
-        labels = _labels(
-            recording,
-            truth_topic,
-            class_ids,
-            may_add=not class_ids,
-            problems=problems,
-            progress=progress,
-        )
+        may_add = not class_ids
+        labels = _labels(recording, truth_topic, class_ids, may_add, problems, progress)
         if not labels:
             raise DataError(
                 f"{source}: none of {truth_topic.count} messages on {truth_topic.name} can be used. "
@@ -102,34 +97,21 @@ def _label_info(recording: Recording, truth_topic: RecordedTopic, problems: Prob
     for topic in near or (topics if len(topics) == 1 else []):
         for recorded in recording.messages(topic):
             try:
-                pairs = _class_names(recorded.message.class_map)
-            except (ImageError, LabelError) as error:
+                class_map = recorded.message.class_map
+                if len(class_map) > MAX_CLASSES:
+                    raise LabelError(f"found {len(class_map)} classes, more than {MAX_CLASSES}")
+                names = {int(one.class_id): safe_name(str(one.class_name)) for one in class_map}
+            except (ImageError, LabelError, ClassNamesError) as error:
                 problems.add("unusable entries", topic.name, error)
                 continue
-            return tuple(dict.fromkeys(pairs[class_id] for class_id in sorted(pairs)))
+            return tuple(dict.fromkeys(names[class_id] for class_id in sorted(names)))
     return ()
-
-
-def _class_names(class_map: Any) -> dict[int, str]:
-    """The names by class id; raises LabelError."""
-    if len(class_map) > MAX_CLASSES:
-        raise LabelError(f"found {len(class_map)} classes, more than {MAX_CLASSES}")
-    return {int(one.class_id): _class_name(str(one.class_name)) for one in class_map}
-
-
-def _class_name(name: str) -> str:
-    """The name as a model would have it; raises LabelError."""
-    try:
-        return safe_name(name)
-    except ClassNamesError as error:
-        raise LabelError(str(error)) from None
 
 
 def _labels(
     recording: Recording,
     topic: RecordedTopic,
     class_ids: dict[str, int],
-    *,
     may_add: bool,
     problems: Problems,
     progress: Progress,
@@ -148,7 +130,7 @@ def _labels(
             if counts[stamp] > 1:
                 raise LabelError("other detections have the same stamp: which image they are of is unknown")
             boxes = _boxes(recorded.message.detections, class_ids, may_add=may_add)
-        except (ImageError, LabelError) as error:
+        except (ImageError, LabelError, ClassNamesError) as error:
             problems.add("broken labels", recorded.label, error)
             continue
         labels[stamp] = Labels(boxes)
@@ -166,7 +148,7 @@ def _boxes(detections: Any, class_ids: dict[str, int], *, may_add: bool) -> Boxe
         if not len(detection.results):
             raise LabelError("a detection has no class")
         best = max(detection.results, key=lambda result: result.hypothesis.score)
-        name = _class_name(best.hypothesis.class_id)
+        name = safe_name(best.hypothesis.class_id)
         if may_add and len(class_ids) < MAX_CLASSES:
             class_ids.setdefault(name, len(class_ids))
         if name not in class_ids:
@@ -189,20 +171,22 @@ def _images(
     recording: Recording, topic: RecordedTopic, labels: dict[Stamp, Labels], problems: Problems
 ) -> Iterator[_LabelledRecordedImage]:
     """The images that have labels, numbered."""
-    number, seen = 0, set[Stamp]()
+    received, seen = 0, set[Stamp]()
     for recorded in recording.images(topic):
+        received += 1
         try:
             stamp = recorded.stamp
         except ImageError as error:
             problems.add("unusable images", recorded.label, error)
             continue
-        found = labels.get(stamp)
-        if found is None:
+        if stamp not in labels:
             problems.add("images without labels", recorded.label, "there are no detections with its stamp")
-            continue
-        if stamp in seen:
+        elif stamp in seen:
             problems.add("unusable images", recorded.label, "another image has the same stamp")
-            continue
-        seen.add(stamp)
-        yield _LabelledRecordedImage(recorded.timestamp_ns, recorded.type_name, recorded.data, number, found)
-        number += 1
+        else:
+            message = (recorded.timestamp_ns, recorded.type_name, recorded.data)
+            yield _LabelledRecordedImage(*message, len(seen), labels[stamp])
+            seen.add(stamp)
+    if missing := max(topic.count - received, 0):
+        told = missing_images(topic.count, received)
+        problems.add("missing images", recording.path, told, count=missing)

@@ -1,37 +1,25 @@
-"""The figures of one or two evaluations, as text for the terminal and as JSON."""
+"""The figures of one or two evaluations: as text for the terminal, as JSON, and as files."""
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from yolov5_lifecycle.evaluation.bootstrap import (
-    RESAMPLES,
-    SEED,
-    Interval,
-    differences,
-    drawn_weights,
-    interval,
-    resampled,
-)
-from yolov5_lifecycle.evaluation.confusion import MIN_IOU, confusion_matrix, occurring
-from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE, EvaluatedClasses
-from yolov5_lifecycle.evaluation.figures import Row, rows
+from yolov5_lifecycle.evaluation.bootstrap import RESAMPLES, SEED, Interval, differences, interval
+from yolov5_lifecycle.evaluation.curves import draw_confusion_matrix, draw_f1_curve, draw_pr_curve
+from yolov5_lifecycle.evaluation.evaluated import MAX_DETECTIONS, MIN_CONFIDENCE, EvaluatedClasses
+from yolov5_lifecycle.evaluation.figures import MIN_IOU, Row, confusion_matrix, occurring, rows
 from yolov5_lifecycle.evaluation.ground_truth import Problems
-from yolov5_lifecycle.evaluation.matching import MAX_DETECTIONS, Matches, match
-from yolov5_lifecycle.evaluation.report import (
-    comparison_table,
-    confusion_table,
-    intervals_as_json,
-    number,
-    row_as_json,
-    table,
-    threshold_as_json,
-)
+from yolov5_lifecycle.evaluation.matching import Matches, found_annotations, match, truth_dataset
+from yolov5_lifecycle.evaluation.report import comparison_table, confusion_table, table
 from yolov5_lifecycle.evaluation.thresholds import Goal, Threshold, chosen_thresholds, threshold_yaml
 from yolov5_lifecycle.offline.evaluate.evaluating import Evaluation
 from yolov5_lifecycle.printable import in_one_line
@@ -47,100 +35,101 @@ _COMPARED = ("f1", "ap50", "ap50_95")
 """The metrics of a comparison that are printed; the report has all."""
 
 
+@dataclass(frozen=True, eq=False)
 class EvaluationResult:
     """The figures of `evaluations` of one data set; a second one is compared with the first."""
 
-    def __init__(
-        self,
-        source: Path,
-        kind: str,
-        classes: EvaluatedClasses,
-        evaluations: Sequence[Evaluation],
-        problems: Problems,
-        goal: Goal | None,
-    ) -> None:
-        self._source = source
-        self._kind = kind
-        self._classes = classes
-        self._evaluations = evaluations
-        self._problems = problems
-        self._goal = goal
-        self._thresholds = [evaluation.thresholds for evaluation in evaluations]
-        self.matches: list[Matches] = [match(one.images, classes.names) for one in evaluations]
-        self.confusion, self.confused = occurring(
-            confusion_matrix(evaluations[0].images, self.matches[0], self._thresholds[0]), classes.names
-        )
+    source: Path
+    kind: str
+    classes: EvaluatedClasses
+    evaluations: Sequence[Evaluation]
+    problems: Problems
+    goal: Goal | None
+
+    @cached_property
+    def _matches(self) -> list[Matches]:
+        return [match(evaluation.images, self.classes.names) for evaluation in self.evaluations]
 
     @cached_property
     def _rows(self) -> list[list[Row]]:
         """For each evaluation the figures of all classes, then of each."""
-        return [
-            rows(matches, self._classes.names, thresholds)
-            for matches, thresholds in zip(self.matches, self._thresholds, strict=True)
-        ]
+        thresholds = [evaluation.thresholds for evaluation in self.evaluations]
+        return list(map(rows, self._matches, thresholds))
+
+    @cached_property
+    def _confusion(self) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+        """See `occurring`."""
+        first = self.evaluations[0]
+        counts = confusion_matrix(first.images, self._matches[0], first.thresholds)
+        return occurring(counts, self.classes.names)
 
     @cached_property
     def _differences(self) -> list[dict[str, Interval]]:
         """For all classes, then for each, the intervals by metric; empty without a comparison."""
-        if len(self._evaluations) < 2:
+        if len(self.evaluations) < 2:
             return []
-        count = len(self._evaluations[0].images)
-        weights = drawn_weights(count)
-        samples = [
-            resampled(matches, thresholds, weights)
-            for matches, thresholds in zip(self.matches, self._thresholds, strict=True)
-        ]
-        return differences(samples[0], samples[1], list(zip(*self._rows, strict=True)), count)
+        return differences(self._matches, [evaluation.thresholds for evaluation in self.evaluations])
 
     @cached_property
-    def _speed(self) -> Interval | None:
-        """Logarithm of the median speed of both models; None without a comparison or times."""
-        if len(self._evaluations) < 2 or not len(self._evaluations[0].times_ms):
+    def _speed_verdict(self) -> str | None:
+        """Whether the second model is `better` or `worse`; None without a comparison or times."""
+        if len(self.evaluations) < 2 or not len(self.evaluations[0].times_ms):
             return None
-        first, second = (evaluation.times_ms for evaluation in self._evaluations)
-        rng = np.random.default_rng(SEED)
-        drawn = rng.integers(0, len(first), (RESAMPLES, len(first)))
-        medians = [np.log(np.median(times[drawn], axis=1)) for times in (first, second)]
         # Shorter is better; a small difference is due to the moment rather than to the models.
-        return interval(
-            -medians[0],
-            -medians[1],
-            -float(np.log(np.median(first))),
-            -float(np.log(np.median(second))),
-            len(first),
-            margin=_SPEED_MARGIN,
-        )
+        first, second = (evaluation.times_ms for evaluation in self.evaluations)
+        drawn = np.random.default_rng(SEED).integers(0, len(first), (RESAMPLES, len(first)))
+        samples = (_log_speed(first[drawn]), _log_speed(second[drawn]))
+        figures = (float(_log_speed(first)), float(_log_speed(second)))
+        return interval(samples, figures, len(first), margin=_SPEED_MARGIN).verdict
 
     @cached_property
     def _chosen(self) -> list[Threshold]:
-        if self._goal is None:
-            return []
-        return chosen_thresholds(self.matches[0], self._classes.names, self._goal)
+        return [] if self.goal is None else chosen_thresholds(self._matches[0], self.goal)
 
     def text(self, node: str) -> str:
         """What is printed; `node`: the full name of the node that thresholds are for."""
         parts = [self._head(), table(self._rows[0])]
-        if len(self.confused) <= _MAX_CONFUSED:
-            parts.append(confusion_table(self.confusion, self.confused))
+        if len(self._confusion[1]) <= _MAX_CONFUSED:
+            parts.append(confusion_table(*self._confusion))
         if self._differences:
             names = [row.name for row in self._rows[0]]
             parts.append(comparison_table(names, self._differences, _COMPARED) + self._speed_line())
-        if self._goal is not None:
-            parts.append(threshold_yaml(self._chosen, self._goal, node))
+        if self.goal is not None:
+            parts.append(threshold_yaml(self._chosen, self.goal, node))
         return "\n".join(parts)
 
-    def as_json(self) -> dict[str, Any]:
+    def write(self, folder: Path) -> None:
+        """Write report, curves, and the detections and ground truth behind them to the new `folder`.
+
+        Raises OSError.
+        """
+        first = self.evaluations[0]
+        folder.mkdir()
+        _write_json(folder / "report.json", _without_nan(self._report()), indent=2)
+        _write_json(folder / "ground_truth.json", truth_dataset(first.images, self.classes.names))
+        names = ("detections.json", "detections_other.json")
+        for name, evaluation in zip(names, self.evaluations, strict=False):
+            fields = ("image_id", "category_id", "bbox", "score")
+            found = found_annotations(evaluation.images)
+            _write_json(folder / name, [{field: one[field] for field in fields} for one in found])
+        draw_pr_curve(folder / "pr_curve.png", self._matches[0])
+        draw_f1_curve(folder / "f1_curve.png", self._matches[0], first.settings.confidence_threshold)
+        draw_confusion_matrix(folder / "confusion_matrix.png", *self._confusion)
+
+    def _report(self) -> dict[str, Any]:
         """What report.json has; docs/evaluation.md explains it."""
-        first = self._evaluations[0]
+        first = self.evaluations[0]
+        counts, names = self._confusion
+        all_classes, *classes = map(_row_as_json, self._rows[0])
         report: dict[str, Any] = {
             "format": FORMAT,
             "data": {
-                "path": str(self._source),
-                "kind": self._kind,
+                "path": str(self.source),
+                "kind": self.kind,
                 "images": len(first.images),
-                "objects": self._rows[0][0].counts.objects,
-                "classes_left_out": list(self._classes.left_out),
-                "problems": {"counts": dict(self._problems.counts), "first": self._problems.first},
+                "objects": all_classes["objects"],
+                "classes_left_out": self.classes.left_out,
+                "problems": {"counts": self.problems.counts, "first": self.problems.first},
             },
             "model": _model(first),
             "evaluation": {
@@ -148,59 +137,87 @@ class EvaluationResult:
                 "min_confidence": MIN_CONFIDENCE,
                 "max_detections_per_class": MAX_DETECTIONS,
             },
-            "all": row_as_json(self._rows[0][0]),
-            "classes": [row_as_json(row) for row in self._rows[0][1:]],
+            "all": all_classes,
+            "classes": classes,
             "confusion_matrix": {
-                "objects": [*self.confused, "no object"],
-                "detected_as": [*self.confused, "nothing"],
-                "counts": self.confusion.tolist(),
+                "objects": [*names, "no object"],
+                "detected_as": [*names, "nothing"],
+                "counts": counts.tolist(),
             },
         }
         if self._differences:
             report["comparison"] = self._comparison()
-        if self._goal is not None:
-            chosen = [threshold_as_json(one) for one in self._chosen]
-            report["thresholds"] = {"goal": str(self._goal), "all": chosen[0], "classes": chosen[1:]}
+        if self.goal is not None:
+            chosen = [{"name": one.name, "threshold": one.value, **one.figures} for one in self._chosen]
+            report["thresholds"] = {"goal": str(self.goal), "all": chosen[0], "classes": chosen[1:]}
         return report
 
     def _comparison(self) -> dict[str, Any]:
-        first, second = self._evaluations
+        first, second = self.evaluations
         pairs = zip(self._rows[1], self._differences, strict=True)
         return {
             "model": _model(second),
             "resamples": RESAMPLES,
             "changed": _changed(first, second),
-            "rows": [{**row_as_json(row), "intervals": intervals_as_json(found)} for row, found in pairs],
-            "speed_verdict": self._speed.verdict if self._speed else None,
+            "rows": [
+                {**_row_as_json(row), "intervals": {metric: asdict(one) for metric, one in found.items()}}
+                for row, found in pairs
+            ],
+            "speed_verdict": self._speed_verdict,
         }
 
     def _head(self) -> str:
-        first = self._evaluations[0]
+        first = self.evaluations[0]
         facts = first.model.facts
         lines = [
             f"model   {in_one_line(facts['weights'])}, {facts['runtime']} on {facts['device']}, "
             f"{facts['precision']}, image size {first.settings.image_size}",
-            f"data    {in_one_line(str(self._source))}: {len(first.images)} images, "
-            f"{self._rows[0][0].counts.objects} objects",
+            f"data    {in_one_line(str(self.source))}: {len(first.images)} images, "
+            f"{self._rows[0][0].objects} objects",
             f"speed   {_median_ms(first)} per image, the median of {len(first.times_ms)}",
             f"counted at confidence_threshold {_thresholds(first)} and IoU {MIN_IOU}",
         ]
-        if self._classes.left_out:
-            shown = ", ".join(in_one_line(name, 40) for name in self._classes.left_out[:_MAX_CONFUSED])
+        if self.classes.left_out:
+            shown = ", ".join(in_one_line(name, 40) for name in self.classes.left_out[:_MAX_CONFUSED])
             lines.append(f"left out, not in the model or not selected by its settings: {shown}")
-        if self._problems.counts:
-            lines.append(f"not evaluated: {self._problems.summary}")
+        if self.problems.counts:
+            lines.append(f"not evaluated: {self.problems.summary}")
         return "".join(f"{line}\n" for line in lines)
 
     def _speed_line(self) -> str:
-        first, second = self._evaluations
-        if self._speed is None:
+        first, second = self.evaluations
+        if not self._speed_verdict:
             return ""
         words = {"better": "faster", "worse": "slower"}
-        verdict = words.get(self._speed.verdict, self._speed.verdict)
+        verdict = words.get(self._speed_verdict, self._speed_verdict)
         changed = _changed(first, second)
         listed = "".join(f"OTHER has {name}={in_one_line(_text(value))}\n" for name, value in changed.items())
         return f"{listed}speed  {_median_ms(first)}, OTHER {_median_ms(second)}: {verdict}\n"
+
+
+def _log_speed(times_ms: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(-np.log(np.median(times_ms, axis=-1)))
+
+
+def _write_json(path: Path, content: object, *, indent: int | None = None) -> None:
+    text = json.dumps(content, indent=indent, allow_nan=False)
+    path.write_text(f"{text}\n", encoding="utf-8")
+
+
+def _without_nan(value: Any) -> Any:
+    """`value` as JSON has it: None instead of NaN."""
+    if isinstance(value, Mapping):
+        return {name: _without_nan(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _row_as_json(row: Row) -> dict[str, Any]:
+    """Figures and counts of a class."""
+    counts = asdict(row)
+    figures = counts.pop("figures")
+    return {**counts, "missed": row.objects - row.right, **figures}
 
 
 def _text(value: object) -> str:
@@ -221,8 +238,8 @@ def _model(evaluation: Evaluation) -> dict[str, Any]:
         **evaluation.model.facts,
         "settings": evaluation.settings.model_dump(mode="json"),
         "speed_ms": {
-            "median": number(float(np.median(times_ms))) if len(times_ms) else None,
-            "p95": number(float(np.quantile(times_ms, 0.95))) if len(times_ms) else None,
+            "median": float(np.median(times_ms)) if len(times_ms) else None,
+            "p95": float(np.quantile(times_ms, 0.95)) if len(times_ms) else None,
             "images": len(times_ms),
         },
     }

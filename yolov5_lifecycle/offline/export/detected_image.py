@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.masks import Window
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detecting import StoredImage
-from yolov5_lifecycle.offline.run_lengths import coco_rle
+
+_RLE_CHARACTERS = 7
+"""Per number, of 5 bits each: enough for the difference of any two runs of up to 2**32 pixels."""
 
 
 class NamedImage(StoredImage, Protocol):
@@ -81,3 +84,37 @@ class Sink(Protocol):
 def utf8(value: str | int) -> str | int:
     """`value` for formats that are UTF-8 throughout: other bytes of a file name become escapes."""
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+
+
+def coco_rle(window: Window, inside: NDArray[np.bool_], size_hw: tuple[int, int]) -> dict[str, object]:
+    """A mask of a whole image in COCO's run-length encoding, as `pycocotools.mask.encode` writes it.
+
+    `inside` (h, w) says which pixels of `window` belong to the object; outside of it none does. pycocotools
+    would need the whole image for each object, and is optional.
+    """
+    height, width = size_hw
+    between = np.zeros((inside.shape[0] + 2, inside.shape[1]), np.bool_)
+    between[1:-1] = inside
+    rows, columns = np.nonzero(between[1:] != between[:-1])  # pixels that differ from the one above
+    # A run that ends at the bottom of a column continues in one that begins at the top of the next.
+    places, times = np.unique(
+        (window.columns.start + columns) * height + window.rows.start + rows, return_counts=True
+    )
+    ends = np.append(places[(times == 1) & (places < height * width)], height * width)
+    return {"size": [height, width], "counts": _rle_text(np.diff(ends, prepend=0).astype(np.int64))}
+
+
+def _rle_text(runs: NDArray[np.int64]) -> str:
+    """Lengths of runs as text: from the fourth on, the difference from the last but one.
+
+    A number is written as in signed LEB128, but with 5 bits a character, lowest first: bit 5 says that the
+    number continues, and 48 is added to make it ASCII.
+    """
+    numbers = runs.copy()
+    numbers[3:] -= runs[1:-2]
+    rest = numbers[:, None] >> (5 * np.arange(_RLE_CHARACTERS))  # (n, 7)
+    bits = rest & 0x1F
+    goes_on = rest >> 5 != np.where(bits & 0x10, -1, 0)
+    is_written = np.column_stack((np.ones(len(runs), np.bool_), goes_on[:, :-1]))
+    text: bytes = (bits + 0x20 * goes_on + 48)[is_written].astype(np.uint8).tobytes()
+    return text.decode("ascii")

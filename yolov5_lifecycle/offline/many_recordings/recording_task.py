@@ -8,10 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import whole_output
-from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_files import write_files
-from yolov5_lifecycle.offline.detecting import Account, OfflineDetector
+from yolov5_lifecycle.offline.detecting import Account, OfflineDetector, prepared_for
 from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.export.formats import JSON_LINES, may_have_masks
 from yolov5_lifecycle.offline.many_recordings.plan import Plan
@@ -50,7 +49,7 @@ class RecordingTask:
     def __init__(self, plan: Plan, on_image: OnImage, *, prepare: Prepare = prepare_model) -> None:
         self._plan = plan
         self._on_image = on_image
-        self._prepared = prepare(plan.settings, (USUAL_SOURCE_HW,))
+        self._prepared = prepared_for(plan.settings, prepare)
         self.runtime = self._prepared.detector.runtime.name
         self.precision = self._prepared.detector.runtime.precision
         self._detector(_Watch(on_image))  # refuses classes that the model does not have
