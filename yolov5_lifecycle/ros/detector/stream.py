@@ -8,7 +8,7 @@ from rclpy.lifecycle import LifecycleNode
 
 from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
 from yolov5_lifecycle.collecting.collector import Collector
-from yolov5_lifecycle.collecting.rules import CollectRules
+from yolov5_lifecycle.collecting.triggers import CollectRules
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.ros.detector.depth_input import DepthInput
@@ -207,16 +207,16 @@ class Stream:
         if not self._settings.collect or self._collector is None:
             self._collecting = None
             return
-        rules = CollectRules.of(
-            self._settings,
-            selected,
+        rules = CollectRules(
+            settings=self._settings,
+            selection=selected,
             camera=self._camera,
             class_names=self._networks.whole.class_names,
             segments=self.segments,
             weights_sha256=self._networks.weights_sha256,
         )
-        present = self._collecting or CameraCollecting(self._collector, rules)
-        self._collecting = present.with_rules(rules)
+        self._collecting = self._collecting or CameraCollecting(self._collector, rules)
+        self._collecting.rules = rules
 
     def _follow_depth(self) -> None:
         """Start or stop placing detections; restart if the slop changed."""
