@@ -63,6 +63,9 @@ from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAM
         pytest.param(
             {"class_thresholds": "[a: 0.5, b: 0.3]"}, 'Did you mean ["a: 0.5", "b: 0.3"]?', id="unquoted"
         ),
+        pytest.param({"collect_reasons": ("unusal",)}, "Did you mean 'unusual'?", id="reason"),
+        pytest.param({"collect_reasons": ("class: ",)}, "as in 'class: person'", id="reason-without-class"),
+        pytest.param({"collect_reasons": ("class:" + "x" * 201,)}, "at most 200 characters", id="long-reason"),
         pytest.param({"regions": ("0,0 1,0 1,1", "0,0 1,1")}, "entry 2 has 2 points", id="second-region"),
         pytest.param({"regions": ("0.1", "0.2 0.9", "1")}, "entry 1 has '0.1' as point 1", id="split"),
         pytest.param({"ignore_regions": ("0,0 2,0 1,1",)}, "entry 1 has point 2 at 2,0", id="outside"),
@@ -134,6 +137,8 @@ def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
         ("minimum_probability", "confidence_threshold"),
         ("interested_classes", "classes"),
         *((name, "regions") for name in ("roi", "rois", "zones")),
+        ("collect_classes", "collect_reasons"),
+        ("collect_max_frames", "collect_max_mb"),
     ],
 )
 def test_a_parameter_name_of_another_node_is_answered_with_ours(name: str, meant: str) -> None:
