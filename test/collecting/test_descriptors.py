@@ -13,6 +13,7 @@ from support.candidates import look_of
 
 from yolov5_lifecycle.collecting.descriptors import (
     MIN_IMAGES,
+    MIN_ROWS,
     SHADES,
     KeptDescriptors,
     Shades,
@@ -38,16 +39,19 @@ def shades(seed: int) -> Shades:
     return np.random.default_rng(seed).integers(-64, 64, SHADES).astype(np.int8)
 
 
-def test_the_distance_is_that_of_the_nearest_after_some_were_removed() -> None:
+def test_the_distance_is_that_of_the_nearest_after_many_were_added_and_removed() -> None:
     kept = KeptDescriptors()
-    for seed in range(9):
+    count = 2 * MIN_ROWS + 2
+    for seed in range(count):
         kept.add(f"{seed}", unit_of(seed), shades(seed))
     assert kept.distance(5 * look_of(3)) == pytest.approx(0, abs=1e-5)
-    assert kept.is_duplicate(look_of(3), shades(3))
-    assert not kept.is_duplicate(look_of(3), shades(4))
-    kept.remove("3")
-    nearest = max(float(unit_of(seed) @ unit_of(3)) for seed in range(9) if seed != 3)
+    for seed in range(1, count, 2):
+        kept.remove(f"{seed}")
+    nearest = max(float(unit_of(seed) @ unit_of(3)) for seed in range(0, count, 2))
     assert kept.distance(look_of(3)) == pytest.approx(1 - nearest, abs=1e-5)
+    for seed in range(0, count, 64):
+        assert kept.is_duplicate(look_of(seed), shades(seed))
+        assert not kept.is_duplicate(look_of(seed), shades(seed + 1))
     assert not kept.is_duplicate(look_of(3), shades(3))
 
 

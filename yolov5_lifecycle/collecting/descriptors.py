@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ _STEPS = 32
 """In a standard deviation."""
 _SAME = 1.0
 """Standard deviations by which no part of two images of the same may differ."""
+MIN_ROWS = 256
 _USUAL_IMAGES = 2000
 """The mean follows about this many images: it forgets what lies farther back."""
 MIN_IMAGES = 20
@@ -59,17 +61,16 @@ class KeptDescriptors:
     """
 
     def __init__(self) -> None:
-        self._kept: dict[str, tuple[Embedding, Shades]] = {}
-        self._rows: dict[int, tuple[NDArray[np.float32], NDArray[np.int8]]] = {}
-        """(n, C) and (n, SHADES) of `_kept` by C, until that changes."""
+        self._rows: dict[int, _Rows] = {}
+        """By the length of the embeddings."""
 
     def add(self, image: str, embedding: Embedding, shades: Shades) -> None:
-        self._kept[image] = embedding, shades
-        self._rows.clear()
+        self._rows.setdefault(len(embedding), _Rows(len(embedding))).add(image, embedding, shades)
 
     def remove(self, image: str) -> None:
-        del self._kept[image]
-        self._rows.clear()
+        for rows in self._rows.values():
+            if image in rows.images:
+                rows.remove(image)
 
     def distance(self, embedding: Embedding) -> float:
         """The least cosine distance, in [0, 2], to those kept; infinite without any to compare with."""
@@ -78,23 +79,38 @@ class KeptDescriptors:
     def is_duplicate(self, embedding: Embedding, shades: Shades) -> bool:
         """Whether a kept image shows the same."""
         is_near = self._distances(embedding) < DUPLICATE_DISTANCE
-        return bool(is_near.any() and same_shades(shades, self._alike(len(embedding))[1][is_near]).any())
+        return bool(
+            is_near.any() and same_shades(shades, self._rows[len(embedding)].column("shades")[is_near]).any()
+        )
 
     def _distances(self, embedding: Embedding) -> NDArray[np.float32]:
-        direction = unit(embedding)
-        if direction is None:
+        direction, rows = unit(embedding), self._rows.get(len(embedding))
+        if direction is None or rows is None:
             return np.empty(0, np.float32)
-        similarities: NDArray[np.float32] = self._alike(len(embedding))[0] @ direction
-        return np.maximum(1 - similarities, 0)
+        return np.asarray(np.maximum(1 - rows.column("embedding") @ direction, 0), np.float32)
 
-    def _alike(self, length: int) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
-        """The embeddings of this length with their shades."""
-        if length not in self._rows:
-            alike = [kept for kept in self._kept.values() if len(kept[0]) == length]
-            embeddings = np.array([embedding for embedding, _ in alike], np.float32).reshape(-1, length)
-            shades = np.array([shades for _, shades in alike], np.int8).reshape(-1, SHADES)
-            self._rows[length] = embeddings, shades
-        return self._rows[length]
+
+class _Rows:
+    """An array that grows; the last row takes the place of one that is removed."""
+
+    def __init__(self, length: int) -> None:
+        columns = [("embedding", np.float32, (length,)), ("shades", np.int8, (SHADES,))]
+        self._array: NDArray[np.void] = np.empty(MIN_ROWS, np.dtype(columns))
+        self.images: list[str] = []
+
+    def column(self, name: str) -> NDArray[Any]:
+        return np.asarray(self._array[name][: len(self.images)])
+
+    def add(self, image: str, embedding: Embedding, shades: Shades) -> None:
+        if len(self.images) == len(self._array):
+            self._array = np.concatenate([self._array, np.empty_like(self._array)])
+        self._array[len(self.images)] = embedding, shades
+        self.images.append(image)
+
+    def remove(self, image: str) -> None:
+        row, last = self.images.index(image), len(self.images) - 1
+        self._array[row], self.images[row] = self._array[last], self.images[last]
+        self.images.pop()
 
 
 class UsualDescriptor:
