@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from std_srvs.srv import Trigger
 from vision_msgs.msg import Detection2DArray
 
 from benchmark import light_camera, misbehaving_camera
@@ -117,6 +118,12 @@ class Fleet:
             proportional_mb=sum(proportional_mb(process.process_id) for process in self._processes),
             resident_mb=sum(resident_mb(process.process_id) for process in self._processes),
         )
+
+    def collect_every(self, period_s: float) -> None:
+        """From now on, ask each detector to keep the next image every `period_s` seconds."""
+        for prefix in self._prefixes.values():
+            client = self._observer.create_client(Trigger, f"{prefix}/collect")
+            self._observer.create_timer(period_s, partial(client.call_async, Trigger.Request()))
 
     def _wait_for_arrivals(self, names: Sequence[str]) -> None:
         self._observer.wait_for(

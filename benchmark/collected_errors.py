@@ -23,10 +23,10 @@ from benchmark.report import Goal, Row, goal_table, row, table, write_report
 from yolov5_lifecycle import Detections, Detector, load_model
 from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
 from yolov5_lifecycle.collecting.candidate import Candidate, Origin
+from yolov5_lifecycle.collecting.collected_files import read_frame_list
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.collector import Collector
-from yolov5_lifecycle.collecting.frame_list import read_frame_list
-from yolov5_lifecycle.collecting.rules import CollectRules
+from yolov5_lifecycle.collecting.triggers import CollectRules
 from yolov5_lifecycle.detection.nms import Selection, narrowed
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings
@@ -220,10 +220,9 @@ class Outcome:
 
 def collect(detector: Detector, seed: int, folder: Path) -> Outcome:
     """Detect in a drive and keep the KEPT most valuable images of it."""
-    settings = Settings(collect_gap_s=0.5, collect_per_minute=0.0)
-    rules = CollectRules.of(
-        settings,
-        Selection(),
+    rules = CollectRules(
+        settings=Settings(collect_per_minute=0.0),
+        selection=Selection(),
         camera="",
         class_names=detector.class_names,
         segments=False,

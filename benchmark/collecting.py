@@ -23,14 +23,8 @@ OFF, NOTHING_KEPT, ONE_A_SECOND = "off", "on, nothing kept", "on, one image kept
 _KEEPING: dict[str, dict[str, object]] = {
     OFF: {},
     # The camera sends one image again and again: all after the first are near duplicates.
-    NOTHING_KEPT: {"collect": True, "collect_gap_s": 0.0, "collect_per_minute": 0.0},
-    ONE_A_SECOND: {
-        "collect": True,
-        "collect_gap_s": 1.0,
-        "collect_per_minute": 0.0,
-        "collect_every": 1,
-        "collect_duplicate_distance": 0.0,
-    },
+    NOTHING_KEPT: {"collect": True, "collect_per_minute": 0.0},
+    ONE_A_SECOND: {"collect": True, "collect_per_minute": 0.0},
 }
 
 
@@ -61,6 +55,8 @@ def passage(name: str, weights: Path, image: Path, folder: Path, options: argpar
         fleet.camera(CAMERA, image, rate_hz=options.rate),
     ):
         fleet.wait_for([CAMERA])
+        if name == ONE_A_SECOND:
+            fleet.collect_every(1.0)
         return fleet.watch([CAMERA], options.seconds)
 
 

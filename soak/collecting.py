@@ -12,7 +12,8 @@ from functools import partial
 from pathlib import Path
 
 import cv2
-from support.detector_process import PARAMETERS, scene_image
+from std_srvs.srv import Trigger
+from support.detector_process import NODE, PARAMETERS, scene_image
 
 from soak import faulty_detector
 from soak.camera_client import CameraClient
@@ -20,23 +21,17 @@ from soak.disk import Disk
 from soak.finding import Finding, number_of, problem
 from soak.subject import Subject, subject_of
 from soak.track_ids import TrackIds
-from yolov5_lifecycle.collecting.collected_folder import IMAGES, LABELS
+from yolov5_lifecycle.collecting.collected_files import IMAGES, LABELS, read_frame_list
 from yolov5_lifecycle.collecting.collector import IDLE_S, RETRY_S
-from yolov5_lifecycle.collecting.frame_list import read_frame_list
 from yolov5_lifecycle.ros.child_process import entry_point, own_domain
 
 _CAMERAS = [f"camera_{number}" for number in range(1, 9)]
-_MAX_MB, _MAX_FRAMES, _DISK_MB = 1, 60, 8
+_MAX_MB, _DISK_MB = 1, 8
 _COLLECTING: Mapping[str, object] = PARAMETERS | {
     "cameras": _CAMERAS,
     "collect": True,
-    "collect_every": 1,
-    "collect_gap_s": 0.0,
-    "collect_per_minute": 0.0,
-    "collect_duplicate_distance": 0.0,
     "collect_min_free_mb": 0,
     "collect_max_mb": _MAX_MB,
-    "collect_max_frames": _MAX_FRAMES,
 }
 _PERIOD_S = 0.2
 _SIZES = (416, 320)
@@ -49,12 +44,14 @@ class _Robot:
         self.subject = subject
         self.folder = folder
         self.clients = [CameraClient(subject, name, TrackIds()) for name in _CAMERAS]
+        self._collect = subject.observer.create_client(Trigger, f"{NODE}/collect")
         self._reloads = 0
         subject.bring_to("active")
 
     def drive(self, duration_s: float) -> None:
-        """Send images of all cameras for so long."""
+        """Send images of all cameras for so long, and ask for each of them."""
         for index in range(round(duration_s / _PERIOD_S)):
+            self._collect.call_async(Trigger.Request())
             for client in self.clients:
                 client.send(scene_image(index))
             self.subject.observer.work_for(_PERIOD_S)
@@ -108,13 +105,13 @@ def wrong_in(folder: Path) -> list[str]:
     """What is not as it has to be in a folder into which nobody writes."""
     listed = read_frame_list(folder)
     wrong = [frame.image for frame in listed.frames if not _is_whole(folder / frame.image, frame.size_wh)]
-    expected = {path for frame in listed.frames for path in (frame.image, frame.labels)}
+    expected = {path for line in listed.lines for path in (line.image, line.labels)}
     files = {os.fspath(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     wrong += sorted(expected - files)
     wrong += sorted(path for path in files - expected if path.startswith((IMAGES, LABELS, ".")))
     size = sum((folder / path).stat().st_size for path in files if path != "data.yaml")
-    if size > _MAX_MB * 1_000_000 or len(listed.frames) > _MAX_FRAMES:
-        wrong.append(f"{size} bytes in {len(listed.frames)} images")
+    if size > _MAX_MB * 1_000_000:
+        wrong.append(f"{size} bytes in {len(listed.lines)} images")
     return wrong
 
 
@@ -181,7 +178,7 @@ def _killed(domain: int, folder: Path, after_s: float) -> None:
     listed = read_frame_list(folder)
     assert listed.broken <= 1
     assert all(_is_whole(folder / frame.image, frame.size_wh) for frame in listed.frames)
-    assert all((folder / frame.labels).is_file() for frame in listed.frames)
+    assert all((folder / line.labels).is_file() for line in listed.lines)
 
 
 _SHARED = "a second process"

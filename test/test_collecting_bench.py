@@ -11,7 +11,7 @@ from support.colcon_workspace import REPOSITORY
 from benchmark.camera_fleet import Arrival, Passage
 from benchmark.collecting import NOTHING_KEPT, OFF, ONE_A_SECOND, figures, passage
 from benchmark.node import image_file
-from yolov5_lifecycle.collecting.frame_list import read_frame_list
+from yolov5_lifecycle.collecting.collected_files import read_frame_list
 
 pytestmark = pytest.mark.long
 

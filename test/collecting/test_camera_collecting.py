@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.candidates import CAT, SIZE_HW, found, look_of, rules
+from support.candidates import CAT, SIZE_HW, look_of, rules
 
-from yolov5_lifecycle.collecting.camera_collecting import LOOK_PERIOD_S, MAX_CHANGES, CameraCollecting
+from yolov5_lifecycle.collecting.camera_collecting import LOOK_PERIOD_S, CameraCollecting
 from yolov5_lifecycle.collecting.candidate import Candidate, Origin
 from yolov5_lifecycle.collecting.collector import Collector
-from yolov5_lifecycle.collecting.usual_look import MIN_IMAGES
+from yolov5_lifecycle.collecting.descriptors import MIN_IMAGES
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
@@ -52,7 +52,7 @@ class Camera:
     @property
     def reasons(self) -> list[dict[str, str]]:
         return [
-            {reason.value: why.words for reason, why in each.reasons.items()}
+            {trigger.value: detail.words for trigger, detail in each.reasons.items()}
             for each in self.offered.candidates
         ]
 
@@ -66,9 +66,9 @@ def test_frames_are_looked_at_five_times_a_second_at_most() -> None:
 
 
 def test_in_the_gap_after_a_kept_frame_none_is_looked_at() -> None:
-    camera = Camera(gap_s=1.0)
+    camera = Camera(per_minute=60.0)
     camera.frame()
-    camera.offered.candidates[0].pace.kept(camera.now_s, per_minute=20.0)
+    camera.offered.candidates[0].pace.kept_s = camera.now_s
     for _ in range(29):
         camera.frame()
     assert camera.looks == [True] + [False] * 29
@@ -78,9 +78,9 @@ def test_in_the_gap_after_a_kept_frame_none_is_looked_at() -> None:
 
 
 def test_a_frame_that_is_asked_for_is_looked_at_in_the_gap_and_once() -> None:
-    camera = Camera(gap_s=1000.0, novelty=0.0)
+    camera = Camera(reasons=())
     camera.frame()
-    camera.collecting.past.pace.kept(camera.now_s, per_minute=20.0)
+    camera.collecting.pace.kept_s = camera.now_s
     camera.collecting.request()
     camera.frame()
     camera.frame()
@@ -89,36 +89,15 @@ def test_a_frame_that_is_asked_for_is_looked_at_in_the_gap_and_once() -> None:
 
 
 def test_without_a_reason_nothing_is_offered_unless_it_may_be_novel() -> None:
-    camera = Camera(novelty=0.0)
+    camera = Camera(reasons=("uncertain", "unusual"))
     for _ in range(30):
         camera.frame()
     assert camera.offered.candidates == []
 
 
-def test_what_happens_between_two_looks_is_a_reason_at_the_next() -> None:
-    camera = Camera(novelty=0.0)
-    dog = found(("dog", 0.9, (10, 10, 30, 40)))
-    camera.frame()
-    camera.frame(dog)
-    for _ in range(8):
-        camera.frame(dog)
-    assert camera.reasons == [{"unsteady": "cat became dog"}]
-
-
-def test_what_happens_in_the_gap_is_forgotten() -> None:
-    camera = Camera(novelty=0.0, gap_s=1.0)
-    camera.frame()
-    camera.collecting.past.pace.kept(camera.now_s, per_minute=20.0)
-    camera.frame(found(("dog", 0.9, (10, 10, 30, 40))))
-    for _ in range(60):
-        camera.frame(found(("dog", 0.9, (10, 10, 30, 40))))
-    assert sum(camera.looks) > 2
-    assert camera.reasons == []
-
-
-@pytest.mark.parametrize(("unusual", "reasons"), [(3.0, ["unusual"]), (0.0, [])])
-def test_an_image_that_looks_unlike_the_usual_ones_is_a_reason(unusual: float, reasons: list[str]) -> None:
-    camera = Camera(novelty=0.0, unusual=unusual, gap_s=0.0)
+@pytest.mark.parametrize("reasons", [["unusual"], []])
+def test_an_image_that_looks_unlike_the_usual_ones_is_a_reason(reasons: list[str]) -> None:
+    camera = Camera(reasons=tuple(reasons))
     for index in range(MIN_IMAGES + 1):
         camera.collecting.request()
         camera.frame(embedding=look_of(0) + np.float32(0.1) * look_of(index))
@@ -127,57 +106,19 @@ def test_an_image_that_looks_unlike_the_usual_ones_is_a_reason(unusual: float, r
     assert [*camera.reasons[-1]] == ["requested", *reasons]
 
 
-def test_changes_that_nobody_asks_for_are_no_reason() -> None:
-    camera = Camera(novelty=0.0, unsteady=False)
-    camera.frame()
-    for _ in range(9):
-        camera.frame(found(("dog", 0.9, (10, 10, 30, 40))))
-    assert camera.reasons == []
-
-
-def test_every_nth_frame_is_a_sample() -> None:
-    camera = Camera(novelty=0.0, every=30)
-    for _ in range(300):
-        camera.frame()
-    assert camera.reasons == [{"sample": "one of 30"}] * 9
-
-
 def test_a_candidate_has_what_is_published_and_the_reasons_of_what_was_found() -> None:
-    camera = Camera(novelty=0.0)
-    camera.frame(CAT, best_filtered=0.9)
+    camera = Camera(reasons=("uncertain",))
+    camera.frame(CAT, scores=np.array([0.2], np.float32))
     (candidate,) = camera.offered.candidates
     assert candidate.detections is CAT
-    assert [reason.value for reason in candidate.reasons] == ["filtered"]
+    assert [trigger.value for trigger in candidate.reasons] == ["uncertain"]
     assert candidate.origin == Origin("f", 1, 2)
 
 
 def test_new_rules_count_from_the_next_frame_on() -> None:
-    camera = Camera(novelty=0.0)
+    camera = Camera(reasons=())
     camera.frame()
-    camera.collecting = camera.collecting.with_rules(rules(novelty=0.0, classes=frozenset({0})))
+    camera.collecting.rules = rules(reasons=("class: cat",))
     for _ in range(9):
         camera.frame()
     assert camera.reasons == [{"class": "cat"}]
-
-
-def test_a_frame_in_progress_has_the_rules_that_it_began_with() -> None:
-    camera = Camera(novelty=0.0)
-    begun = camera.collecting
-    camera.frame()
-    camera.now_s += 1
-    camera.collecting = begun.with_rules(rules(novelty=0.0, classes=frozenset({0})))
-    embedding = look_of(1)
-    begun.look(replace(CAT, embedding=embedding), CAT, IMAGE, None, Origin("f", 1, 2))
-    assert camera.reasons == []
-    camera.collecting.look(replace(CAT, embedding=embedding), CAT, IMAGE, None, Origin("f", 1, 2))
-    assert camera.reasons == [{"class": "cat"}]
-
-
-def test_of_very_many_changes_the_last_are_written_down() -> None:
-    camera = Camera(novelty=0.0)
-    camera.frame(found())
-    boxes = [(x, 5.0, x + 1.5, 8.0) for x in range(4, 4 + 2 * (MAX_CHANGES + 3), 2)]
-    camera.frame(found(*[("cat", 0.9, box) for box in boxes]))
-    for _ in range(9):
-        camera.frame(found(*[("cat", 0.9, box) for box in boxes]))
-    assert camera.reasons == [{"appeared": ", ".join(["cat came"] * MAX_CHANGES)}]

@@ -11,15 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.candidates import CLASS_NAMES, candidate, keep, look_of
+from support.candidates import CLASS_NAMES, add, candidate, keep, look_of
 from support.started import started
 
-from yolov5_lifecycle.collecting import collected_folder, frame_list
-from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Drive, Quota
-from yolov5_lifecycle.collecting.frame_list import FRAMES, read_frame_list
-from yolov5_lifecycle.collecting.kept_frame import kept_frame
-from yolov5_lifecycle.collecting.own_files import CollectingError
-from yolov5_lifecycle.collecting.reason import Reason, Why
+from yolov5_lifecycle.collecting import collected_files, collected_folder
+from yolov5_lifecycle.collecting.collected_files import FRAMES, read_frame_list
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
+from yolov5_lifecycle.collecting.record import CollectingError
+from yolov5_lifecycle.collecting.triggers import Detail, Trigger
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 
@@ -39,27 +38,27 @@ def check(folder: Path, names: tuple[str, ...] = CLASS_NAMES) -> int:
     """Check that the images, the labels and the list agree; return their number."""
     listed = read_frame_list(folder)
     assert (listed.broken, listed.without_image) == (0, ())
-    assert sorted(frame.image for frame in listed.frames) == images(folder)
-    assert sorted(frame.labels for frame in listed.frames) == labels(folder)
+    assert sorted(frame.image for frame in listed.lines) == images(folder)
+    assert sorted(frame.labels for frame in listed.lines) == labels(folder)
     assert [*folder.rglob("*.part")] == []
     told: list[str] = []
     problems = Problems(told.append)
     data = read_yolo_folder(folder, problems)
     assert (data.class_names, told) == (names, [])
-    assert len(data.images) == len(listed.frames)
-    return len(listed.frames)
+    assert len(data.images) == len(listed.lines)
+    return len(listed.lines)
 
 
 def test_a_kept_frame_is_an_image_its_labels_and_a_line(tmp_path: Path) -> None:
-    folder = CollectedFolder(tmp_path / "new", LARGE, drive=Drive(0.0))
+    folder = CollectedFolder(tmp_path / "new", LARGE, session=RecordingSession())
     assert keep(folder)
-    assert (folder.frames, folder.drive.name[:17]) == (1, "19700101T000000Z-")
-    (frame,) = read_frame_list(tmp_path / "new").frames
-    assert frame.image == f"images/{folder.drive.name}/000001.jpg"
+    (line,) = read_frame_list(tmp_path / "new").lines
+    frame = line.frame
+    assert frame.image == f"images/{folder.session.name}/000001.jpg"
     assert (frame.frame_id, frame.sec, frame.nanosec, frame.size_wh) == ("optical_frame", 12, 34, (64, 48))
     assert [(each.class_name, each.box_xyxy) for each in frame.objects] == [("cat", (10, 10, 30, 40))]
     assert frame.weights_sha256 == "ab" * 32
-    files = (frame.image, frame.labels, FRAMES)
+    files = (line.image, line.labels, FRAMES)
     written = sum((tmp_path / "new" / path).stat().st_size for path in files)
     assert folder.size_bytes == written
     folder.close()
@@ -73,7 +72,7 @@ def test_the_least_valuable_frame_goes_first_and_of_equals_the_oldest(tmp_path: 
     folder.close()
     assert check(tmp_path) == ROOM
     assert [frame.value for frame in read_frame_list(tmp_path).frames] == [2.0, 2.0, 1.0]
-    assert images(tmp_path) == [f"images/{folder.drive.name}/{number:06d}.jpg" for number in (1, 4, 6)]
+    assert images(tmp_path) == [f"images/{folder.session.name}/{number:06d}.jpg" for number in (1, 4, 6)]
 
 
 def test_the_folder_is_never_larger_than_its_quota(tmp_path: Path) -> None:
@@ -91,8 +90,8 @@ def test_a_frame_that_is_larger_than_the_quota_removes_nothing(tmp_path: Path) -
     keep(folder)
     folder.close()
     small = CollectedFolder(tmp_path, replace(LARGE, max_bytes=folder.size_bytes))
-    record, _, text = kept_frame(candidate(1), {Reason.REQUESTED: Why("")}, small)
-    assert not small.add(record, b"x" * 100_000, text)
+    large = candidate(1, received_jpeg=np.zeros(100_000, np.uint8), reasons={Trigger.REQUESTED: Detail("")})
+    assert not add(small, large)
     small.close()
     assert check(tmp_path) == 1
 
@@ -112,20 +111,20 @@ def test_what_was_kept_before_is_known_again(tmp_path: Path) -> None:
     keep(first, 5)
     first.close()
     again = CollectedFolder(tmp_path, LARGE)
-    assert (again.frames, again.size_bytes, again.class_names) == (1, first.size_bytes, CLASS_NAMES)
-    assert again.looks.distance(look_of(5)) == pytest.approx(0, abs=1e-3)
-    assert again.looks.distance(look_of(6)) > 0.5
-    assert again.drive.name != first.drive.name
+    assert (len(again.lines), again.size_bytes, again.class_names) == (1, first.size_bytes, CLASS_NAMES)
+    assert again.descriptors.distance(look_of(5)) == pytest.approx(0, abs=1e-3)
+    assert again.descriptors.distance(look_of(6)) > 0.5
+    assert again.session.name != first.session.name
     again.close()
 
 
-def test_a_process_that_opens_the_folder_again_goes_on_with_its_drive(tmp_path: Path) -> None:
-    drive = Drive(0.0)
+def test_a_process_that_opens_the_folder_again_goes_on_with_its_session(tmp_path: Path) -> None:
+    session = RecordingSession()
     for seed in range(2):
-        folder = CollectedFolder(tmp_path, LARGE, drive=drive)
+        folder = CollectedFolder(tmp_path, LARGE, session=session)
         keep(folder, seed)
         folder.close()
-    assert images(tmp_path) == [f"images/{drive.name}/{number:06d}.jpg" for number in (1, 2)]
+    assert images(tmp_path) == [f"images/{session.name}/{number:06d}.jpg" for number in (1, 2)]
     assert check(tmp_path) == 2
 
 
@@ -201,19 +200,19 @@ def test_nothing_is_written_into_another_folder_of_the_same_name(tmp_path: Path)
     assert [*path.iterdir()] == []
 
 
-def test_a_drive_waits_for_its_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_session_waits_for_its_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mounted = [tmp_path / "stick"]
     monkeypatch.setattr("os.path.ismount", lambda path: path in mounted)
-    drive, path = Drive(0.0), tmp_path / "stick" / "collected"
+    session, path = RecordingSession(), tmp_path / "stick" / "collected"
     mounted[0].mkdir()
-    CollectedFolder(path, LARGE, drive=drive).close()
+    CollectedFolder(path, LARGE, session=session).close()
     path.rename(tmp_path / "unplugged")
     disk = mounted.pop()
     with pytest.raises(CollectingError, match="unmounted"):
-        CollectedFolder(path, LARGE, drive=drive)
+        CollectedFolder(path, LARGE, session=session)
     assert [*disk.iterdir()] == []
     mounted.append(disk)
-    CollectedFolder(path, LARGE, drive=drive).close()
+    CollectedFolder(path, LARGE, session=session).close()
 
 
 def test_a_folder_is_not_created_where_a_disk_is_missing(tmp_path: Path) -> None:
@@ -225,7 +224,7 @@ def test_a_folder_is_not_created_where_a_disk_is_missing(tmp_path: Path) -> None
 def test_a_frame_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     folder = CollectedFolder(tmp_path, LARGE)
     keep(folder, 0)
-    in_the_way = tmp_path / "labels" / folder.drive.name / "000002.txt"
+    in_the_way = tmp_path / "labels" / folder.session.name / "000002.txt"
     in_the_way.mkdir()
     with pytest.raises(IsADirectoryError):
         keep(folder, 1)
@@ -262,12 +261,12 @@ def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "linked",
-    ["images", "images/{drive}", "{image}", "labels", "labels/{drive}", "{labels}", "data.yaml", FRAMES],
+    ["images", "images/{session}", "{image}", "labels", "labels/{session}", "{labels}", "data.yaml", FRAMES],
 )
 def test_a_link_in_the_folder_is_refused_and_nothing_behind_it_removed(tmp_path: Path, linked: str) -> None:
     path = foreign(tmp_path / "foreign")
-    (line, _) = read_frame_list(path).frames
-    inner = path / linked.format(drive=line.drive, image=line.image, labels=line.labels)
+    (line, _) = read_frame_list(path).lines
+    inner = path / linked.format(session=line.session, image=line.image, labels=line.labels)
     inner.rename(tmp_path / "outside")
     inner.symlink_to(tmp_path / "outside")
     before = sorted(tmp_path.rglob("*"))
@@ -304,14 +303,14 @@ def test_nothing_is_written_through_a_link(tmp_path: Path, linked: str) -> None:
 def test_a_file_that_is_too_large_is_refused_before_it_is_read(
     tmp_path: Path, name: str, max_bytes: int
 ) -> None:
-    (line, _) = read_frame_list(foreign(tmp_path)).frames
+    (line, _) = read_frame_list(foreign(tmp_path)).lines
     os.truncate(tmp_path / name.format(image=line.image, labels=line.labels), max_bytes + 1)
     with pytest.raises(CollectingError, match=f"expected at most {max_bytes:,} bytes"):
         CollectedFolder(tmp_path, LARGE)
 
 
 def test_too_many_lines_are_refused_and_not_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame_list, "MAX_IMAGES", 1, raising=False)
+    monkeypatch.setattr(collected_files, "MAX_IMAGES", 1, raising=False)
     with pytest.raises(CollectingError, match="expected at most 1 lines"):
         CollectedFolder(foreign(tmp_path), LARGE)
 
@@ -352,7 +351,7 @@ def test_a_process_that_is_killed_leaves_a_readable_folder(tmp_path: Path) -> No
             writer.send_signal(signal.SIGKILL)
         left = read_frame_list(tmp_path)
         assert left.broken <= 1
-        assert all((tmp_path / frame.labels).exists() for frame in left.frames)
+        assert all((tmp_path / frame.labels).exists() for frame in left.lines)
         CollectedFolder(tmp_path, LARGE).close()
         assert 1 <= check(tmp_path) <= 20
     assert (tmp_path / FRAMES).stat().st_size < 1 << 20

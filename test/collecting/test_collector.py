@@ -8,22 +8,18 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from support.candidates import CAT, candidate, look_of, rules
+from support.candidates import candidate, look_of, rules
 
 from yolov5_lifecycle.collecting import collector as module
 from yolov5_lifecycle.collecting.candidate import Origin
+from yolov5_lifecycle.collecting.collected_files import read_frame_list
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.collector import MAX_WAITING, MAX_WAITING_BYTES, RETRY_S, Collector
-from yolov5_lifecycle.collecting.frame_list import read_frame_list
-from yolov5_lifecycle.collecting.pace import Pace
-from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.collecting.record import CollectedFrame
+from yolov5_lifecycle.collecting.triggers import Detail, Pace, Trigger
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.images.region import Region
 
 PATIENCE_S = 60.0
 QUOTA = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
@@ -76,7 +72,9 @@ def disk(tmp_path: Path) -> Iterator[Disk]:
 
 
 def test_a_frame_with_a_reason_is_kept_with_it(disk: Disk) -> None:
-    disk.collector.offer(candidate(reasons={Reason.CLASS: Why("cat"), Reason.UNCERTAIN: Why("cat 0.26")}))
+    disk.collector.offer(
+        candidate(reasons={Trigger.CLASS: Detail("cat"), Trigger.UNCERTAIN: Detail("cat 0.26")})
+    )
     (frame,) = disk.settled()
     reasons = {"class": "cat", "uncertain": "cat 0.26", "novel": "the first of its kind"}
     assert frame.reasons == reasons
@@ -96,7 +94,7 @@ def test_a_frame_without_reason_is_kept_only_if_it_is_novel(disk: Disk) -> None:
 
 
 def test_without_the_search_for_novel_images_such_a_frame_is_not_kept(disk: Disk) -> None:
-    disk.collector.offer(candidate(reasons={}, rules=rules(novelty=0.0)))
+    disk.collector.offer(candidate(reasons={}, rules=rules(reasons=())))
     assert disk.settled() == ()
 
 
@@ -111,7 +109,7 @@ def test_near_duplicates_are_not_kept_unless_somebody_asked_for_them(disk: Disk)
     near = look_of(0) + 0.01 * look_of(1)
     disk.collector.offer(candidate(embedding=look_of(0)))
     disk.collector.offer(candidate(embedding=near))
-    disk.collector.offer(candidate(embedding=near, reasons={Reason.REQUESTED: Why("~/collect")}))
+    disk.collector.offer(candidate(embedding=near, reasons={Trigger.REQUESTED: Detail("~/collect")}))
     assert [next(iter(frame.reasons)) for frame in disk.settled()] == ["class", "requested"]
     assert (disk.collector.status.kept, disk.collector.status.duplicates) == (2, 1)
 
@@ -125,11 +123,11 @@ def test_an_image_that_shows_something_else_to_a_model_that_sees_no_difference_i
 
 
 def test_frames_of_a_camera_have_a_gap_between_them_and_those_of_others_do_not_count(disk: Disk) -> None:
-    slow, front, rear = rules(gap_s=2.0, per_minute=0.0), Pace(), Pace()
+    slow, front, rear = rules(per_minute=30.0), Pace(), Pace()
     disk.collector.offer(candidate(0, rules=slow, pace=front))
     disk.collector.offer(candidate(1, rules=slow, pace=front))
     disk.collector.offer(candidate(2, rules=slow, pace=rear))
-    disk.collector.offer(candidate(3, rules=slow, pace=front, reasons={Reason.REQUESTED: Why("")}))
+    disk.collector.offer(candidate(3, rules=slow, pace=front, reasons={Trigger.REQUESTED: Detail("")}))
     assert len(disk.settled()) == 3
 
 
@@ -231,41 +229,8 @@ def test_a_collector_that_is_idle_for_long_lets_others_have_the_folder(
 
 def test_a_full_folder_counts_what_is_worth_less(disk: Disk) -> None:
     disk.quota = replace(QUOTA, max_frames=1)
-    disk.collector.offer(candidate(0, reasons={Reason.REQUESTED: Why("")}))
+    disk.collector.offer(candidate(0, reasons={Trigger.REQUESTED: Detail("")}))
     disk.collector.offer(candidate(1))
     (frame,) = disk.settled()
     assert "requested" in frame.reasons
     assert disk.collector.status.outranked == 1
-
-
-def written(disk: Disk) -> NDArray[np.uint8]:
-    (frame,) = disk.settled()
-    return np.fromfile(disk.path / frame.image, np.uint8)
-
-
-def test_a_jpeg_is_kept_as_it_was_received(disk: Disk) -> None:
-    jpeg = cv2.imencode(".jpg", candidate().image.pixels)[1].reshape(-1)
-    disk.collector.offer(candidate(jpeg=jpeg))
-    np.testing.assert_array_equal(written(disk), jpeg)
-
-
-def test_a_raw_image_is_compressed_with_the_quality_of_the_settings(disk: Disk) -> None:
-    image = candidate().image
-    disk.collector.offer(candidate(rules=rules(jpeg_quality=31)))
-    expected = cv2.imencode(".jpg", image.pixels, (cv2.IMWRITE_JPEG_QUALITY, 31))[1].reshape(-1)
-    np.testing.assert_array_equal(written(disk), expected)
-
-
-def test_blank_regions_are_black_and_their_objects_are_not_labelled(disk: Disk) -> None:
-    left = Region.parse("0,0 0.5,0 0.5,1 0,1")
-    white = ColourImage(np.full((48, 64, 3), 255, np.uint8), "rgb")
-    jpeg = cv2.imencode(".jpg", white.pixels)[1].reshape(-1)
-    disk.collector.offer(candidate(image=white, jpeg=jpeg, rules=rules(blank_regions=(left,))))
-    pixels = cv2.imdecode(written(disk), cv2.IMREAD_COLOR)
-    assert pixels[:, :30].max() < 20
-    assert pixels[:, 34:].min() > 235
-    assert white.pixels.min() == 255
-    (frame,) = read_frame_list(disk.path).frames
-    assert frame.objects == ()
-    assert len(CAT) == 1
-    assert (disk.path / frame.labels).read_text() == ""

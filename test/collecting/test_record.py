@@ -7,26 +7,30 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from support.candidates import RECORD, look_of
 
 from yolov5_lifecycle.collecting.record import (
     MAX_RECORD_BYTES,
     CollectedFrame,
+    FrameLine,
     RecordError,
-    embedding_of,
     embedding_text,
 )
 
+LINE = FrameLine.of(RECORD).text
+
 
 def test_a_record_is_one_line_that_reads_back() -> None:
-    assert RECORD.line().count(b"\n") == 1
-    assert CollectedFrame.of_line(RECORD.line()) == RECORD
-    assert RECORD.labels == "labels/20261124T070343Z-0a1b2c/000001_front.txt"
-    assert RECORD.drive == "20261124T070343Z-0a1b2c"
+    line = FrameLine.of(RECORD)
+    assert LINE.count(b"\n") == 1
+    assert line.frame == RECORD
+    assert line.labels == "labels/20261124T070343Z-0a1b2c/000001_front.txt"
+    assert line.session == "20261124T070343Z-0a1b2c"
 
 
 def changed(**values: Any) -> bytes:
-    return json.dumps(json.loads(RECORD.line()) | values).encode() + b"\n"
+    return json.dumps(json.loads(LINE) | values).encode() + b"\n"
 
 
 @pytest.mark.parametrize(
@@ -34,9 +38,9 @@ def changed(**values: Any) -> bytes:
     [
         pytest.param(b"", id="empty"),
         pytest.param(b"{}\n", id="nothing in it"),
-        pytest.param(RECORD.line()[:50], id="torn"),
-        pytest.param(RECORD.line()[:-1], id="without its end"),
-        pytest.param(b" " * MAX_RECORD_BYTES + RECORD.line(), id="too long"),
+        pytest.param(LINE[:50], id="torn"),
+        pytest.param(LINE[:-1], id="without its end"),
+        pytest.param(b" " * MAX_RECORD_BYTES + LINE, id="too long"),
         pytest.param(b"\xff\xfe\n", id="no UTF-8"),
         pytest.param(changed(image="images/../../etc/1.jpg"), id="another folder"),
         pytest.param(changed(image="/images/drive/000001.jpg"), id="an absolute path"),
@@ -58,9 +62,13 @@ def test_what_is_no_record_is_refused(line: bytes) -> None:
 
 @pytest.mark.parametrize("value", [b"0", b"[]", b"{}"])
 def test_a_line_is_refused_before_its_many_values_are_built(value: bytes) -> None:
-    line = RECORD.line()[:-2] + b', "objects": [' + b",".join([value] * 300_001) + b"]}\n"
+    line = LINE[:-2] + b', "objects": [' + b",".join([value] * 300_001) + b"]}\n"
     with pytest.raises(RecordError, match="at most 300000 values, lists and objects"):
         CollectedFrame.of_line(line)
+
+
+def embedding_of(text: str) -> NDArray[np.float32]:
+    return RECORD.model_copy(update={"embedding": text}).descriptor()[0]
 
 
 def test_an_embedding_keeps_its_direction() -> None:

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import time
+from collections import Counter
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,33 +17,31 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.candidates import CLASS_NAMES, candidate, found, keep
+from support.candidates import CLASS_NAMES, add, candidate, found, keep
 
 from yolov5_lifecycle.collecting import merging
+from yolov5_lifecycle.collecting.collected_files import FRAMES, append_line, read_frame_list
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
-from yolov5_lifecycle.collecting.drive_split import validation_drives
-from yolov5_lifecycle.collecting.frame_list import FRAMES, append_line, read_frame_list
-from yolov5_lifecycle.collecting.kept_frame import kept_frame
-from yolov5_lifecycle.collecting.reason import Reason, Why
 from yolov5_lifecycle.collecting.record import FrameLine
+from yolov5_lifecycle.collecting.triggers import Detail, Trigger
 from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
-from yolov5_lifecycle.offline.collected.command import main
+from yolov5_lifecycle.offline.collected.command import main, validation_sessions
 
 QUOTA = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
 
 
 def collected(folder: Path, *counts: int, names: tuple[str, ...] = CLASS_NAMES) -> Path:
-    """A folder with drives of so many images of a cat."""
-    for drive, count in enumerate(counts):
+    """A folder with sessions of so many images of a cat."""
+    for session, count in enumerate(counts):
         with closing(CollectedFolder(folder, QUOTA)) as into:
             for number in range(count):
-                keep(into, 100 * drive + number, names=names)
+                keep(into, 100 * session + number, names=names)
     return folder
 
 
-def drives(folder: Path) -> list[str]:
-    return list(dict.fromkeys(frame.drive for frame in read_frame_list(folder).frames))
+def sessions(folder: Path) -> list[str]:
+    return list(dict.fromkeys(line.session for line in read_frame_list(folder).lines))
 
 
 def run(*words: object) -> int:
@@ -52,11 +51,11 @@ def run(*words: object) -> int:
 def test_what_is_there_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = collected(tmp_path / "robot", 2, 1)
     assert run("show", folder) == 0
-    first, second = drives(folder)
+    first, second = sessions(folder)
     assert capsys.readouterr().out.splitlines() == [
         "images         3",
-        f"drive          2  {first}",
-        f"drive          1  {second}",
+        f"session        2  {first}",
+        f"session        1  {second}",
         "camera         3  (without a name)",
         "model          3  abababababab",
         "reason         3  class",
@@ -69,8 +68,8 @@ def test_the_sheet_is_one_page_with_every_image_and_its_reason(tmp_path: Path) -
     with closing(CollectedFolder(folder, QUOTA)) as into:
         white = replace(candidate(7).image, pixels=np.full((900, 1600, 3), 255, np.uint8))
         box = found(("dog", 0.9, (400, 200, 1200, 700)))
-        reasons = {Reason.NOVEL: Why("<script>alert(1)</script>"), Reason.SAMPLE: Why("one of 9")}
-        into.add(*kept_frame(candidate(7, image=white, detections=box), reasons, into))
+        reasons = {Trigger.NOVEL: Detail("<script>alert(1)</script>")}
+        add(into, candidate(7, image=white, detections=box, reasons=reasons))
     sheet = tmp_path / "sheet.html"
     assert run("sheet", folder, "--output", sheet) == 0
     page = sheet.read_text()
@@ -90,8 +89,7 @@ def test_a_class_has_the_same_colour_in_every_image(tmp_path: Path) -> None:
     both = found(("cat", 0.9, (10, 100, 60, 200)), ("dog", 0.8, (100, 100, 200, 200)))
     with closing(CollectedFolder(tmp_path / "robot", QUOTA)) as into:
         for seed, detections in enumerate([dog, both, cat]):
-            frame = candidate(seed, image=white, detections=detections)
-            into.add(*kept_frame(frame, {Reason.CLASS: Why("")}, into))
+            add(into, candidate(seed, image=white, detections=detections))
     assert run("sheet", tmp_path / "robot", "--output", tmp_path / "sheet.html") == 0
     alone, together, _ = pictures((tmp_path / "sheet.html").read_text())
     np.testing.assert_allclose(alone[150, 100].astype(int), together[150, 100], atol=30)
@@ -129,11 +127,11 @@ def test_a_box_from_elsewhere_does_not_end_the_sheet(tmp_path: Path) -> None:
     (frame,) = read_frame_list(folder).frames
     strange = frame.objects[0].model_copy(update={"box_xyxy": (1e308, -1e308, -5.0, 7.0)})
     changed = frame.model_copy(update={"objects": (strange, *frame.objects)})
-    append_line(folder, FrameLine.of(changed.line()))
+    append_line(folder, FrameLine.of(changed))
     assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
 
 
-def test_whole_drives_are_for_training_or_validation(tmp_path: Path) -> None:
+def test_whole_sessions_are_for_training_or_validation(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 6, 2, 2)
     assert run("split", folder, "--share", 0.2) == 0
     parts = {
@@ -164,17 +162,13 @@ def labelled(data: Path, split: str) -> tuple[LabelledPath, ...]:
     ],
 )
 def test_validation_has_about_its_share(counts: list[int], share: float, validation: list[int]) -> None:
-    frames = [
-        FrameLine(f"images/{drive:02d}/{number:06d}.jpg", 1.0, b"")
-        for drive, count in enumerate(counts)
-        for number in range(count)
-    ]
-    assert validation_drives(frames, share) == tuple(f"{drive:02d}" for drive in validation)
+    by_session = Counter({f"{session:02d}": count for session, count in enumerate(counts)})
+    assert validation_sessions(by_session, share) == [f"{session:02d}" for session in validation]
 
 
-def test_a_single_drive_is_not_split(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_single_session_is_not_split(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("split", collected(tmp_path / "robot", 5)) == 1
-    assert "at least two drives, found 1" in capsys.readouterr().err
+    assert "at least two sessions, found 1" in capsys.readouterr().err
 
 
 def test_folders_of_several_robots_become_one_with_classes_by_name(tmp_path: Path) -> None:
@@ -189,7 +183,7 @@ def test_folders_of_several_robots_become_one_with_classes_by_name(tmp_path: Pat
     assert sorted(image.labels.boxes.class_ids.tolist() for image in data.images) == [[0], [1, 0], [2]]
     assert len(read_frame_list(tmp_path / "all").frames) == 3
     with closing(CollectedFolder(tmp_path / "all", QUOTA)) as merged:
-        assert merged.frames == 3
+        assert len(merged.lines) == 3
 
 
 def test_an_image_of_several_folders_is_merged_once_with_the_labels_of_the_first(
@@ -233,15 +227,15 @@ def test_a_line_of_labels_stays_one_line(tmp_path: Path, line: str, blank: str) 
         pytest.param(["sheet", "--output", "new"], id="sheet"),
         pytest.param(["split"], id="split"),
         pytest.param(["merge", "--output", "new"], id="merge"),
-        pytest.param(["remove", "--drive", "nothing"], id="remove"),
+        pytest.param(["remove", "--session", "nothing"], id="remove"),
     ],
 )
 def test_a_folder_with_a_link_is_refused_and_nothing_behind_it_read(
     tmp_path: Path, words: list[str], linked: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot = collected(tmp_path / "robot", 1, 1)
-    frame = read_frame_list(robot).frames[0]
-    inner = robot / linked.format(image=frame.image, labels=frame.labels)
+    line = read_frame_list(robot).lines[0]
+    inner = robot / linked.format(image=line.image, labels=line.labels)
     inner.rename(tmp_path / "outside")
     inner.symlink_to(tmp_path / "outside")
     before = sorted(tmp_path.rglob("*"))
@@ -290,25 +284,25 @@ def test_thirty_thousand_names_cost_no_more_than_their_number(tmp_path: Path) ->
     folder = collected(tmp_path / "robot", 1)
     (frame,) = read_frame_list(folder).frames
     objects = [frame.objects[0].model_copy(update={"class_name": f"{number:05}"}) for number in range(30_000)]
-    append_line(folder, FrameLine.of(frame.model_copy(update={"objects": tuple(objects)}).line()))
+    append_line(folder, FrameLine.of(frame.model_copy(update={"objects": tuple(objects)})))
     begin_s = time.process_time()
     assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
     assert time.process_time() - begin_s < 2
 
 
-def test_twenty_thousand_drives_cost_no_more_than_their_number() -> None:
-    lines = [FrameLine(f"images/{drive}/000001.jpg", 1.0, b"") for drive in range(20_000)]
+def test_twenty_thousand_sessions_cost_no_more_than_their_number() -> None:
+    counts = Counter({f"{session}": 1 for session in range(20_000)})
     begin_s = time.process_time()
-    assert len(validation_drives(lines, 0.2)) == 5000
+    assert len(validation_sessions(counts, 0.2)) == 5000
     assert time.process_time() - begin_s < 1
 
 
-def test_images_of_a_drive_or_of_a_reason_are_removed(tmp_path: Path) -> None:
+def test_images_of_a_session_or_of_a_reason_are_removed(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 2, 3)
     with closing(CollectedFolder(folder, QUOTA)) as into:
-        into.add(*kept_frame(candidate(9), {Reason.CLASS: Why(""), Reason.NOVEL: Why("")}, into))
-    first, *_ = drives(folder)
-    assert run("remove", folder, "--drive", first) == 0
+        add(into, candidate(9, reasons={Trigger.CLASS: Detail(""), Trigger.NOVEL: Detail("")}))
+    first, *_ = sessions(folder)
+    assert run("remove", folder, "--session", first) == 0
     assert len(read_frame_list(folder).frames) == 4
     assert run("remove", folder, "--reason", "class") == 0
     (left,) = read_frame_list(folder).frames
@@ -330,7 +324,7 @@ def test_nothing_is_removed_while_a_detector_collects(
     ("words", "message"),
     [
         (["show", "missing"], "expected the collect_dir of a detector"),
-        (["remove", "."], "remove needs --drive or --reason"),
+        (["remove", "."], "remove needs --session or --reason"),
         (["split", ".", "--share", "1"], "between 0 and 1"),
         (["sheet", ".", "--output", "x", "--most", "0"], "from 1 to 10000"),
         ([], "ACTION"),

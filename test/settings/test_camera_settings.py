@@ -263,6 +263,7 @@ def test_an_override_is_a_setting_of_its_own_name() -> None:
             id="both",
         ),
         pytest.param({"class_thresholds": ["cow: 0.5"]}, ["class_thresholds"], id="threshold"),
+        pytest.param({"collect_reasons": ["novel", "class: cow"]}, ["collect_reasons"], id="reason"),
         pytest.param(
             {"class_thresholds": ["cat: 0.5"], "rear.class_thresholds": ["cat: 0.5", "0: 0.4"]},
             ["rear.class_thresholds"],

@@ -64,6 +64,9 @@ from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
         pytest.param(
             {"class_thresholds": "[a: 0.5, b: 0.3]"}, 'Did you mean ["a: 0.5", "b: 0.3"]?', id="unquoted"
         ),
+        pytest.param({"collect_reasons": ("unusal",)}, "Did you mean 'unusual'?", id="reason"),
+        pytest.param({"collect_reasons": ("class: ",)}, "as in 'class: person'", id="reason-without-class"),
+        pytest.param({"collect_reasons": ("class:" + "x" * 201,)}, "most 200 characters", id="long-reason"),
         pytest.param({"regions": ("0,0 1,0 1,1", "0,0 1,1")}, "entry 2 has 2 points", id="second-region"),
         pytest.param({"regions": ("0.1", "0.2 0.9", "1")}, "entry 1 has '0.1' as point 1", id="split"),
         pytest.param({"ignore_regions": ("0,0 2,0 1,1",)}, "entry 1 has point 2 at 2,0", id="outside"),

@@ -10,12 +10,9 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.collecting.candidate import Candidate, Origin
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
-from yolov5_lifecycle.collecting.kept_frame import kept_frame
-from yolov5_lifecycle.collecting.pace import Pace
-from yolov5_lifecycle.collecting.reason import Reason, Why
+from yolov5_lifecycle.collecting.descriptors import SHADES
 from yolov5_lifecycle.collecting.record import CollectedFrame, CollectedObject, embedding_text, shades_text
-from yolov5_lifecycle.collecting.rules import CollectRules
-from yolov5_lifecycle.collecting.shades import SHADES
+from yolov5_lifecycle.collecting.triggers import CollectRules, Detail, Pace, Trigger
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
@@ -26,16 +23,20 @@ SIZE_HW = (48, 64)
 
 
 def rules(**changes: Any) -> CollectRules:
-    """The default rules of a camera, with `changes`."""
-    of_settings = CollectRules.of(
-        Settings(),
-        Selection(),
+    """The rules of a camera with default settings; `changes` to these and to them, those of settings without
+    their `collect_`."""
+    of_settings = {
+        name: changes.pop(name) for name in ("reasons", "per_minute", "blank_regions") if name in changes
+    }
+    usual = CollectRules(
+        settings=Settings(**{f"collect_{name}": value for name, value in of_settings.items()}),
+        selection=Selection(),
         camera="",
         class_names=CLASS_NAMES,
         segments=False,
         weights_sha256="ab" * 32,
     )
-    return replace(of_settings, **changes)
+    return replace(usual, **changes)
 
 
 def found(*objects: tuple[str, float, tuple[float, ...]], ids: tuple[str, ...] = ()) -> Detections:
@@ -78,19 +79,26 @@ def candidate(seed: int = 0, **changes: Any) -> Candidate:
     pixels = np.random.default_rng(seed).integers(0, 255, (*SIZE_HW, 3)).astype(np.uint8)
     usual = Candidate(
         image=ColourImage(pixels, "bgr"),
-        jpeg=None,
+        received_jpeg=None,
         detections=CAT,
         embedding=look_of(seed),
         origin=Origin("optical_frame", 12, 34),
-        reasons={Reason.CLASS: Why("cat")},
-        rules=rules(gap_s=0.0, per_minute=0.0),
+        reasons={Trigger.CLASS: Detail("cat")},
+        rules=rules(per_minute=0.0),
         pace=Pace(),
     )
     return replace(usual, **changes)
 
 
-def keep(folder: CollectedFolder, seed: int = 0, *, value: float = 1.0, names: tuple[str, ...] = ()) -> bool:
+def keep(
+    folder: CollectedFolder, seed: int = 0, *, value: float = 1.0, names: tuple[str, ...] = CLASS_NAMES
+) -> bool:
     """Offer the frame number `seed` to the folder, of a model with the class `names`."""
-    frame = candidate(seed, rules=rules(class_names=names or CLASS_NAMES))
-    record, jpeg, labels = kept_frame(frame, frame.reasons, folder)
-    return folder.add(record.model_copy(update={"value": value}), jpeg, labels)
+    return add(folder, candidate(seed, rules=rules(class_names=names)), value=value)
+
+
+def add(folder: CollectedFolder, frame: Candidate, *, value: float | None = None) -> bool:
+    """Offer the frame to the folder, with its own value or another one."""
+    record = frame.record(folder.session.new_path(""), frame.reasons)
+    record = record if value is None else record.model_copy(update={"value": value})
+    return folder.add(record, frame.jpeg(), frame.labels(folder.ids_of(frame.rules.class_names)))

@@ -13,25 +13,34 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, write_whole
-from yolov5_lifecycle.collecting.class_list import read_class_names, with_names, write_class_names
-from yolov5_lifecycle.collecting.frame_list import (
+from yolov5_lifecycle.collecting.collected_files import (
+    DATA,
+    IMAGES,
+    LABELS,
     MAX_LIST_BYTES,
     append_line,
+    own_bytes,
+    read_class_names,
     read_frame_list,
+    with_names,
+    write_description,
     write_frame_list,
 )
-from yolov5_lifecycle.collecting.kept_looks import KeptLooks
-from yolov5_lifecycle.collecting.own_files import CollectingError, own_bytes
-from yolov5_lifecycle.collecting.record import CollectedFrame, FrameLine, embedding_of, shades_of_text
+from yolov5_lifecycle.collecting.descriptors import KeptDescriptors
+from yolov5_lifecycle.collecting.record import CollectedFrame, CollectingError, FrameLine
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
 from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned
 
-_MAX_REMOVED, _MAX_REMOVED_SHARE = 100, 0.05
-"""Lines without an image in the list of frames, and their share of the quota, before it is written again."""
+MAX_FRAMES = 20_000
+"""By default; each takes about 10 kB of memory."""
+_MAX_REMOVED_SHARE = 0.05
+"""Share of the quota that lines without an image may take before the list is written again."""
 _MAX_LINES_BYTES = int(0.8 * MAX_LIST_BYTES)
 """Of lines with an image: the list, with others, stays one that can be read."""
-IMAGES, LABELS = "images", "labels"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,22 +48,26 @@ class Quota:
     """What a folder may take of its disk."""
 
     max_bytes: int
-    max_frames: int
     min_free_bytes: int
     """Free on the disk, whoever uses the rest."""
+    max_frames: int = MAX_FRAMES
 
 
-class Drive:
+class RecordingSession:
     """All that one process collects, however often it opens the folder: the subfolder of its images.
 
-    `begun_s`: seconds since the epoch, which name it. It stays on the disk on which it begins: if that is
-    unmounted, its path is a folder of another one.
+    It stays on the disk on which it begins: if that is unmounted, its path is a folder of another one.
     """
 
-    def __init__(self, begun_s: float) -> None:
-        self.name = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime(begun_s))}-{secrets.token_hex(3)}"
-        self.numbers = itertools.count(1)
+    def __init__(self) -> None:
+        self.name = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{secrets.token_hex(3)}"
+        self._numbers = itertools.count(1)
         self._mount: Path | None = None
+
+    def new_path(self, camera: str) -> str:
+        """A new path for an image of `camera`, "" without a name, below the folder."""
+        name = f"{next(self._numbers):06d}" + (f"_{camera}" if camera else "")
+        return f"{IMAGES}/{self.name}/{name}.jpg"
 
     def begin(self, path: Path) -> None:
         """Images are kept in the folder `path` from now on."""
@@ -70,22 +83,25 @@ class CollectedFolder:
     """Owns the folder at `path`, which is created if its parent exists, until `close`.
 
     Only one process at a time has it, by a lock on the folder. What a killed process left unfinished is
-    removed. New images belong to `drive`; None: to a new one.
+    removed. New images belong to `session`; None: to a new one.
 
     Raises CollectingError if another process has the folder, or it is not one of kept images, and OSError.
     """
 
-    def __init__(self, path: Path, quota: Quota, *, drive: Drive | None = None) -> None:
-        path = path.resolve()
-        self.drive = drive or Drive(time.time())
-        self.drive.check_mounted(path)
+    def __init__(self, path: Path, quota: Quota, *, session: RecordingSession | None = None) -> None:
+        self._path = path = path.resolve()
+        self.session = session or RecordingSession()
+        self.session.check_mounted(path)
         if not path.exists():
             path.mkdir()
-        self._path = path
         self._quota = quota
-        self._removed = self._removed_bytes = 0
+        self._limits = np.array([quota.max_frames, quota.max_bytes, _MAX_LINES_BYTES])
+        self._used = np.zeros(3, np.int64)
+        """See `_costs`."""
+        self._removed_bytes = 0
+        """Of lines in the list whose images are not there."""
         self.class_names: tuple[str, ...] = ()
-        self.looks = KeptLooks()
+        self.descriptors = KeptDescriptors()
         self._lines: dict[str, FrameLine] = {}
         """By path of the image, in the order in which they were kept."""
         self._descriptor = open_itself(path, os.O_RDONLY | os.O_DIRECTORY)
@@ -95,14 +111,10 @@ class CollectedFolder:
                     f"{path}: another process collects into it; give each detector a collect_dir of its own"
                 )
             self._read()
-            self.drive.begin(path)
+            self.session.begin(path)
         except BaseException:
             os.close(self._descriptor)
             raise
-
-    @property
-    def frames(self) -> int:
-        return len(self._lines)
 
     @property
     def lines(self) -> tuple[FrameLine, ...]:
@@ -112,12 +124,7 @@ class CollectedFolder:
     @property
     def size_bytes(self) -> int:
         """Of images, labels and lines of the list."""
-        return sum(line.size for line in self._lines.values()) + self._removed_bytes
-
-    def new_path(self, camera: str) -> str:
-        """A new path for an image of `camera`, "" without a name, below the folder."""
-        name = f"{next(self.drive.numbers):06d}" + (f"_{camera}" if camera else "")
-        return f"{IMAGES}/{self.drive.name}/{name}.jpg"
+        return int(self._used[1]) + self._removed_bytes
 
     def ids_of(self, class_names: Sequence[str]) -> list[int]:
         """The class ids in this folder of a model's `class_names`; adds those that are new to `data.yaml`.
@@ -131,7 +138,7 @@ class CollectedFolder:
             )
         if names != self.class_names:
             self._check_place()
-            write_class_names(self._path, names)
+            write_description(self._path / DATA, names)
             self.class_names = names
         ids = {name: index for index, name in enumerate(names)}
         return [ids[name] for name in class_names]
@@ -145,13 +152,13 @@ class CollectedFolder:
         Raises CollectingError if the disk has too little space or is another one, and OSError.
         """
         self._check_disk(len(jpeg))
-        line = FrameLine.of(frame.line())
+        line = FrameLine.of(frame)
         line = replace(line, size=len(jpeg) + len(labels) + len(line.text))
         if not self._make_room(line.value, line):
             return False
         for kind in (IMAGES, LABELS):
-            if own_bytes(self._path, f"{kind}/{line.drive}") is None:
-                (self._path / kind / line.drive).mkdir(parents=True)
+            if own_bytes(self._path, f"{kind}/{line.session}") is None:
+                (self._path / kind / line.session).mkdir(parents=True)
         try:
             append_line(self._path, line)
             write_whole(self._path / line.labels, labels.encode())
@@ -165,7 +172,8 @@ class CollectedFolder:
     def remove(self, line: FrameLine) -> None:
         """Remove a kept frame. Raises KeyError if it is not there."""
         del self._lines[line.image]
-        self.looks.remove(line.image)
+        self._used -= _costs(line)
+        self.descriptors.remove(line.image)
         self._unlink(line)
 
     def close(self) -> None:
@@ -173,7 +181,8 @@ class CollectedFolder:
         if self._descriptor >= 0:
             with suppress(CollectingError, OSError):
                 self._check_place()
-                self._rewrite(if_removed=1)
+                if self._removed_bytes:
+                    self._rewrite()
             os.close(self._descriptor)
             self._descriptor = -1
 
@@ -199,24 +208,21 @@ class CollectedFolder:
 
         Returns False, and removes nothing, if one that is worth more than `value` would have to go.
         """
-        self._rewrite_if_wasteful()
-        wanted = (*self._lines.values(), *new)
-        images = len(wanted) - self._quota.max_frames
-        size = sum(line.size for line in wanted) + self._removed_bytes - self._quota.max_bytes
-        listed = sum(len(line.text) for line in wanted) - _MAX_LINES_BYTES if new else 0
+        excess = self._used + sum(map(_costs, new)) - self._limits
+        excess[1] += self._removed_bytes
         leaving: list[FrameLine] = []
         remaining = iter(sorted(self._lines.values(), key=lambda kept: kept.value))
-        while max(images, size, listed) > 0:
+        while (excess > 0).any():
             line = next(remaining, None)
             if line is None or line.value > value:
                 return False
             leaving.append(line)
-            images -= 1
-            size -= line.size - len(line.text)
-            listed -= len(line.text)
+            excess -= _costs(line)
+            excess[1] += len(line.text)  # stays in the list
         for line in leaving:
             self.remove(line)
-        self._rewrite_if_wasteful()
+        if self._removed_bytes > _MAX_REMOVED_SHARE * min(self._quota.max_bytes, MAX_LIST_BYTES):
+            self._rewrite()
         return True
 
     def _unlink(self, line: FrameLine) -> None:
@@ -224,26 +230,20 @@ class CollectedFolder:
 
         Its line stays until the list is written again.
         """
-        self._removed += 1
         self._removed_bytes += len(line.text)
         for path in (line.image, line.labels):
             with suppress(OSError):
                 (self._path / path).unlink(missing_ok=True)
 
-    def _rewrite_if_wasteful(self) -> None:
-        """Leave removed frames out of the list if they are many, or much of it."""
-        share = self._removed_bytes / min(self._quota.max_bytes, MAX_LIST_BYTES)
-        self._rewrite(if_removed=1 if share > _MAX_REMOVED_SHARE else _MAX_REMOVED)
-
-    def _rewrite(self, *, if_removed: int) -> None:
-        """Leave removed frames out of the list if they are at least that many."""
-        if self._removed >= if_removed:
-            write_frame_list(self._path, self._lines.values())
-            self._removed = self._removed_bytes = 0
+    def _rewrite(self) -> None:
+        """Leave removed frames out of the list."""
+        write_frame_list(self._path, self._lines.values())
+        self._removed_bytes = 0
 
     def _remember(self, line: FrameLine, frame: CollectedFrame) -> None:
         self._lines[line.image] = line
-        self.looks.add(line.image, embedding_of(frame.embedding), shades_of_text(frame.shades))
+        self._used += _costs(line)
+        self.descriptors.add(line.image, *frame.descriptor())
 
     def _read(self) -> None:
         """Remember what is there, remove what a killed process did not finish and what exceeds the quota."""
@@ -251,17 +251,23 @@ class CollectedFolder:
         self.class_names = read_class_names(self._path, is_used=bool(listed.lines))
         for line in listed.lines:
             self._remember(line, line.frame)
-        self._removed = listed.broken
         for line in listed.without_image:
             self._unlink(line)
-        self._removed_bytes = 0  # the list is written again below
+        if listed.broken or listed.without_image:
+            self._rewrite()
         self._make_room(math.inf)
-        self._rewrite(if_removed=1)
-        drives = {line.drive for line in (*listed.lines, *listed.without_image)}
-        folders = [self._path, *(self._path / kind / drive for kind in (IMAGES, LABELS) for drive in drives)]
-        for folder in folders:
+        if self._removed_bytes:
+            self._rewrite()
+        sessions = {line.session for line in (*listed.lines, *listed.without_image)}
+        parts = [f"{kind}/{session}" for kind in (IMAGES, LABELS) for session in sessions]
+        for folder in (self._path, *(self._path / part for part in parts)):
             with suppress(OSError):
                 remove_abandoned(folder, prefix=UNFINISHED_PREFIX, suffix=UNFINISHED_SUFFIX)
+
+
+def _costs(line: FrameLine) -> NDArray[np.int64]:
+    """What a frame takes of the limits: frames, bytes, bytes of the list."""
+    return np.array([1, line.size, len(line.text)])
 
 
 def _missing(path: Path) -> CollectingError:

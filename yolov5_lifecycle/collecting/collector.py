@@ -9,13 +9,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 from yolov5_lifecycle.collecting.candidate import Candidate
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
-from yolov5_lifecycle.collecting.kept_frame import kept_frame
-from yolov5_lifecycle.collecting.kept_looks import KeptLooks
-from yolov5_lifecycle.collecting.own_files import CollectingError
-from yolov5_lifecycle.collecting.reason import Reason, Why
+from yolov5_lifecycle.collecting.record import CollectingError
+from yolov5_lifecycle.collecting.triggers import Detail, Trigger
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.printable import in_one_line
 
@@ -27,6 +26,8 @@ IDLE_S = 30.0
 """Without a candidate for that long, the folder is closed: its disk can be unmounted."""
 RETRY_S = 10.0
 """After a failure candidates are dropped for that long."""
+NOVEL_DISTANCE = 0.1
+"""An image is novel whose cosine distance to all that are kept is no less."""
 
 _log = logging.getLogger(__name__)
 
@@ -75,7 +76,7 @@ class Collector:
             held = sum(waiting.held_bytes for waiting in self._waiting)
             is_full = len(self._waiting) >= MAX_WAITING or held + candidate.held_bytes > MAX_WAITING_BYTES
             if self._is_closing or (self._waiting and is_full):
-                self.status = replace(self.status, dropped=self.status.dropped + 1)
+                self._count("dropped")
                 return
             self._waiting.append(candidate)
             self._changed.notify()
@@ -109,13 +110,11 @@ class Collector:
 
     def decide(self, candidate: Candidate) -> None:
         """Keep the candidate or not; a failure is logged once, and tried again after RETRY_S."""
-        now_s, rules = self._clock(), candidate.rules
+        now_s = self._clock()
         if self._failed_s is not None and now_s - self._failed_s < RETRY_S:
-            self._count(dropped=1)
+            self._count("dropped")
             return
-        if not candidate.is_requested and not candidate.pace.allows(
-            now_s, gap_s=rules.gap_s, per_minute=rules.per_minute
-        ):
+        if not (candidate.is_requested or candidate.pace.allows(now_s, candidate.rules)):
             return
         try:
             self._keep(candidate, self._opened(), now_s)
@@ -126,24 +125,25 @@ class Collector:
             self._fail(f"unexpected {type(error).__name__}: {error}", now_s)
 
     def _keep(self, candidate: Candidate, folder: CollectedFolder, now_s: float) -> None:
-        rules, reasons = candidate.rules, dict(candidate.reasons)
-        distance = folder.looks.distance(candidate.embedding)
-        if distance < rules.duplicate_distance and _shows_nothing_new(candidate, folder.looks):
-            self._count(duplicates=1)
+        rules, embedding = candidate.rules, candidate.embedding
+        if not candidate.is_requested and folder.descriptors.is_duplicate(embedding, candidate.shades):
+            self._count("duplicates")
             return
-        if rules.novelty and len(candidate.embedding) and distance >= rules.novelty:
-            reasons[Reason.NOVEL] = _novelty(distance)
+        reasons = dict(candidate.reasons)
+        distance = folder.descriptors.distance(embedding)
+        if Trigger.NOVEL in rules.triggers and len(embedding) and distance >= NOVEL_DISTANCE:
+            reasons[Trigger.NOVEL] = _novelty(distance)
         if not reasons:
             return
-        record, jpeg, labels = kept_frame(candidate, reasons, folder)
-        if folder.add(record, jpeg, labels):
-            candidate.pace.kept(now_s, per_minute=rules.per_minute)
-            self._count(kept=1)
+        labels = candidate.labels(folder.ids_of(rules.class_names))
+        record = candidate.record(folder.session.new_path(rules.camera), reasons)
+        if folder.add(record, candidate.jpeg(), labels):
+            candidate.pace.kept_s = now_s
+            self._count("kept")
         else:
-            self._count(outranked=1)
+            self._count("outranked")
         self._failed_s = None
-        megabytes = folder.size_bytes / 1e6
-        self.status = replace(self.status, frames=folder.frames, megabytes=megabytes, problem="")
+        self._note(frames=len(folder.lines), megabytes=folder.size_bytes / 1e6, problem="")
 
     def _opened(self) -> CollectedFolder:
         if self._folder is None:
@@ -155,8 +155,8 @@ class Collector:
         if problem != self.status.problem:
             _log.warning("no images are collected: %s", problem)
         self._failed_s = now_s
-        self._count(dropped=1)
-        self.status = replace(self.status, problem=problem)
+        self._count("dropped")
+        self._note(problem=problem)
         self._close_folder()
 
     def _close_folder(self) -> None:
@@ -164,26 +164,16 @@ class Collector:
         if folder is not None:
             folder.close()
 
-    def _count(self, *, kept: int = 0, duplicates: int = 0, outranked: int = 0, dropped: int = 0) -> None:
+    def _count(self, what: str) -> None:
         with self._changed:
-            status = self.status
-            self.status = replace(
-                status,
-                kept=status.kept + kept,
-                duplicates=status.duplicates + duplicates,
-                outranked=status.outranked + outranked,
-                dropped=status.dropped + dropped,
-            )
+            self._note(**{what: getattr(self.status, what) + 1})
+
+    def _note(self, **values: Any) -> None:
+        with self._changed:
+            self.status = replace(self.status, **values)
 
 
-def _shows_nothing_new(candidate: Candidate, looks: KeptLooks) -> bool:
-    """Whether a near image shows the same, and nobody asked for this one."""
-    return not candidate.is_requested and looks.has_same_shades(
-        candidate.embedding, candidate.shades, distance=candidate.rules.duplicate_distance
-    )
-
-
-def _novelty(distance: float) -> Why:
+def _novelty(distance: float) -> Detail:
     if math.isinf(distance):
-        return Why("the first of its kind")
-    return Why(f"distance {distance:.2f} from the nearest image")
+        return Detail("the first of its kind")
+    return Detail(f"distance {distance:.2f} from the nearest image")

@@ -11,10 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from yolov5_lifecycle.collecting.class_list import with_names
-from yolov5_lifecycle.collecting.frame_list import MAX_IMAGE_BYTES
-from yolov5_lifecycle.collecting.reason import Reason
+from yolov5_lifecycle.collecting.collected_files import MAX_IMAGE_BYTES, with_names
 from yolov5_lifecycle.collecting.record import CollectedFrame, FrameLine
+from yolov5_lifecycle.collecting.triggers import Trigger
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.images.compressed import decode_image_file, encode_jpeg
@@ -25,6 +24,8 @@ from yolov5_lifecycle.printable import in_one_line
 THUMBNAIL_PX = 320
 """Longer side of an image on the page."""
 _QUALITY = 70
+_TRIGGERS = [trigger.value for trigger in Trigger]
+_OTHER = "other"
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>{title}</title>
@@ -40,26 +41,25 @@ figure {{ margin: 0; overflow-wrap: anywhere }} img {{ width: 100% }}
 def contact_sheet(
     folder: Path, lines: Iterable[FrameLine], class_names: Sequence[str], *, title: str
 ) -> Iterator[str]:
-    """The page in parts: frames by their most valuable reason, with what the model found drawn in them.
+    """The page in parts: frames by their most valuable trigger, with what the model found drawn in them.
 
     `class_names` decide on the colours. An image that cannot be read is told in its place.
     """
     yield _PAGE.format(title=html.escape(in_one_line(title)))
-    by_reason = defaultdict[Reason, list[FrameLine]](list)
+    by_trigger = defaultdict[str, list[FrameLine]](list)
     for line in lines:
-        by_reason[_first_reason(line.frame)].append(line)
-    for reason in filter(by_reason.get, Reason):
-        yield f"<h2>{reason.value}: {len(by_reason[reason])}</h2>\n<section>\n"
-        for line in sorted(by_reason[reason], key=lambda line: -line.value):
+        by_trigger[_first_trigger(line.frame)].append(line)
+    for name in filter(by_trigger.get, (*_TRIGGERS, _OTHER)):
+        yield f"<h2>{name}: {len(by_trigger[name])}</h2>\n<section>\n"
+        for line in sorted(by_trigger[name], key=lambda line: -line.value):
             yield _figure(folder, line.frame, class_names)
         yield "</section>\n"
     yield "</html>\n"
 
 
-def _first_reason(frame: CollectedFrame) -> Reason:
-    """The most valuable one, as `Reason` lists them; of one that this version does not know, the last."""
-    known = [reason for reason in Reason if reason.value in frame.reasons]
-    return known[0] if known else Reason.SAMPLE
+def _first_trigger(frame: CollectedFrame) -> str:
+    """The most valuable one that this version knows."""
+    return next((name for name in _TRIGGERS if name in frame.reasons), _OTHER)
 
 
 def _figure(folder: Path, frame: CollectedFrame, class_names: Sequence[str]) -> str:

@@ -6,15 +6,17 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from yolov5_lifecycle.collecting.class_list import read_class_names, with_names, write_class_names
-from yolov5_lifecycle.collecting.frame_list import (
+from yolov5_lifecycle.collecting.collected_files import (
+    DATA,
     FRAMES,
     MAX_LIST_BYTES,
+    read_class_names,
     read_frame_list,
+    with_names,
+    write_description,
     write_frame_list,
 )
-from yolov5_lifecycle.collecting.own_files import CollectingError
-from yolov5_lifecycle.collecting.record import FrameLine
+from yolov5_lifecycle.collecting.record import CollectingError, FrameLine
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, MAX_IMAGES, LabelError, check_count
 from yolov5_lifecycle.evaluation.yolo_labels import label_text, objects_in
 
@@ -43,7 +45,7 @@ def merge(folders: Sequence[Path], output: Path) -> tuple[int, int]:
     output.mkdir()
     for folder, line, ids_in_output in sources.values():
         _copy(folder, output, line, ids_in_output)
-    write_class_names(output, names)
+    write_description(output / DATA, names)
     write_frame_list(output, merged)
     return len(merged), listed - len(merged)
 

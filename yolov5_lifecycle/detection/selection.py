@@ -13,7 +13,7 @@ from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.settings.suggestion import did_you_mean
-from yolov5_lifecycle.settings.value_rules import class_threshold
+from yolov5_lifecycle.settings.value_rules import class_threshold, classes_of_reasons
 
 MAX_EXPLAINED = 3
 """Number of unknown entries that are explained; the rest are only counted."""
@@ -139,7 +139,7 @@ def _safe(entry: str) -> str:
 _MODEL_DEPENDENT: Mapping[str, Callable[[Sequence[str], Sequence[str]], object]] = {
     "classes": class_ids,
     "class_thresholds": class_thresholds,
-    "collect_classes": class_ids,
+    "collect_reasons": lambda reasons, names: class_ids(classes_of_reasons(reasons), names),
 }
 """By setting: the function that resolves it with the class names, or raises ClassFilterError."""
 

@@ -23,7 +23,7 @@ from yolov5_lifecycle.settings.contradictions import (
 )
 from yolov5_lifecycle.settings.schema import Change, Entries, Problem, Scope, contradiction
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
-from yolov5_lifecycle.settings.value_rules import RULES, Rule, cameras
+from yolov5_lifecycle.settings.value_rules import COLLECT_REASONS, RULES, Rule, cameras
 
 MAX_PARALLEL_FRAMES = 16
 _RULES: Mapping[str, Rule] = {**RULES, "cameras": lambda value: cameras(value, Settings.model_fields)}
@@ -204,71 +204,20 @@ class Settings(BaseModel):
     collect: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
         False, description="Keep the images that are worth a label in collect_dir; see docs/data-loop.md."
     )
-    collect_classes: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA] = Field(
-        (), max_length=10_000, description="Names or indices of classes whose images are kept. Empty: none."
+    collect_reasons: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA] = Field(
+        COLLECT_REASONS,
+        max_length=10_000,
+        description="Why an image is kept: uncertain (a score is close to its threshold), unusual (unlike "
+        "what the camera usually sees), novel (unlike all kept images), classes, as in 'class: person'. "
+        "Empty: on request only.",
+    )
+    collect_per_minute: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        20.0, ge=0, le=6000, description="Maximum number of kept images of a camera per minute. 0: no limit."
     )
     collect_blank_regions: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA, Entries.WITH_COMMAS] = Field(
         (),
         max_length=32,
         description="Polygons that are black in kept images, such as faces or screens, written like regions.",
-    )
-    collect_score_margin: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
-        0.1,
-        ge=0,
-        le=1,
-        description="Keep an image with a score at most this far from its threshold. 0: not for this.",
-    )
-    collect_unsteady: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
-        True,
-        description="Keep an image in which an object is found again after some images without it, or "
-        "changes its class.",
-    )
-    collect_appeared: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
-        True,
-        description="Keep an image in which an object came or went without crossing the border of the image.",
-    )
-    collect_filtered_score: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
-        0.6,
-        ge=0,
-        le=1,
-        description="Keep an image with a detection of at least this score that does not count because of "
-        "regions or size limits. 0: not for this.",
-    )
-    collect_unusual: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
-        3.0,
-        ge=0,
-        le=1000,
-        description="Keep an image whose features are at least this many times as far from their mean over "
-        "the camera's last images as usual. 0: not for this.",
-    )
-    collect_novelty: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
-        0.1,
-        ge=0,
-        le=2,
-        description="Keep an image whose features differ from those of all kept images by at least this "
-        "cosine distance. 0: not for this.",
-    )
-    collect_every: Annotated[int, Change.LIVE, Scope.CAMERA] = Field(
-        0, ge=0, le=1_000_000, description="Keep every n-th image as a fair sample. 0: not for this."
-    )
-    collect_duplicate_distance: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
-        0.002,
-        ge=0,
-        le=2,
-        description="Do not keep an image whose features differ from those of a kept image by less than this "
-        "cosine distance, if no part of it is brighter or darker than there.",
-    )
-    collect_gap_s: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
-        1.0, ge=0, le=3600, description="Minimum seconds between two kept images of a camera."
-    )
-    collect_per_minute: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
-        20.0, ge=0, le=6000, description="Maximum number of kept images of a camera per minute. 0: no limit."
-    )
-    collect_jpeg_quality: Annotated[int, Change.LIVE, Scope.CAMERA] = Field(
-        90,
-        ge=1,
-        le=100,
-        description="Quality of kept images. JPEG images are kept as they were received.",
     )
     collect_dir: Annotated[str, Change.READ_ONLY] = Field(
         "",
@@ -281,9 +230,6 @@ class Settings(BaseModel):
         ge=1,
         le=10_000_000,
         description="Maximum size of collect_dir in MB; the least valuable images are removed first.",
-    )
-    collect_max_frames: Annotated[int, Change.READ_ONLY] = Field(
-        5000, ge=1, le=100_000, description="Maximum number of images in collect_dir."
     )
     collect_min_free_mb: Annotated[int, Change.READ_ONLY] = Field(
         1000,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 from pydantic_core import PydanticCustomError
 
@@ -97,6 +97,27 @@ def _no_threshold(entry: str, problem: str) -> PydanticCustomError:
     return violation(f"are not class thresholds: '{in_one_line(entry, _MAX_SHOWN)}' {problem}.")
 
 
+COLLECT_REASONS = ("uncertain", "unusual", "novel")
+"""What `collect_reasons` may have besides classes."""
+_CLASS = "class:"
+
+
+def classes_of_reasons(reasons: Sequence[str]) -> tuple[str, ...]:
+    """The names or indices in entries of `collect_reasons` such as "class: person"."""
+    return tuple(entry.removeprefix(_CLASS).strip() for entry in reasons if entry.startswith(_CLASS))
+
+
+def collect_reasons(value: tuple[str, ...]) -> tuple[str, ...]:
+    """Entries of COLLECT_REASONS, and classes."""
+    classes(classes_of_reasons(value))
+    for entry in value:
+        if entry not in COLLECT_REASONS and not (entry.startswith(_CLASS) and entry[len(_CLASS) :].strip()):
+            known = ", ".join(COLLECT_REASONS)
+            hint = did_you_mean(entry, COLLECT_REASONS)
+            raise violation(f"must be {known} or classes, as in 'class: person'.{hint}")
+    return value
+
+
 def regions(value: tuple[str, ...]) -> tuple[str, ...]:
     """Polygons such as "0.1,0.5 0.9,0.5 0.5,1"."""
     for number, text in enumerate(value, 1):
@@ -129,7 +150,7 @@ RULES: Mapping[str, Rule] = {
     "regions": regions,
     "ignore_regions": regions,
     "collect_blank_regions": regions,
-    "collect_classes": classes,
+    "collect_reasons": collect_reasons,
     "collect_dir": folder,
 }
 """By the name of the setting."""

@@ -17,7 +17,7 @@ from support.console_robot import CAMERA, ConsoleRobot
 from support.detector_process import PARAMETERS, as_arguments, detector_process
 from support.finger import Finger, middle, set_touch_screen
 
-from yolov5_lifecycle.collecting.frame_list import read_frame_list
+from yolov5_lifecycle.collecting.collected_files import read_frame_list
 
 pytestmark = pytest.mark.long
 

@@ -14,23 +14,15 @@ from support.detector_process import WEIGHTS, scene_image
 from support.served_node import ServedNode
 from vision_msgs.msg import Detection2DArray
 
+from yolov5_lifecycle.collecting.collected_files import read_frame_list
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
-from yolov5_lifecycle.collecting.frame_list import read_frame_list
 from yolov5_lifecycle.collecting.record import CollectedFrame
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 from yolov5_lifecycle.ros.messages import image_of_message, jpeg_of_message
 
-EVERYTHING = ("collect:=true", "collect_gap_s:=0.0", "collect_min_free_mb:=0")
-CALM = {
-    "collect_score_margin": 0.0,
-    "collect_novelty": 0.0,
-    "collect_appeared": False,
-    "collect_unsteady": False,
-    "collect_filtered_score": 0.0,
-}
-"""No reason to keep an image but a request."""
+EVERYTHING = ("collect:=true", "collect_min_free_mb:=0")
 
 
 def served_with(folder: Path | None, *parameters: str) -> ServedNode:
@@ -76,7 +68,7 @@ def test_a_kept_image_has_the_detections_that_were_published(tmp_path: Path) -> 
 
 
 def test_detections_are_the_same_with_and_without_collecting(tmp_path: Path) -> None:
-    with served_with(tmp_path, *EVERYTHING, "collect_score_margin:=0.25") as served:
+    with served_with(tmp_path, *EVERYTHING) as served:
         served.bring_to("active")
         for tracker in ("none", "bytetrack"):
             served.detections.clear()
@@ -120,7 +112,7 @@ def test_an_image_is_kept_when_somebody_asks_for_it_and_otherwise_not(tmp_path: 
     with served_with(tmp_path, "collect_min_free_mb:=0") as served:
         served.bring_to("active")
         assert ask(served) == (False, "no camera collects: activate the node, and set collect to true")
-        assert served.set(collect=True, **CALM) == (True, "")
+        assert served.set(collect=True, collect_reasons=[]) == (True, "")
         for number in range(3):
             served.publish(scene_image())
             served.wait_for(lambda: len(served.detections) == number + 1, "detections")  # noqa: B023
@@ -171,8 +163,8 @@ def test_the_end_of_the_node_keeps_what_waits_and_frees_the_folder(tmp_path: Pat
         served.bring_to("active")
         served.publish(scene_image())
         wait_for_kept(served, tmp_path, 1)
-    folder = CollectedFolder(tmp_path, Quota(max_bytes=1 << 30, max_frames=9, min_free_bytes=0))
-    assert folder.frames == 1
+    folder = CollectedFolder(tmp_path, Quota(max_bytes=1 << 30, min_free_bytes=0))
+    assert len(folder.lines) == 1
     folder.close()
 
 

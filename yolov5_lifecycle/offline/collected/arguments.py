@@ -29,7 +29,7 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="N",
         help="show the N most valuable images; default: %(default)s",
     )
-    split = actions.add_parser("split", help="write split.yaml: whole drives for training or validation")
+    split = actions.add_parser("split", help="write split.yaml: whole sessions for training or validation")
     split.add_argument("folder", type=Path, metavar="FOLDER")
     split.add_argument(
         "--share",
@@ -43,7 +43,9 @@ def command_parser() -> argparse.ArgumentParser:
     merge.add_argument("--output", type=Path, required=True, metavar="NEW", help="a new folder")
     remove = actions.add_parser("remove", help="remove images, while no detector collects into the folder")
     remove.add_argument("folder", type=Path, metavar="FOLDER")
-    remove.add_argument("--drive", action="append", default=[], metavar="DRIVE", help="those of this drive")
+    remove.add_argument(
+        "--session", action="append", default=[], metavar="SESSION", help="those of this session"
+    )
     remove.add_argument(
         "--reason",
         action="append",

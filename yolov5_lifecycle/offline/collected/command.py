@@ -3,34 +3,42 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import OutputError, whole_output
-from yolov5_lifecycle.collecting.class_list import read_class_names
+from yolov5_lifecycle.collecting.collected_files import (
+    FRAMES,
+    IMAGES,
+    MAX_LIST_BYTES,
+    own_bytes,
+    read_class_names,
+    read_frame_list,
+    write_description,
+)
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.contact_sheet import contact_sheet
-from yolov5_lifecycle.collecting.drive_split import validation_drives, write_split
-from yolov5_lifecycle.collecting.frame_list import FRAMES, MAX_LIST_BYTES, read_frame_list
 from yolov5_lifecycle.collecting.merging import merge
-from yolov5_lifecycle.collecting.overview import overview
-from yolov5_lifecycle.collecting.own_files import CollectingError, own_bytes
-from yolov5_lifecycle.collecting.record import FrameLine
-from yolov5_lifecycle.evaluation.ground_truth import DataError
+from yolov5_lifecycle.collecting.record import CollectingError, FrameLine
+from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
 from yolov5_lifecycle.offline.collected.arguments import command_parser
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 
 _COMMAND = "collected"
 _NO_LIMIT = Quota(max_bytes=1 << 62, max_frames=1 << 62, min_free_bytes=0)
+SPLIT = "split.yaml"
+_TOLERANCE = 1.25
+"""Sessions for validation have at most so many times the share that was asked for."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command_parser()
     arguments = parser.parse_args(argv)
-    if arguments.action == "remove" and not (arguments.drive or arguments.reason):
-        parser.error("remove needs --drive or --reason")
+    if arguments.action == "remove" and not (arguments.session or arguments.reason):
+        parser.error("remove needs --session or --reason")
     try:
         return write_output(_COMMAND, _ACTIONS[arguments.action](arguments))
     except (CollectingError, DataError, OutputError, OSError) as error:
@@ -50,7 +58,23 @@ def _check(folder: Path) -> None:
 
 
 def _show(arguments: argparse.Namespace) -> str:
-    return overview(line.frame for line in _lines(arguments.folder))
+    """Images by session, camera, model, reason and class, the most frequent first, MAX_CLASSES lines each.
+
+    An image with several reasons counts for each of them.
+    """
+    counts = {kind: Counter[str]() for kind in ("session", "camera", "model", "reason", "class")}
+    for line in _lines(arguments.folder):
+        frame = line.frame
+        counts["session"][line.session] += 1
+        counts["camera"][frame.camera or "(without a name)"] += 1
+        counts["model"][frame.weights_sha256[:12]] += 1
+        counts["reason"].update(frame.reasons.keys())
+        counts["class"].update({found.class_name for found in frame.objects})
+    shown = [f"{'images':8}{counts['session'].total():8}"]
+    for kind, counter in counts.items():
+        most = counter.most_common(MAX_CLASSES)
+        shown += [f"{kind:8}{count:8}  {in_one_line(name)}" for name, count in most]
+    return "\n".join(shown) + "\n"
 
 
 def _sheet(arguments: argparse.Namespace) -> str:
@@ -64,11 +88,35 @@ def _sheet(arguments: argparse.Namespace) -> str:
 
 
 def _split(arguments: argparse.Namespace) -> str:
-    folder, lines = arguments.folder, _lines(arguments.folder)
-    validation = {*validation_drives(lines, arguments.share)}
-    path = write_split(folder, lines, validation, read_class_names(folder, is_used=True))
-    count = sum(line.drive in validation for line in lines)
-    return f"{path}: {len(lines) - count} images for training, {count} for validation\n"
+    """Whole sessions for training or validation: neighbouring images show the same scene."""
+    folder, counts = arguments.folder, Counter(line.session for line in _lines(arguments.folder))
+    validation = validation_sessions(counts, arguments.share)
+    paths = {session: f"{IMAGES}/{session}" for session in sorted(counts)}
+    train = [path for session, path in paths.items() if session not in validation]
+    class_names = read_class_names(folder, is_used=True)
+    write_description(folder / SPLIT, class_names, train, [paths[session] for session in validation])
+    count = sum(counts[session] for session in validation)
+    return f"{folder / SPLIT}: {counts.total() - count} images for training, {count} for validation\n"
+
+
+def validation_sessions(counts: Counter[str], share: float) -> list[str]:
+    """Sessions with about `share` of the images, of which each has some; at least one session, and not all.
+
+    Raises CollectingError if there are fewer than two.
+    """
+    if len(counts) < 2:
+        raise CollectingError(
+            f"expected images of at least two sessions, found {len(counts)}: a part of a session is no test "
+            "of what was learnt from the rest"
+        )
+    left, chosen = _TOLERANCE * share * counts.total(), list[str]()
+    by_size = sorted(counts, key=lambda session: (-counts[session], session))
+    for session in by_size:
+        if len(chosen) < len(counts) - 1 and counts[session] <= left:
+            chosen.append(session)
+            left -= counts[session]
+    smallest = min(counts, key=lambda session: (counts[session], session))
+    return sorted(chosen or [smallest])
 
 
 def _merge(arguments: argparse.Namespace) -> str:
@@ -81,14 +129,14 @@ def _merge(arguments: argparse.Namespace) -> str:
 
 
 def _remove(arguments: argparse.Namespace) -> str:
-    reasons, drives = {*arguments.reason}, {*arguments.drive}
+    reasons, sessions = {*arguments.reason}, {*arguments.session}
     _check(arguments.folder)
     with closing(CollectedFolder(arguments.folder, _NO_LIMIT)) as folder:
         lines = folder.lines
         leaving = [
             line
             for line in lines
-            if (not drives or line.drive in drives)
+            if (not sessions or line.session in sessions)
             and (not reasons or reasons.issuperset(line.frame.reasons))
         ]
         for line in leaving:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from pathlib import Path
 
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Drive, Quota
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.collecting.collector import Collector, CollectorStatus
 from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
@@ -67,8 +66,7 @@ def _collector(parameters: SettingsParameters) -> Collector | None:
         return None
     quota = Quota(
         max_bytes=parameters.value("collect_max_mb") * 1_000_000,
-        max_frames=parameters.value("collect_max_frames"),
         min_free_bytes=parameters.value("collect_min_free_mb") * 1_000_000,
     )
-    drive = Drive(time.time())
-    return Collector(lambda: CollectedFolder(Path(folder).expanduser(), quota, drive=drive))
+    session = RecordingSession()
+    return Collector(lambda: CollectedFolder(Path(folder).expanduser(), quota, session=session))

@@ -80,9 +80,9 @@ class DetectorCamera:
 
     def collect_next(self) -> bool:
         """Keep the next image; False if this camera collects none."""
-        if self.stream is None or not self.stream.collects:
+        if self.stream is None or self.stream.collecting is None:
             return False
-        self.stream.collect_next()
+        self.stream.collecting.request()
         return True
 
     def unsubscribe(self) -> None:
@@ -136,6 +136,6 @@ class DetectorCamera:
             mask_subscribers=self._outputs.mask_subscribers if self._outputs else 0,
             busy_s=self._feed.busy_s(),
             collecting_problem=self._collector.status.problem
-            if self._collector and stream and stream.collects
+            if self._collector and stream and stream.collecting
             else "",
         )

@@ -8,7 +8,7 @@ from rclpy.lifecycle import LifecycleNode
 
 from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
 from yolov5_lifecycle.collecting.collector import Collector
-from yolov5_lifecycle.collecting.rules import CollectRules
+from yolov5_lifecycle.collecting.triggers import CollectRules
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.ros.detector.depth_input import DepthInput
@@ -62,7 +62,8 @@ class Stream:
         self._stamps = StampCounts()
         self._told_jumps = 0
         self._tracking = TrackedDetection.started(settings, track_ids, self._stamps)
-        self._collecting: CameraCollecting | None = None
+        self.collecting: CameraCollecting | None = None
+        """None while no images are kept."""
         self._input: ImageInput | None = None
         self.losses = ImageLosses()
         self.latencies = LatencyWindow()
@@ -82,16 +83,6 @@ class Stream:
             "late images not tracked": str(self._stamps.late),
             "jumps back in time": str(self._stamps.jumps),
         }
-
-    @property
-    def collects(self) -> bool:
-        """Whether images that are worth a label are kept."""
-        return self._collecting is not None
-
-    def collect_next(self) -> None:
-        """Keep the next image, if any are kept."""
-        if self._collecting is not None:
-            self._collecting.request()
 
     @property
     def segments(self) -> bool:
@@ -134,7 +125,7 @@ class Stream:
         elif self._tracking is not None:
             self._tracking = self._tracking.with_settings(settings)
         if is_other_model:
-            self._collecting = None
+            self.collecting = None
         self.empty_frames = _no_empty_frames(settings)
         self._start()
         is_resubscribed = bool(before.differing(settings, Change.RESUBSCRIBE))
@@ -198,25 +189,25 @@ class Stream:
             last_image=self._last_image,
             placing=self.depth.placing if self.depth else None,
             tracking=self._tracking,
-            collecting=self._collecting,
+            collecting=self.collecting,
         )
         self._feed.start(pipeline, max_rate_hz=settings.max_rate)
 
     def _follow_collecting(self, selected: Selection) -> None:
         """Start or stop looking at frames that may be worth a label, or change the rules."""
         if not self._settings.collect or self._collector is None:
-            self._collecting = None
+            self.collecting = None
             return
-        rules = CollectRules.of(
-            self._settings,
-            selected,
+        rules = CollectRules(
+            settings=self._settings,
+            selection=selected,
             camera=self._camera,
             class_names=self._networks.whole.class_names,
             segments=self.segments,
             weights_sha256=self._networks.weights_sha256,
         )
-        present = self._collecting or CameraCollecting(self._collector, rules)
-        self._collecting = present.with_rules(rules)
+        self.collecting = self.collecting or CameraCollecting(self._collector, rules)
+        self.collecting.rules = rules
 
     def _follow_depth(self) -> None:
         """Start or stop placing detections; restart if the slop changed."""
