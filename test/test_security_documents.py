@@ -13,8 +13,7 @@ from support.served_node import ServedNode
 
 from yolov5_lifecycle.checkpoints.archive import MAX_DIRECTORY_BYTES, MAX_RECORDS
 from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES
-from yolov5_lifecycle.checkpoints.pickle_opcodes import MAX_OPERATIONS
-from yolov5_lifecycle.checkpoints.pickle_safety import MAX_CALLS, MAX_PICKLE_BYTES
+from yolov5_lifecycle.checkpoints.pickle_interpreter import MAX_CALLS, MAX_OPERATIONS, MAX_PICKLE_BYTES
 from yolov5_lifecycle.checkpoints.safetensors_file import MAX_HEADER_BYTES
 from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
 from yolov5_lifecycle.models.model import MAX_CLASSES

@@ -27,9 +27,9 @@ from yolov5_lifecycle.models.cost import (
     check_proportions,
     checked_cost,
     cost_of,
+    size_multiple,
     usual_cost,
 )
-from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import blueprint
 from yolov5_lifecycle.models.network import Network

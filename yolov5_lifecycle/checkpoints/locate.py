@@ -17,8 +17,7 @@ from urllib.parse import unquote
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
-from yolov5_lifecycle.models.export import Export
-from yolov5_lifecycle.models.model import Model, UncheckedError, WeightsError, shown
+from yolov5_lifecycle.models.model import Export, Model, UncheckedError, WeightsError, shown
 
 MAX_FILE_BYTES = 2 << 30
 _IRREGULAR = "expected a regular file, found a folder, pipe or device"

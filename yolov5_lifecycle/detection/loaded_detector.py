@@ -7,10 +7,8 @@ from functools import partial
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.models.cost import check_memory, checked_cost
-from yolov5_lifecycle.models.export import Export
-from yolov5_lifecycle.models.geometry import size_multiple
-from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.models.cost import check_memory, checked_cost, size_multiple
+from yolov5_lifecycle.models.model import Export, Model
 from yolov5_lifecycle.quantization.calibration_file import Calibration, CalibrationError
 from yolov5_lifecycle.quantization.comparison import deviation
 from yolov5_lifecycle.quantization.precision_choice import Used, Wish, choose

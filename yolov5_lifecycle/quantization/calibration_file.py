@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from yolov5_lifecycle.atomic_file import write_whole
 from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
-from yolov5_lifecycle.models.export import Export
+from yolov5_lifecycle.models.model import Export
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.quantization.reference import Reference
