@@ -198,6 +198,15 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         ),
         "a name of more than 500 characters",
     ),
+    "a name of 490 characters, often": (
+        lambda: archive(
+            asm.EMPTY_LIST
+            + (text("models." + "x" * 240) + put(1) + asm.APPEND)
+            + (text("y" * 240) + put(2) + asm.APPEND)
+            + (asm.MARK + (get(1) + get(2) + asm.STACK_GLOBAL) * 300_000 + b"e")
+        ),
+        "expected a dict with the entry 'model'",
+    ),
     "names without end": (
         lambda: archive(
             asm.EMPTY_LIST

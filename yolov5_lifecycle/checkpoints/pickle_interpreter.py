@@ -62,6 +62,8 @@ def unpickled(archive: Archive) -> object:
     found, failure = None, None
     try:
         found = interpreter.run()
+    except MemoryError:  # says nothing of the file
+        raise
     except WeightsError as error:
         failure = error
     except LookupError as error:
@@ -91,7 +93,7 @@ class _Interpreter:
     """
 
     def __init__(self, pickle: bytes) -> None:
-        self.names: set[str] = set()
+        self.names: dict[str, _Name] = {}
         self._stream = io.BytesIO(pickle)
         self._frame_end = 0
         self._stack: list[Any] = []
@@ -165,10 +167,9 @@ class _Interpreter:
 
     def _name(self, module: str, attribute: str) -> None:
         name = f"{module}.{attribute}"
-        self.names.add(name)
+        self._push(self.names.setdefault(name, _Name(name)))
         if len(self.names) > MAX_NAMES:
             raise WeightsError(f"its pickle names more than {MAX_NAMES} classes: do not trust it")
-        self._push(_Name(name))
 
     def _mark(self, _: object) -> None:
         self._below.append(self._stack)
