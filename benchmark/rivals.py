@@ -21,7 +21,7 @@ from benchmark.task import Task
 from benchmark.work import scene_image
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.cost import size_multiple
 from yolov5_lifecycle.models.network import Network, fuse
 
 IMAGE_SIZE = 640

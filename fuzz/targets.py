@@ -27,10 +27,9 @@ from yolov5_lifecycle.images.compressed import decode_compressed
 from yolov5_lifecycle.images.encodings import ENCODINGS, decode_raw
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError
 from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
-from yolov5_lifecycle.models.export import Export
-from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.cost import size_multiple
 from yolov5_lifecycle.models.head import Segment
-from yolov5_lifecycle.models.model import MAX_CLASSES, Model, WeightsError
+from yolov5_lifecycle.models.model import MAX_CLASSES, Export, Model, WeightsError
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX

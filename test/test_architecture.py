@@ -56,7 +56,6 @@ WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "proce
 
 PRIVATE_BY_NAME_ONLY = {
     "os._exit",  # documented
-    "pickle._Unpickler",  # the C unpickler allocates as many memo entries as a file claims
 }
 
 

@@ -17,10 +17,10 @@ from support.families import (
     state_dict_digest,
 )
 
-from yolov5_lifecycle.checkpoints.archive import PICKLE, read_archive
-from yolov5_lifecycle.checkpoints.module_tree import Stub, load_pickled, modules_of
-from yolov5_lifecycle.checkpoints.pickle_safety import check_program
+from yolov5_lifecycle.checkpoints.archive import read_archive
+from yolov5_lifecycle.checkpoints.pickle_interpreter import unpickled
 from yolov5_lifecycle.checkpoints.pickled_model import model_root
+from yolov5_lifecycle.checkpoints.pickled_objects import Stub, modules_of
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
 from yolov5_lifecycle.models.network import fuse
@@ -51,5 +51,4 @@ def test_a_file_predicts_what_the_official_network_predicts_fused_or_not_and_con
 
 
 def pickled_modules(data: bytes) -> dict[str, Stub]:
-    pickle = read_archive(data).record(PICKLE)
-    return modules_of(model_root(load_pickled(pickle, check_program(pickle))))
+    return modules_of(model_root(unpickled(read_archive(data))))

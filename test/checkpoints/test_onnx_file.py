@@ -18,8 +18,7 @@ from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.checkpoints.onnx_file import export_cost, read_onnx
 from yolov5_lifecycle.commands.convert import convert
 from yolov5_lifecycle.models.cost import cost_of
-from yolov5_lifecycle.models.export import Export
-from yolov5_lifecycle.models.model import WeightsError
+from yolov5_lifecycle.models.model import Export, WeightsError
 
 NUMBERED = ("class 0", "class 1", "class 2")
 

@@ -227,7 +227,7 @@ def _reinterpreted(parts: Parts) -> None:
         pytest.param(_layer(0, [[-1], 1, "Conv", [64, 6, 2, 99]]), "the padding of layer 0", id="padding"),
         pytest.param(_layer(0, [[-1], 1, "Conv", []]), "the channels of layer 0", id="no arguments"),
         pytest.param(_layer(0, [[-1], 1, "Conv", [10**9, 6, 2]]), "the channels of layer 0", id="channels"),
-        pytest.param(_layer(0, [[-1], 9, "Conv", [64, 6, 2]]), "but its layers produce", id="repeats"),
+        pytest.param(_layer(0, [[-1], 9, "Conv", [64, 6, 2]]), "cannot be repeated", id="repeats"),
         pytest.param(_layer(5, [[-1], 9, "Upsample", []]), "is repeated 3 times", id="repeated upsampling"),
         pytest.param(_architecture(image_channels=2), "reads images of 2 channels", id="channels of images"),
         pytest.param(_architecture(channel_multiple=0), "the channel_multiple", id="channel multiple"),

@@ -27,7 +27,7 @@ from torch import distributed, nn
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
 from yolov5_lifecycle.models.architecture import Architecture
-from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.cost import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network, fuse
 

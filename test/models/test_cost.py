@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -22,14 +23,16 @@ from yolov5_lifecycle.models.cost import (
     MAX_BYTES_PER_PIXEL,
     MAX_ELEMENTS_PER_PIXEL,
     MAX_MULTIPLY_ADDS_PER_PIXEL,
+    Cells,
+    cells_of_levels,
     check_architecture,
     check_memory,
     check_proportions,
     checked_cost,
     cost_of,
+    size_multiple,
     usual_cost,
 )
-from yolov5_lifecycle.models.geometry import size_multiple
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import blueprint
 from yolov5_lifecycle.models.network import Network
@@ -102,6 +105,33 @@ def test_the_cost_of_each_family_is_what_torch_counts_and_allocates(name: str) -
 def test_the_arithmetic_of_every_kind_of_layer_is_what_torch_counts(architecture: Architecture) -> None:
     cost = cost_of(architecture, (64, 96))
     assert 2 * cost.multiply_adds == pytest.approx(counted_flops(architecture, (64, 96)), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("strides", "multiple"),
+    [
+        pytest.param((3, 5), 15, id="odd"),
+        pytest.param((7, 2, 8), 112, id="odd and even"),
+        pytest.param((8, 8, 8, 2), 1024, id="the largest"),
+    ],
+)
+def test_sides_of_images_are_multiples_of_what_every_layer_takes(
+    strides: tuple[int, ...], multiple: int
+) -> None:
+    layers = [Layer((-1,), 1, "Conv", (8, stride + 1 - stride % 2, stride)) for stride in strides]
+    architecture = dataclasses.replace(
+        SIZES["n"],
+        layers=(*layers, Layer((len(layers) - 1,), 1, "Detect")),
+        strides=(multiple,),
+        anchors_px=SIZES["n"].anchors_px[:1],
+    )
+    assert cells_of_levels(architecture) == ((Cells(Fraction(multiple)),), multiple)
+
+
+def test_a_stride_that_no_image_fits_is_told_as_too_large() -> None:
+    layers = tuple(Layer((-1,), 1, "Conv", (8, 9, 8)) for _ in range(4))
+    architecture = dataclasses.replace(SIZES["n"], layers=(*layers, Layer((3,), 1, "Detect")))
+    assert size_multiple(architecture) > 1024
 
 
 @pytest.mark.parametrize(

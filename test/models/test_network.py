@@ -14,11 +14,10 @@ from support.random_model import TINY, random_network
 from support.small_families import EVERY_SMALL
 from torch import nn
 
-from yolov5_lifecycle.models.activations import ACTIVATIONS, activation_of
 from yolov5_lifecycle.models.architecture import SIZES, Architecture
-from yolov5_lifecycle.models.convolutions import Focus
+from yolov5_lifecycle.models.blocks import SPP
+from yolov5_lifecycle.models.convolutions import ACTIVATIONS, Focus, activation_of
 from yolov5_lifecycle.models.network import Network, fuse
-from yolov5_lifecycle.models.pooling import SPP
 
 # Parameters and digest of the table of names, shapes, anchors and strides of the official checkpoints.
 OFFICIAL = {

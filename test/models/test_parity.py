@@ -21,8 +21,7 @@ from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection, select
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.models.export import Export
-from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.models.model import Export, Model
 from yolov5_lifecycle.runtimes.registry import load_export
 from yolov5_lifecycle.runtimes.runtime import Runtime
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime

@@ -19,7 +19,7 @@ import torch
 from support.checkpoint_builder import official_model, saved, stripped
 from support.colcon_workspace import REPOSITORY
 from support.formula_model import ExpectedPredictions, formula_pixels, formula_tensors
-from yolov5_lifecycle.checkpoints.module_tree import Stub, tensors_of
+from yolov5_lifecycle.checkpoints.pickled_objects import Stub, tensors_of
 from yolov5_lifecycle.checkpoints.yaml_architecture import architecture_of
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.network import Network

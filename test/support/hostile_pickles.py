@@ -108,6 +108,15 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         lambda: laughing(lambda laughs: text("model") + storage_called(laughs) + asm.SETITEM),
         "refers to a storage",
     ),
+    "a text of two megabytes, encoded often": (
+        lambda: archive(
+            asm.EMPTY_LIST
+            + (name("_codecs", "encode") + put(0) + asm.APPEND)
+            + (items(text("x" * 2_000_000), text("latin1")) + put(1) + asm.APPEND)
+            + (get(0) + get(1) + asm.REDUCE + asm.APPEND) * 90_000
+        ),
+        "encodes more than 4194304 bytes",
+    ),
     "a text doubled 40 times": (lambda: doubled(40), "calls '_codecs.encode'"),
     "billion laughs as an item of a set in protocol 4": (
         lambda: laughing(
@@ -115,8 +124,8 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         ),
         "has a set of more than 64 items, or of others",
     ),
-    "a set that is never full": (
-        lambda: archive(asm.EMPTY_SET + (asm.MARK + number(1) * 9 + asm.ADDITEMS) * 8),
+    "a set of 65 items": (
+        lambda: archive(asm.EMPTY_SET + asm.MARK + b"".join(map(number, range(65))) + asm.ADDITEMS),
         "has a set of more than 64 items",
     ),
     "an item added to a list": (
@@ -125,7 +134,7 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     ),
     "an item added to a model": (
         lambda: archive(instance("models.yolo", "Model", {}) + asm.MARK + number(1) + asm.ADDITEMS),
-        "changes a object",
+        "changes a models.yolo.Model",
     ),
     "items without a mark": (lambda: archive(asm.EMPTY_SET + asm.ADDITEMS), "is damaged"),
     "bytes as a key": (
@@ -188,6 +197,15 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
             + (get(1) + get(2) + asm.STACK_GLOBAL + asm.APPEND) * 100_000
         ),
         "a name of more than 500 characters",
+    ),
+    "a name of 490 characters, often": (
+        lambda: archive(
+            asm.EMPTY_LIST
+            + (text("models." + "x" * 240) + put(1) + asm.APPEND)
+            + (text("y" * 240) + put(2) + asm.APPEND)
+            + (asm.MARK + (get(1) + get(2) + asm.STACK_GLOBAL) * 300_000 + b"e")
+        ),
+        "expected a dict with the entry 'model'",
     ),
     "names without end": (
         lambda: archive(

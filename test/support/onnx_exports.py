@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 from torch import Tensor
 
+from yolov5_lifecycle.models.blocks import SPP
 from yolov5_lifecycle.models.convolutions import Conv
-from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.cost import size_multiple
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.models.pooling import SPP
 
 Era = Literal["v6.0", "v7.0", "raw", "raw with boxes"]
 

@@ -247,7 +247,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "padding that fits nothing": (row(1, -1, 1, "nn.ZeroPad2d", [[0, 1, 0, 1]]), "of different sizes"),
     "squares that do not fit": (row(1, -1, 1, "Contract", [3]), "the strides are"),
     "squares of a million": (row(1, -1, 1, "Contract", [10**6]), "the gain of layer 1"),
-    "too few channels for squares": (row(1, -1, 1, "Expand", [8]), "the strides are"),
+    "too few channels for squares": (row(1, -1, 1, "Expand", [8]), "8 channels cannot become squares"),
     "windows that descend": (row(4, -1, 1, "SPP", [64, [9, 5]]), "has the arguments"),
     "a thousand windows": (row(4, -1, 1, "SPP", [64, [3] * 1000]), "has the arguments"),
     "windows in windows": (row(4, -1, 1, "SPP", [64, [[5], [9]]]), "the kernel of layer 4"),

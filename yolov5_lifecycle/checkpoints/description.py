@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
+from yolov5_lifecycle.checkpoints.archive import Archive, read_archive
 from yolov5_lifecycle.checkpoints.locate import load_weights, read_once, shown_path
-from yolov5_lifecycle.checkpoints.pickled_facts import PickledFacts, counted, pickled_facts
+from yolov5_lifecycle.checkpoints.pickle_interpreter import unpickled
+from yolov5_lifecycle.checkpoints.pickled_model import model_root
+from yolov5_lifecycle.checkpoints.pickled_objects import StoredTensor, Stub, modules_of, tensors_of
 from yolov5_lifecycle.models.architecture import SIZES, Architecture
-from yolov5_lifecycle.models.cost import usual_cost
-from yolov5_lifecycle.models.export import Export
-from yolov5_lifecycle.models.geometry import size_multiple
-from yolov5_lifecycle.models.model import Model, WeightsError
+from yolov5_lifecycle.models.cost import size_multiple, usual_cost
+from yolov5_lifecycle.models.model import Export, Model, WeightsError, shown
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
 
 _LABEL = 14
 _WIDTH = 100
 _MAX_LINES = 3
+_COUNTER = "num_batches_tracked"
+_MAX_KINDS = 12
+_MAX_COUNTERS = 100
+_MAX_COUNTER_BYTES = 64
 
 
 class Description:
@@ -34,7 +41,7 @@ class Description:
             data = read_once(path)
             facts.append(("size", f"{len(data) / 1e6:.1f} MB"))
             if path.suffix.lower() in (".pt", ".pth"):
-                facts.extend(_of_pickle(pickled_facts(data)))
+                facts.extend(_of_pickle(data))
             elif path.suffix.lower() == ".safetensors":
                 facts.append(("written by", "convert"))
             elif path.suffix.lower() == ".onnx":
@@ -52,11 +59,16 @@ class Description:
         self.text = "".join(_lines(label, value) for label, value in dict(facts).items() if value)
 
 
-def _of_pickle(facts: PickledFacts) -> Iterator[tuple[str, str]]:
-    yield "written by", f"YOLOv5 {facts.version}" if facts.version else ""
-    yield "layers", facts.layers
-    yield "activations", facts.activations
-    yield "trained", facts.training
+def _of_pickle(data: bytes) -> Iterator[tuple[str, str]]:
+    """From the objects of a `.pt`, even if its model is refused; raises WeightsError if they are."""
+    archive = read_archive(data)
+    checkpoint = unpickled(archive)
+    modules = modules_of(model_root(checkpoint))
+    tensors = dict(tensors_of(modules))
+    yield "written by", f"YOLOv5 {_version(modules, tensors)}"
+    yield "layers", _counted(module.kind for path, module in modules.items() if _is_layer(path))
+    yield "activations", _counted(module.kind for path, module in modules.items() if path.endswith(".act"))
+    yield "trained", _training(checkpoint, tensors, archive)
 
 
 def _of_model(model: Model) -> Iterator[tuple[str, str]]:
@@ -65,8 +77,8 @@ def _of_model(model: Model) -> Iterator[tuple[str, str]]:
         network = Network(architecture)
     parameters = sum(parameter.numel() for parameter in network.parameters())
     activations = [type(module.act).__name__ for module in network.modules() if hasattr(module, "act")]
-    yield "layers", counted(layer.kind for layer in architecture.layers)
-    yield "activations", counted(activations)
+    yield "layers", _counted(layer.kind for layer in architecture.layers)
+    yield "activations", _counted(activations)
     depth, width = architecture.depth_multiple, architecture.width_multiple
     yield "multiples", f"depth {depth:g}, width {width:g}{_size(architecture)}"
     yield "parameters", f"{parameters:,}{', fused' if architecture.is_fused else ''}"
@@ -127,3 +139,50 @@ def _lines(label: str, value: str) -> str:
     lines = textwrap.wrap(in_one_line(value, room * _MAX_LINES - 40), room) or [""]
     blank = " " * _LABEL
     return f"{label:<{_LABEL}}" + f"\n{blank}".join(lines) + "\n"
+
+
+def _counted(kinds: Iterable[str]) -> str:
+    """Such as "8 C3, 7 Conv, 1 SPPF", the most frequent first."""
+    found = Counter(kinds).most_common(_MAX_KINDS)
+    return ", ".join(f"{count} {shown(kind)[1:-1]}" for kind, count in found)
+
+
+def _is_layer(path: str) -> bool:
+    return path.startswith("model.") and path.count(".") == 1
+
+
+def _version(modules: Mapping[str, Stub], tensors: Mapping[str, StoredTensor]) -> str:
+    """The version of YOLOv5 that wrote the model, inferred from differences between versions."""
+    convolutions = [path for path, module in modules.items() if module.kind in ("Conv", "DWConv")]
+    activations = [modules[f"{path}.act"] for path in convolutions if f"{path}.act" in modules]
+    kinds = {module.kind for module in activations}
+    if any(key.endswith(".anchor_grid") for key in tensors):
+        return {"Hardswish": "v3.1", "LeakyReLU": "v3.0", "SiLU": "v4.0 or v5.0"}.get(
+            "".join(kinds), "v3.0 to v5.0"
+        )
+    is_in_place = any(module.get("inplace") is True for module in activations)
+    if modules[""].kind == "Model":
+        return "v6.1" if is_in_place else "v6.0"
+    if len({id(module) for module in activations}) > 1 and kinds == {"SiLU"}:
+        return "v6.2"
+    return "v7.0" if is_in_place else "later than v7.0, or v7.0 with an activation of its own"
+
+
+def _training(checkpoint: object, tensors: Mapping[str, StoredTensor], archive: Archive) -> str:
+    counters = [tensor for key, tensor in tensors.items() if key.endswith(_COUNTER)]
+    if not counters:
+        return "unknown: the normalisation was merged into the convolutions"
+    try:
+        has_seen_images = any(bool(_read(counter, archive).any()) for counter in counters[:_MAX_COUNTERS])
+    except (WeightsError, RuntimeError):
+        return ""
+    if not has_seen_images:
+        return "never: its normalisation has seen no images"
+    date = checkpoint.get("date") if isinstance(checkpoint, dict) else None
+    return f"yes, saved {shown(date)[1:-1]}" if isinstance(date, str) else "yes"
+
+
+def _read(counter: StoredTensor, archive: Archive) -> Tensor:
+    if counter.size_bytes > _MAX_COUNTER_BYTES:
+        raise WeightsError("a counter of many numbers")
+    return counter.of(archive.storage(counter.storage.key))

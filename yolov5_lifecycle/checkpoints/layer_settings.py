@@ -1,25 +1,27 @@
-"""Check that the modules in a checkpoint match our network in more than keys and shapes.
+"""What the modules in a checkpoint say besides keys and shapes: settings, activations, fusion.
 
 A different activation, epsilon or wiring leaves every tensor shape unchanged but makes every detection wrong.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import math
+from collections import Counter
 from collections.abc import Mapping
 from types import MappingProxyType
 
 from torch import nn
 from torch.nn.modules.linear import NonDynamicallyQuantizableLinear
 
-from yolov5_lifecycle.checkpoints.module_tree import Stub
+from yolov5_lifecycle.checkpoints.pickled_objects import Stub
 from yolov5_lifecycle.checkpoints.yaml_architecture import layer_sources
-from yolov5_lifecycle.models.bottlenecks import Bottleneck, CrossConv
-from yolov5_lifecycle.models.convolutions import Conv, DWConv, MixConv2d
+from yolov5_lifecycle.models.architecture import Architecture
+from yolov5_lifecycle.models.blocks import Bottleneck, Contract, CrossConv, CrossCSP, Expand
+from yolov5_lifecycle.models.convolutions import ACTIVATIONS, Conv, DWConv, MixConv2d, leaky_relu
 from yolov5_lifecycle.models.head import Segment
-from yolov5_lifecycle.models.model import WeightsError, shown
+from yolov5_lifecycle.models.model import WeightsError, blueprint, shown
 from yolov5_lifecycle.models.network import Concat, Network
-from yolov5_lifecycle.models.partial import CrossCSP
-from yolov5_lifecycle.models.resizing import Contract, Expand
 
 _CONTAINERS = {"", "model"}
 _CONVOLUTION = ("kernel_size", "stride", "padding", "dilation", "groups", "padding_mode")
@@ -131,3 +133,46 @@ def _same(found: object, expected: object) -> bool:
             return False
         return all(map(_same, found, expected))
     return isinstance(found, (int, float, str)) and found == expected
+
+
+def as_pickled(architecture: Architecture, modules: Mapping[str, Stub]) -> Architecture:
+    """`architecture` with the activations of `modules`, and fused if they are.
+
+    The modules are known by their paths in the network. Raises WeightsError for an unsupported activation.
+    """
+    made = dict(blueprint(architecture).named_modules())
+    names = {
+        path: _activation_name(path, modules[path])
+        for path in made
+        if path.endswith(".act") and path in modules
+    }
+    chosen = Counter(name for path, name in names.items() if isinstance(made[path], nn.SiLU))
+    usual = chosen.most_common(1)[0][0] if chosen else architecture.activation
+    convolutions = [path for path, module in made.items() if isinstance(module, Conv)]
+    return dataclasses.replace(
+        architecture,
+        activation=usual,
+        other_activations=tuple(
+            (path, name)
+            for path, name in names.items()
+            if name != (usual if isinstance(made[path], nn.SiLU) else "Identity")
+        ),
+        is_fused=bool(convolutions) and not any(f"{path}.bn" in modules for path in convolutions),
+    )
+
+
+def _activation_name(path: str, module: Stub) -> str:
+    if module.kind not in ACTIVATIONS or not module.pickled_name.startswith("torch.nn.modules."):
+        raise WeightsError(
+            f"the module {path} is a {shown(module.kind)}: the model was trained with another activation "
+            f"than {', '.join(ACTIVATIONS)}; only these are supported"
+        )
+    if module.kind != "LeakyReLU":
+        return module.kind
+    slope = module.get("negative_slope")
+    if isinstance(slope, bool) or not isinstance(slope, (int, float)) or not 0 <= slope <= 1:
+        raise WeightsError(f"{path}.negative_slope is {shown(slope)}, expected 0 to 1")
+    name = leaky_relu(float(slope))
+    if not math.isclose(float(name[10:-1]), slope, rel_tol=1e-7, abs_tol=1e-12):
+        raise WeightsError(f"{path}.negative_slope is {shown(slope)}: not supported")
+    return name

@@ -16,8 +16,7 @@ from urllib.parse import unquote
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
-from yolov5_lifecycle.models.export import Export
-from yolov5_lifecycle.models.model import Model, UncheckedError, WeightsError, shown
+from yolov5_lifecycle.models.model import Export, Model, UncheckedError, WeightsError, shown
 from yolov5_lifecycle.printable import shell_command
 
 MAX_FILE_BYTES = 2 << 30

@@ -7,15 +7,13 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Union
 
 import onnx
 
 from yolov5_lifecycle.checkpoints.onnx_trace import Shape, Trace
-from yolov5_lifecycle.checkpoints.protobuf_fields import check_structure, damaged
 from yolov5_lifecycle.models.cost import Cost
-from yolov5_lifecycle.models.export import Export
-from yolov5_lifecycle.models.model import MAX_CLASSES, WeightsError, check_class_names, shown
+from yolov5_lifecycle.models.model import MAX_CLASSES, Export, WeightsError, check_class_names, shown
 
 MAX_NODES = 5_000
 """The export of YOLOv5x6 has about 1,000."""
@@ -47,6 +45,17 @@ _NAME = rf"'(?:[^'\\\n]|{_ESCAPE})*'|\"(?:[^\"\\\n]|{_ESCAPE})*\"|-?\d{{1,18}}|T
 _NAMES = re.compile(rf"[\[{{]\s*(?:(?:\d{{1,6}}\s*:\s*)?(?:{_NAME})\s*(?:,\s*|(?=[\]}}])))*[\]}}]")
 """The text of a flat list, or of a dict by number: what can be parsed at a known cost."""
 _MAX_NAMES = 1 << 18
+
+MAX_FIELDS = 200_000
+"""Fields of all messages on the way to the numbers; the export of YOLOv5x6 has about 40,000."""
+MAX_STRUCTURE_BYTES = 4 << 20
+"""All of a file but its raw numbers; the export of YOLOv5x6 has 0.3 MB."""
+Value = Union[int, memoryview]  # noqa: UP007 - the new form cannot be evaluated by 3.10
+_Places = Mapping[int, "_Places | None"]
+_NUMBERS: _Places = {7: {5: {9: None}, 1: {5: {5: {9: None}}}}}
+"""Field numbers on the way to raw numbers: graph, array or graph, node, attribute, array; None is the end."""
+_FIXED_BYTES = {1: 8, 5: 4}
+_MAX_VARINT_BYTES = 10
 
 
 class _Images(NamedTuple):
@@ -101,13 +110,13 @@ def _planes(images: _Images, size_hw: tuple[int, int]) -> Shape:
 
 
 def _parsed(data: bytes) -> Any:
-    check_structure(data)
+    _check_structure(data)
     try:
         model = onnx.load_from_string(data)
     except Exception:  # noqa: BLE001 - DecodeError of protobuf, which only onnx depends on
-        raise damaged("its messages") from None
+        raise _damaged("its messages") from None
     if not model.graph.node:
-        raise damaged("it has no graph")
+        raise _damaged("it has no graph")
     return model
 
 
@@ -117,7 +126,7 @@ def _check_graph(model: Any) -> None:
     if len(graph.node) > MAX_NODES:
         raise WeightsError(f"the graph has {len(graph.node):,} operations, at most {MAX_NODES:,} are read")
     if sum(opset.domain in ("", "ai.onnx") for opset in model.opset_import) != 1:
-        raise damaged("no version of its operations, or two")
+        raise _damaged("no version of its operations, or two")
     if model.functions or model.training_info or graph.sparse_initializer:
         raise WeightsError("it has functions, training or sparse arrays, which no export of YOLO has")
     for node in graph.node:
@@ -257,3 +266,74 @@ def _told_names(metadata: Mapping[str, str]) -> dict[int, object] | None:
             f"found {shown(entry)}: export the model again"
         )
     return dict(enumerate(names)) if isinstance(names, list) else names
+
+
+def _check_structure(data: bytes) -> None:
+    """Raise WeightsError if the file is no protocol buffer message or has more structure than an export.
+
+    Before the package onnx makes an object of each part: a hundred bytes of every two of a hostile file.
+    """
+    structure = _Reader().bytes_without_numbers(memoryview(data), _NUMBERS)
+    if structure > MAX_STRUCTURE_BYTES:
+        raise WeightsError(
+            f"the file has {structure:,} bytes besides the raw numbers of its arrays, at most "
+            f"{MAX_STRUCTURE_BYTES:,} are read: export the model again"
+        )
+
+
+class _Reader:
+    """Reads messages of one file without a schema, at most `MAX_FIELDS` fields altogether."""
+
+    def __init__(self) -> None:
+        self._left = MAX_FIELDS
+
+    def bytes_without_numbers(self, message: memoryview, places: _Places) -> int:
+        """The length of `message` without the raw numbers, to which `places` lead."""
+        rest = len(message)
+        for number, value in self._fields(message):
+            if number in places and isinstance(value, memoryview):
+                below = places[number]
+                rest -= len(value)
+                rest += 0 if below is None else self.bytes_without_numbers(value, below)
+        return rest
+
+    def _fields(self, message: memoryview) -> Iterator[tuple[int, Value]]:
+        """Number and value of each field; no bytes are copied. Raises WeightsError."""
+        place = 0
+        while place < len(message):
+            self._left -= 1
+            if self._left < 0:
+                raise WeightsError(f"the file has more than {MAX_FIELDS:,} fields: no export of YOLO has")
+            key, place = _varint(message, place)
+            number, kind = key >> 3, key & 7
+            if kind == 0:
+                value, place = _varint(message, place)
+                yield number, value
+                continue
+            if kind == 2:
+                length, place = _varint(message, place)
+            elif kind in _FIXED_BYTES:
+                length = _FIXED_BYTES[kind]
+            else:
+                raise _damaged(f"a field of kind {kind}")
+            if length > len(message) - place:
+                raise _damaged(f"a field claims {length} bytes, {len(message) - place} are left")
+            yield number, message[place : place + length]
+            place += length
+
+
+def _damaged(found: str) -> WeightsError:
+    """The refusal of a file that is not a message of the expected kind."""
+    return WeightsError(f"the file is damaged, cut short or no ONNX model ({found}): copy or export it again")
+
+
+def _varint(data: memoryview, place: int) -> tuple[int, int]:
+    """An integer of up to 64 bits, and the place after it."""
+    number = 0
+    for count, byte in enumerate(data[place : place + _MAX_VARINT_BYTES]):
+        number |= (byte & 127) << (7 * count)
+        if byte < 128:
+            if number >> 64:
+                break
+            return number, place + count + 1
+    raise _damaged("an integer without end")

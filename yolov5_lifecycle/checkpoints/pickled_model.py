@@ -9,10 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from yolov5_lifecycle.checkpoints.layer_arguments import MAX_COEFFICIENTS
-from yolov5_lifecycle.checkpoints.layer_rows import layer_kind
-from yolov5_lifecycle.checkpoints.module_tree import Stub
-from yolov5_lifecycle.checkpoints.stored_tensor import StoredTensor
+from yolov5_lifecycle.checkpoints.layer_rows import MAX_COEFFICIENTS, layer_kind
+from yolov5_lifecycle.checkpoints.pickled_objects import StoredTensor, Stub
 from yolov5_lifecycle.checkpoints.yaml_architecture import MAX_ANCHORS, MAX_LEVELS, MAX_STRIDE
 from yolov5_lifecycle.models.architecture import AnchorsPx
 from yolov5_lifecycle.models.head import HEADS

@@ -10,7 +10,8 @@ import torch
 
 from yolov5_lifecycle.models.model import WeightsError, shown
 
-TENSOR_MAKERS = frozenset({"torch._utils._rebuild_parameter", "torch._utils._rebuild_tensor_v2"})
+PARAMETER_MAKER = "torch._utils._rebuild_parameter"
+TENSOR_MAKER = "torch._utils._rebuild_tensor_v2"
 SETS = frozenset({"__builtin__.set", "builtins.set"})
 ORDERED_DICT = "collections.OrderedDict"
 ENCODE = "_codecs.encode"
@@ -34,7 +35,11 @@ STORAGES: Mapping[str, torch.dtype] = MappingProxyType(
 )
 # torch.load allows more names, but its bytearray and torch.FloatTensor allocate whatever the file claims.
 TORCH_NAMES = (
-    TENSOR_MAKERS | frozenset(STORAGES) | SETS | GET_ATTRIBUTE | NUMPY_SCALARS | {ORDERED_DICT, ENCODE}
+    frozenset(STORAGES)
+    | SETS
+    | GET_ATTRIBUTE
+    | NUMPY_SCALARS
+    | {TENSOR_MAKER, PARAMETER_MAKER, ORDERED_DICT, ENCODE}
 )
 _STUB_PREFIXES = (
     *("models.", "utils.", "yolov5.models.", "yolov5.utils.", "torch.nn.modules."),
@@ -86,11 +91,8 @@ _STUB_NAMES = frozenset(
 )
 
 
-def stubs_among(names: Collection[str]) -> list[str]:
-    """Those of `names`, which a pickle has, that torch does not define.
-
-    Raises WeightsError if one of them does not belong to YOLOv5.
-    """
+def check_names(names: Collection[str]) -> None:
+    """Raise WeightsError if one of `names`, which a pickle has, belongs neither to YOLOv5 nor to torch."""
     if any(name.startswith("ultralytics.") for name in names):
         raise WeightsError(
             "this model belongs to the ultralytics package (YOLOv8 or later, or a YOLOv5 'u' model); "
@@ -105,7 +107,6 @@ def stubs_among(names: Collection[str]) -> list[str]:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
         named = ", ".join(shown(name) for name in foreign[:3])
         raise WeightsError(f"it names {named}{more}, which no YOLOv5 checkpoint needs: do not trust it")
-    return sorted(name for name in names if name not in TORCH_NAMES)
 
 
 def _is_known(name: str) -> bool:

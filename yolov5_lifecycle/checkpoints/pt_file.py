@@ -9,9 +9,8 @@ import torch
 from torch import Tensor
 
 from yolov5_lifecycle.checkpoints.archive import Archive, read_archive
-from yolov5_lifecycle.checkpoints.layer_settings import check_settings
-from yolov5_lifecycle.checkpoints.module_tree import Stub, modules_of, tensors_of, unpickled
-from yolov5_lifecycle.checkpoints.pickled_activations import as_pickled
+from yolov5_lifecycle.checkpoints.layer_settings import as_pickled, check_settings
+from yolov5_lifecycle.checkpoints.pickle_interpreter import unpickled
 from yolov5_lifecycle.checkpoints.pickled_model import (
     anchors_of,
     classes_of,
@@ -22,7 +21,7 @@ from yolov5_lifecycle.checkpoints.pickled_model import (
     strides_of,
     without_nms,
 )
-from yolov5_lifecycle.checkpoints.stored_tensor import StoredTensor
+from yolov5_lifecycle.checkpoints.pickled_objects import StoredTensor, Stub, modules_of, tensors_of
 from yolov5_lifecycle.checkpoints.yaml_architecture import architecture_of
 from yolov5_lifecycle.models.architecture import AnchorsPx
 from yolov5_lifecycle.models.model import (

@@ -19,8 +19,8 @@ from yolov5_lifecycle.checkpoints.yaml_architecture import (
     MAX_STRIDE,
     architecture_of,
 )
-from yolov5_lifecycle.models.activations import activation_of
 from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture, Argument
+from yolov5_lifecycle.models.convolutions import activation_of
 from yolov5_lifecycle.models.model import (
     MAX_CLASSES,
     Model,

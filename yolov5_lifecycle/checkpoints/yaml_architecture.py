@@ -9,10 +9,8 @@ from typing import Any
 
 from yolov5_lifecycle.checkpoints.layer_rows import layer_arguments, layer_kind
 from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture, Layer
-from yolov5_lifecycle.models.blocks import LAYER_KINDS
-from yolov5_lifecycle.models.cells import Cells
-from yolov5_lifecycle.models.cost import check_architecture
-from yolov5_lifecycle.models.geometry import cells_of_layers, size_multiple
+from yolov5_lifecycle.models.convolutions import LAYER_KINDS
+from yolov5_lifecycle.models.cost import Cells, cells_of_levels, check_architecture
 from yolov5_lifecycle.models.head import HEADS
 from yolov5_lifecycle.models.model import WeightsError, checked_integer, shown
 
@@ -122,12 +120,10 @@ def _check_strides(architecture: Architecture) -> None:
     if heads != [len(architecture.layers) - 1]:
         raise WeightsError(f"expected one {' or '.join(HEADS)} layer, the last, found {len(heads)}")
     try:
-        cells = cells_of_layers(architecture)
-        multiple = size_multiple(architecture)
+        found, multiple = cells_of_levels(architecture)
     except ValueError as error:
         raise WeightsError(str(error)) from None
-    found = [cells[source] for source in architecture.layers[-1].sources]
-    if found != [Cells(Fraction(stride)) for stride in architecture.strides]:
+    if found != tuple(Cells(Fraction(stride)) for stride in architecture.strides):
         made = [str(level.pixels) if level.surplus == 0 else f"{level.pixels}, not whole" for level in found]
         raise WeightsError(
             f"the strides are {shown(architecture.strides)}, but its layers produce {shown(made)}"

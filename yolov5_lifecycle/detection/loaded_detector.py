@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.models.cost import check_memory, checked_cost
-from yolov5_lifecycle.models.export import Export
-from yolov5_lifecycle.models.geometry import size_multiple
-from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.models.cost import check_memory, checked_cost, size_multiple
+from yolov5_lifecycle.models.model import Export, Model
 from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
 from yolov5_lifecycle.runtimes.quantization import Quantization

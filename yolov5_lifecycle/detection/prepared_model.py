@@ -14,7 +14,7 @@ from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processo
 from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.models.cost import Cost, check_memory
-from yolov5_lifecycle.models.export import Export
+from yolov5_lifecycle.models.model import Export
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.quantization.calibration_file import find_quantization
 from yolov5_lifecycle.runtimes.quantization import Quantization

@@ -102,7 +102,7 @@ class Architecture:
     `anchors_px` are (width, height) in network pixels, one row of anchors per detection level; `strides` are
     the network pixels per grid cell of each level. The last layer is the head, Detect or Segment, and has
     one source per level. `image_channels` is 3 for RGB, 1 for grey. `activation`, a name in
-    `models/activations.py`, is that of every convolution that has one; `other_activations` are pairs of a
+    `models/convolutions.py`, is that of every convolution that has one; `other_activations` are pairs of a
     module's path in the network and its different activation. If it `is_fused`, convolutions have a
     bias and no normalisation.
     """

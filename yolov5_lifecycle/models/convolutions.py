@@ -1,39 +1,58 @@
-"""Convolutions with normalisation and activation, and other single convolutions."""
+"""Convolutions with normalisation and activation, other single convolutions, and what all blocks share.
+
+The blocks have the names and state-dict keys of checkpoints. Their constructors take the numbers
+of input and output channels, with `has_repeats_inside` the number of repeats, and then the arguments of the
+layer.
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Mapping
 from math import gcd
+from types import MappingProxyType
+from typing import ClassVar, TypeVar
 
 import torch
 from torch import Tensor, nn
 
-from yolov5_lifecycle.models.blocks import Block, layer_kind
-from yolov5_lifecycle.models.cells import Cells
-
 EPSILON = 1e-3
 """That of every batch normalisation; no state dict holds it."""
+LAYER_KINDS: dict[str, type[nn.Module]] = {}
+"""The kinds of layers that have output channels of their own, by the names of their classes."""
+ACTIVATIONS: Mapping[str, Callable[..., nn.Module]] = MappingProxyType(
+    {
+        "SiLU": nn.SiLU,
+        "Hardswish": nn.Hardswish,
+        "LeakyReLU": nn.LeakyReLU,
+        "ReLU": nn.ReLU,
+        "Identity": nn.Identity,
+    }
+)
+"""By class name in torch; a LeakyReLU has its negative slope in parentheses, as in "LeakyReLU(0.1)"."""
+_LEAKY = re.compile(r"LeakyReLU\((0(?:\.\d{1,12})?|1(?:\.0)?)\)")
 
 
-def convolved(
-    cells: Cells,
-    kernel: int = 1,
-    stride: int = 1,
-    padding: int | None = None,
-    groups: int = 1,
-    dilation: int = 1,
-) -> Cells:
-    """The cells of a convolution with these arguments of `Conv`."""
-    same = dilation * (kernel - 1) // 2
-    return cells.slid(kernel, stride, same if padding is None else padding, dilation)
+_Registered = TypeVar("_Registered", bound=type[nn.Module])
 
 
-def _spread(
-    cells: Cells, kernel: int = 1, stride: int = 1, padding: int = 0, output_padding: int = 0
-) -> Cells:
-    return cells.spread(kernel, stride, padding, output_padding)
+def layer_kind(block: _Registered) -> _Registered:
+    """Register a class as the kind of layer of its name."""
+    LAYER_KINDS[block.__name__] = block
+    return block
 
 
-@layer_kind(convolved)
+class Block(nn.Module):
+    """A part of a network that can be made faster once its weights no longer change."""
+
+    has_repeats_inside: ClassVar[bool] = False
+    """Whether the repeats of a layer are an argument; otherwise the block itself is repeated."""
+
+    def fold(self) -> None:
+        """Merge what can be merged for inference, in place; up to rounding the output stays the same."""
+
+
+@layer_kind
 class Conv(Block):
     """Convolution, batch normalisation, activation; `padding` keeps the size at stride 1.
 
@@ -85,7 +104,7 @@ class Conv(Block):
             self.bn = nn.Identity()
 
 
-@layer_kind(lambda cells, kernel=1, stride=1, dilation=1: convolved(cells, kernel, stride, None, 1, dilation))
+@layer_kind
 class DWConv(Conv):
     """A convolution in as many groups as both numbers of channels allow."""
 
@@ -105,7 +124,7 @@ class DWConv(Conv):
         )
 
 
-@layer_kind(lambda cells, *kernel_stride: convolved(cells.contracted(2), *kernel_stride))
+@layer_kind
 class Focus(Block):
     """Four pixels become four times the channels, then a convolution: first layer of networks before v6."""
 
@@ -140,7 +159,7 @@ class Focus(Block):
         self._is_folded = True
 
 
-@layer_kind(lambda cells, kernels=(1, 3), stride=1: convolved(cells, kernels[0], stride))
+@layer_kind
 class MixConv2d(Block):
     """Convolutions with different kernels side by side, normalised and activated together."""
 
@@ -174,7 +193,7 @@ class MixConv2d(Block):
             self.bn = nn.Identity()
 
 
-@layer_kind(_spread)
+@layer_kind
 class DWConvTranspose2d(nn.ConvTranspose2d):
     """A transposed convolution in as many groups as both numbers of channels allow."""
 
@@ -191,7 +210,7 @@ class DWConvTranspose2d(nn.ConvTranspose2d):
         super().__init__(channels_in, channels_out, kernel, stride, padding, output_padding, groups)
 
 
-@layer_kind(_spread)
+@layer_kind
 class ConvTranspose2d(nn.ConvTranspose2d):
     """torch's own, as a layer."""
 
@@ -225,3 +244,19 @@ def _padding(kernel: int | tuple[int, int], dilation: int) -> int | tuple[int, i
 def _sides(convolution: nn.Conv2d) -> tuple[int, int, int]:
     """Kernel, stride and padding of a square convolution."""
     return convolution.kernel_size[0], convolution.stride[0], int(convolution.padding[0])
+
+
+def activation_of(name: str) -> nn.Module:
+    """The module of an activation such as "SiLU" or "LeakyReLU(0.1)"; raises ValueError for others."""
+    if leaky := _LEAKY.fullmatch(name):
+        return nn.LeakyReLU(float(leaky[1]), inplace=True)
+    if name == "Identity":
+        return nn.Identity()
+    if name not in ACTIVATIONS or name == "LeakyReLU":
+        raise ValueError(f"expected an activation, one of {', '.join(ACTIVATIONS)}, found {name[:40]!r}")
+    return ACTIVATIONS[name](inplace=True)
+
+
+def leaky_relu(negative_slope: float) -> str:
+    """The name of a LeakyReLU, with at most 12 digits of its slope, which is in [0, 1]."""
+    return f"LeakyReLU({f'{negative_slope:.12f}'.rstrip('0').rstrip('.')})"

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, cast
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any, NamedTuple, cast
 
-import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from yolov5_lifecycle.models.architecture import Architecture
-from yolov5_lifecycle.models.geometry import size_multiple
-from yolov5_lifecycle.models.head import PARITIES, Proto, Segment
+from yolov5_lifecycle.models.head import Proto, Segment
 from yolov5_lifecycle.models.model import blueprint
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.models.outline import Ledger, Outline, Shape
+from yolov5_lifecycle.models.shape_tensor import CostCounter, Shape, ShapeTensor
 from yolov5_lifecycle.process.memory import available_bytes
 
 MAX_CHANNELS = 65_536
@@ -27,6 +27,8 @@ MAX_MULTIPLY_ADDS_PER_PIXEL = 2_500_000
 """Ten times those of YOLOv5x6."""
 _SMALL_IMAGE_SIZE, _USUAL_IMAGE_SIZE = 128, 640
 _FLOAT_BYTES = 4
+_MAX_STRIDE = 1024
+_ANY_STRIDE = math.lcm(*range(1, _MAX_STRIDE + 1))
 
 
 @dataclass(frozen=True)
@@ -75,21 +77,52 @@ def cost_of(architecture: Architecture, size_hw: tuple[int, int], *, images: int
     Raises WeightsError if no network can be built, ValueError if its layers do not fit each other.
     """
     network = blueprint(architecture).eval()
-    weights = sum(parameter.numel() for parameter in network.parameters())
-    ledger = Ledger()
-    outputs: list[tuple[str, Shape]] = []
-    for index, module in enumerate(network.model):
-        _watch(module, f"layer {index} ({architecture.layers[index].kind})", ledger, outputs)
-    _run(network, Outline((images, architecture.image_channels, *size_hw), ledger))
+    counter = CostCounter()
+    outputs = _watched(network, counter)
+    _run(network, ShapeTensor((images, architecture.image_channels, *size_hw), counter))
     return Cost(
         images=images,
         size_hw=size_hw,
-        multiply_adds=ledger.multiply_adds,
-        activation_bytes=_FLOAT_BYTES * ledger.most_elements,
-        layer=ledger.layer_of_most,
-        weight_bytes=_FLOAT_BYTES * weights,
+        multiply_adds=counter.multiply_adds,
+        activation_bytes=_FLOAT_BYTES * counter.most_elements,
+        layer=counter.layer_of_most,
+        weight_bytes=_FLOAT_BYTES * sum(parameter.numel() for parameter in network.parameters()),
         outputs=tuple(outputs),
     )
+
+
+class Cells(NamedTuple):
+    """A feature map has one cell for `pixels` pixels of the image on each axis, and `surplus` more."""
+
+    pixels: Fraction
+    surplus: int = 0
+
+
+@lru_cache(maxsize=16)
+def cells_of_levels(architecture: Architecture) -> tuple[tuple[Cells, ...], int]:
+    """The cells of what the head reads, and the number of which input height and width must be multiples.
+
+    That is the largest stride; that of a layer may be larger than those of the detection levels. A number
+    above `_MAX_STRIDE` is only known to be too large. Found by running the network for an image whose sides,
+    one twice the other, are multiples of each smaller stride. Raises like `cost_of`.
+    """
+    network = blueprint(architecture).eval()
+    counter = CostCounter()
+    outputs = _watched(network, counter)
+    pixels = ShapeTensor((1, architecture.image_channels, _ANY_STRIDE, 2 * _ANY_STRIDE), counter)
+    levels = network.features(cast(Tensor, pixels))
+    multiple = math.lcm(*(_cells(shape).pixels.numerator for _, shape in outputs))
+    return tuple(_cells(level.shape) for level in levels), multiple
+
+
+def size_multiple(architecture: Architecture) -> int:
+    """The number of which input height and width must be multiples for all layers to fit each other."""
+    return cells_of_levels(architecture)[1]
+
+
+def _cells(shape: Shape) -> Cells:
+    height, width = shape[2:]
+    return Cells(Fraction(_ANY_STRIDE, width - height), 2 * height - width)
 
 
 def usual_cost(architecture: Architecture) -> Cost:
@@ -162,21 +195,25 @@ def check_memory(cost: Cost, needed_bytes: int, *, free_bytes: int | None = None
         )
 
 
-def _watch(module: nn.Module, name: str, ledger: Ledger, outputs: list[tuple[str, Shape]]) -> None:
-    """Tell `ledger` when the layer begins, and add the shape of its output to `outputs`."""
+def _watched(network: Network, counter: CostCounter) -> list[tuple[str, Shape]]:
+    """Tell `counter` which layer of `network` is computed; returns the list of outputs, to be filled."""
+    names = iter([f"layer {index} ({layer.kind})" for index, layer in enumerate(network.architecture.layers)])
+    counter.layer = next(names)
+    outputs: list[tuple[str, Shape]] = []
 
-    def note(_: object, __: object, output: object) -> None:
-        if isinstance(output, Outline):  # the head returns several
-            outputs.append((name, output.shape))
+    def note(_: object, __: object, output: ShapeTensor) -> None:
+        outputs.append((counter.layer, output.shape))
+        counter.layer = next(names)
 
-    module.register_forward_pre_hook(lambda *_: setattr(ledger, "layer", name))
-    module.register_forward_hook(note)
+    for module in network.model[:-1]:
+        module.register_forward_hook(note)
+    return outputs
 
 
-def _run(network: Network, pixels: Outline) -> None:
-    """Run `network` up to the selection by NMS, whose copies of predictions are outlines, too."""
+def _run(network: Network, pixels: ShapeTensor) -> None:
+    """Run `network` up to the selection by NMS."""
     features = cast(list[Any], network.features(cast(Tensor, pixels)))
-    levels = cast(list[Outline], network.head(features))
+    levels = cast(list[ShapeTensor], network.head(features))
     rows = [level.made(*level.shape) for level in levels]
     decoded = [level.made(*level.shape) for level in levels]
     finest = features[0]
@@ -189,15 +226,15 @@ def _run(network: Network, pixels: Outline) -> None:
     del likely
 
 
-def _prototypes(proto: Proto, finest: Outline) -> None:
-    """Run `proto` for the memory that it takes when folded, but for the arithmetic of its training."""
-    trained = Ledger(finest.ledger.multiply_adds)
-    proto(Outline(finest.shape, trained))
-    hidden = proto.cv2.conv.out_channels
-    with torch.device("meta"):
-        proto.quarters = nn.ModuleList(nn.Conv2d(hidden, hidden, 2) for _ in PARITIES)
-    proto(finest)
-    finest.ledger.multiply_adds = trained.multiply_adds
+def _prototypes(proto: Proto, finest: ShapeTensor) -> None:
+    """The memory that `proto` takes when folded, but the arithmetic of its training."""
+    trained = CostCounter()
+    batch, prototypes, height, width = proto(ShapeTensor(finest.shape, trained)).shape
+    finest.counter.multiply_adds += trained.multiply_adds
+    hidden, quarters = proto.cv2.conv.out_channels, 4 * prototypes
+    # Widened and padded features, then a quarter before its last convolution, or the quarters being shuffled.
+    channels = 2 * hidden + max(hidden + quarters, 3 * quarters)
+    finest.made(batch, channels, height // 2, width // 2)
 
 
 def _square(architecture: Architecture, image_size: int) -> tuple[int, int]:

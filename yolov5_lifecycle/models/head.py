@@ -7,8 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from yolov5_lifecycle.models.architecture import Architecture
-from yolov5_lifecycle.models.blocks import Block
-from yolov5_lifecycle.models.convolutions import Conv
+from yolov5_lifecycle.models.convolutions import Block, Conv
 
 
 class Detect(nn.Module):

@@ -5,14 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-# The modules of blocks register them as kinds of layers.
-from yolov5_lifecycle.models import attention, bottlenecks, partial, pooling  # noqa: F401
-from yolov5_lifecycle.models.activations import activation_of
 from yolov5_lifecycle.models.architecture import Architecture, Layer
-from yolov5_lifecycle.models.blocks import LAYER_KINDS, Block
-from yolov5_lifecycle.models.convolutions import Conv
+from yolov5_lifecycle.models.blocks import RESIZING, channels_after
+from yolov5_lifecycle.models.convolutions import LAYER_KINDS, Block, Conv, activation_of
 from yolov5_lifecycle.models.head import HEADS, Detect
-from yolov5_lifecycle.models.resizing import RESIZING, channels_after
 
 
 class Concat(nn.Module):
@@ -124,12 +120,12 @@ def _module(layer: Layer, channels_in: list[int], architecture: Architecture) ->
     if layer.kind in HEADS:
         return HEADS[layer.kind](architecture, channels_in), 0
     if layer.kind in RESIZING:
-        module = RESIZING[layer.kind].make(*layer.args)
+        module = RESIZING[layer.kind](*layer.args)
         return module, channels_after(module, channels_in[0])
     unscaled, *arguments = layer.args
     assert isinstance(unscaled, int)
     channels_out = architecture.scaled_channels(unscaled)
-    block = LAYER_KINDS[layer.kind].block
+    block = LAYER_KINDS[layer.kind]
     repeats = layer.scaled_repeats(architecture.depth_multiple)
     if has_repeats_inside(layer.kind):
         return block(channels_in[0], channels_out, repeats, *arguments), channels_out
@@ -144,7 +140,7 @@ def _module(layer: Layer, channels_in: list[int], architecture: Architecture) ->
 
 def has_repeats_inside(kind: str) -> bool:
     """Whether the repeats of a layer of this kind are an argument of its block."""
-    block = LAYER_KINDS[kind].block if kind in LAYER_KINDS else nn.Module
+    block = LAYER_KINDS.get(kind, nn.Module)
     return issubclass(block, Block) and block.has_repeats_inside
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.image import Order
-from yolov5_lifecycle.models.export import Export
+from yolov5_lifecycle.models.model import Export
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.runtimes.compiled_runtime import check_processor, processor_threads, write_planes
 from yolov5_lifecycle.runtimes.compiler import Engine, Loaded, Run, Threads

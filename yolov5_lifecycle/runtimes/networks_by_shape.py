@@ -29,7 +29,10 @@ class NetworksByShape(Generic[Made]):
     """Networks created by `make`, one per shape of frames; keeps the `kept` most recently used ones."""
 
     def __init__(self, make: Callable[[Shape], Made], *, kept: int = MIN_KEPT) -> None:
-        self._cache: _ShapeCache[Made] | None = _ShapeCache(make, kept)
+        self._make: Callable[[Shape], Made] | None = make
+        """None once closed; it may hold the weights."""
+        self._max_kept = kept
+        self._networks: dict[Shape, Made] = {}
 
     @contextmanager
     def running(self, shape: Shape) -> Iterator[Made]:
@@ -37,38 +40,21 @@ class NetworksByShape(Generic[Made]):
 
         Raises the errors of `make`, and InferenceError once closed.
         """
-        cache = self._open()
+        networks, make = self._networks, self._make  # an abandoned thread may run while another closes
+        if make is None:
+            raise closed()
         with denormals_as_zero():
-            yield cache[shape]
+            found = networks.pop(shape, None)
+            if found is None:
+                while len(networks) >= self._max_kept:
+                    del networks[next(iter(networks))]
+                found = make(shape)
+            networks[shape] = found
+            yield found
 
     def close(self) -> None:
         """Free the networks. Idempotent."""
-        self._cache = None
-
-    def _open(self) -> _ShapeCache[Made]:
-        cache = self._cache  # an abandoned thread may run while another closes
-        if cache is None:
-            raise closed()
-        return cache
-
-
-class _ShapeCache(Generic[Made]):
-    """Caches the result of `make` for a shape; evicts the least recently used."""
-
-    def __init__(self, make: Callable[[Shape], Made], kept: int) -> None:
-        self._make = make
-        self._max_kept = kept
-        self._kept: dict[Shape, Made] = {}
-
-    def __getitem__(self, shape: Shape) -> Made:
-        """The cached value, created if missing; raises the errors of `make`."""
-        made = self._kept.pop(shape, None)
-        if made is None:
-            while len(self._kept) >= self._max_kept:
-                del self._kept[next(iter(self._kept))]
-            made = self._make(shape)
-        self._kept[shape] = made
-        return made
+        self._make, self._networks = None, {}
 
 
 @contextmanager

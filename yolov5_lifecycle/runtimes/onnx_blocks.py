@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from torch import nn
+from torch import Tensor, nn
 
-from yolov5_lifecycle.models.attention import TransformerBlock
-from yolov5_lifecycle.models.bottlenecks import GhostBottleneck, GhostConv, Shortcut
+from yolov5_lifecycle.models.blocks import (
+    SPP,
+    SPPF,
+    Contract,
+    Expand,
+    GhostBottleneck,
+    GhostConv,
+    NormalisedPartial,
+    Partial,
+    Shortcut,
+    TransformerBlock,
+    TransformerLayer,
+)
 from yolov5_lifecycle.models.convolutions import Conv, Focus, MixConv2d
 from yolov5_lifecycle.models.head import PARITIES, Proto
 from yolov5_lifecycle.models.network import Concat
-from yolov5_lifecycle.models.partial import NormalisedPartial, Partial
-from yolov5_lifecycle.models.pooling import SPP, SPPF
-from yolov5_lifecycle.models.resizing import Contract, Expand
-from yolov5_lifecycle.runtimes.onnx_attention import transformed
 from yolov5_lifecycle.runtimes.onnx_graph_builder import Graph
 
 Writer = Callable[..., str]
@@ -78,41 +86,11 @@ def _weighted(
     )
 
 
-@_writes(nn.SiLU)
-def _silu(graph: Graph, module: nn.SiLU, features: str) -> str:
-    return graph.add("Mul", features, graph.add("Sigmoid", features))
-
-
-@_writes(nn.Hardswish)
-def _hardswish(graph: Graph, module: nn.Hardswish, features: str) -> str:
-    return graph.add("Mul", features, graph.add("HardSigmoid", features, alpha=1 / 6, beta=0.5))
-
-
-@_writes(nn.LeakyReLU)
-def _leaky_relu(graph: Graph, module: nn.LeakyReLU, features: str) -> str:
-    return graph.add("LeakyRelu", features, alpha=module.negative_slope)
-
-
-@_writes(nn.ReLU)
-def _relu(graph: Graph, module: nn.ReLU, features: str) -> str:
-    return graph.add("Relu", features)
-
-
-@_writes(nn.Identity)
-def _identity(graph: Graph, module: nn.Identity, features: str) -> str:
-    return features
-
-
 @_writes(nn.Sequential)
 def _sequential(graph: Graph, module: nn.Sequential, features: str) -> str:
     for part in module:
         features = written(graph, part, features)
     return features
-
-
-@_writes(Focus)
-def _focus(graph: Graph, module: Focus, features: str) -> str:
-    return written(graph, module.conv, features)  # a fused one is a single convolution
 
 
 @_writes(Shortcut)
@@ -208,21 +186,6 @@ def _upsampled(graph: Graph, module: nn.Upsample, features: str) -> str:
     )
 
 
-@_writes(Contract)
-def _contracted(graph: Graph, module: Contract, features: str) -> str:
-    return graph.add("SpaceToDepth", features, blocksize=module.gain)
-
-
-@_writes(Expand)
-def _expanded(graph: Graph, module: Expand, features: str) -> str:
-    return graph.add("DepthToSpace", features, blocksize=module.gain, mode="DCR")
-
-
-@_writes(Concat)
-def _concatenated(graph: Graph, module: Concat, *features: str) -> str:
-    return graph.add("Concat", *features, axis=1)
-
-
 @_writes(Proto)
 def _prototypes(graph: Graph, module: Proto, features: str) -> str:
     assert module.quarters is not None, "expected a fused network"
@@ -236,4 +199,72 @@ def _prototypes(graph: Graph, module: Proto, features: str) -> str:
     return graph.add("DepthToSpace", graph.add("Concat", *quarters, axis=1), blocksize=2, mode="DCR")
 
 
-_writes(TransformerBlock)(transformed)
+@_writes(TransformerBlock)
+def _transformer(graph: Graph, module: TransformerBlock, features: str) -> str:
+    """Add a transformer that reads and returns features (batch, channels, ny, nx)."""
+    flat = graph.add("Reshape", features, graph.constant([0, 0, -1]))
+    cells = graph.add("Transpose", flat, perm=[0, 2, 1])
+    assert module.linear.bias is not None
+    cells = graph.add("Add", cells, _linear(graph, cells, module.linear.weight, module.linear.bias))
+    for layer in module.tr:
+        assert isinstance(layer, TransformerLayer)
+        cells = _transformer_layer(graph, layer, cells)
+    return graph.add("Reshape", graph.add("Transpose", cells, perm=[0, 2, 1]), graph.add("Shape", features))
+
+
+def _transformer_layer(graph: Graph, module: TransformerLayer, cells: str) -> str:
+    attended = graph.add("Add", _attention(graph, module, cells), cells)
+    refined = _linear(graph, _linear(graph, attended, module.fc1.weight), module.fc2.weight)
+    return graph.add("Add", refined, attended)
+
+
+def _attention(graph: Graph, module: TransformerLayer, cells: str) -> str:
+    attention = module.ma
+    heads, size = attention.num_heads, attention.embed_dim // attention.num_heads
+    assert attention.in_proj_weight is not None
+    assert attention.in_proj_bias is not None
+    queries, keys, values = (
+        _linear(graph, _linear(graph, cells, first.weight), weight, bias)
+        for first, weight, bias in zip(
+            (module.q, module.k, module.v),
+            attention.in_proj_weight.chunk(3),
+            attention.in_proj_bias.chunk(3),
+            strict=True,
+        )
+    )
+    by_head = graph.constant([0, 0, heads, size])
+    queries = graph.add("Transpose", graph.add("Reshape", queries, by_head), perm=[0, 2, 1, 3])
+    keys = graph.add("Transpose", graph.add("Reshape", keys, by_head), perm=[0, 2, 3, 1])
+    values = graph.add("Transpose", graph.add("Reshape", values, by_head), perm=[0, 2, 1, 3])
+    queries = graph.add("Mul", queries, graph.constant(np.float32(1 / math.sqrt(size))))
+    shares = graph.add("Softmax", graph.add("MatMul", queries, keys), axis=-1)
+    mixed = graph.add("Transpose", graph.add("MatMul", shares, values), perm=[0, 2, 1, 3])
+    joined = graph.add("Reshape", mixed, graph.constant([0, 0, attention.embed_dim]))
+    return _linear(graph, joined, attention.out_proj.weight, attention.out_proj.bias)
+
+
+def _linear(graph: Graph, cells: str, weight: Tensor, bias: Tensor | None = None) -> str:
+    product = graph.add("MatMul", cells, graph.constant(weight.T))
+    return product if bias is None else graph.add("Add", product, graph.constant(bias))
+
+
+_WRITERS.update(
+    {
+        nn.SiLU: lambda graph, _, features: graph.add("Mul", features, graph.add("Sigmoid", features)),
+        nn.Hardswish: lambda graph, _, features: graph.add(
+            "Mul", features, graph.add("HardSigmoid", features, alpha=1 / 6, beta=0.5)
+        ),
+        nn.LeakyReLU: lambda graph, module, features: graph.add(
+            "LeakyRelu", features, alpha=module.negative_slope
+        ),
+        nn.ReLU: lambda graph, _, features: graph.add("Relu", features),
+        nn.Identity: lambda _graph, _module, features: features,
+        # A fused Focus is a single convolution.
+        Focus: lambda graph, module, features: written(graph, module.conv, features),
+        Contract: lambda graph, module, features: graph.add("SpaceToDepth", features, blocksize=module.gain),
+        Expand: lambda graph, module, features: graph.add(
+            "DepthToSpace", features, blocksize=module.gain, mode="DCR"
+        ),
+        Concat: lambda graph, _, *features: graph.add("Concat", *features, axis=1),
+    }
+)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import torch
 
-from yolov5_lifecycle.models.export import Export
-from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.models.model import Export, Model
 from yolov5_lifecycle.printable import shell_command
 from yolov5_lifecycle.runtimes.cache import installed_build
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT

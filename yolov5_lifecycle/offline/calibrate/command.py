@@ -15,8 +15,7 @@ from yolov5_lifecycle.detection.detector import check_image_size
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.models.architecture import Architecture
-from yolov5_lifecycle.models.cost import checked_cost
-from yolov5_lifecycle.models.geometry import size_multiple
+from yolov5_lifecycle.models.cost import checked_cost, size_multiple
 from yolov5_lifecycle.offline.calibrate.arguments import command_parser
 from yolov5_lifecycle.offline.calibrate.calibrating import SENSITIVITY_FRAMES, Calibrating
 from yolov5_lifecycle.offline.calibrate.calibration_images import (

@@ -1,17 +1,48 @@
-"""A tensor described by a checkpoint's pickle, before its data is read."""
+"""Modules and tensors as a checkpoint's pickle describes them, before the data of any tensor is read."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from yolov5_lifecycle.models.model import WeightsError, shown
 
+MAX_MODULES = 10_000
+MAX_PATH_LENGTH = 200
 MAX_DIMENSIONS = 16
 _MAX_SIZE = 1 << 62
+_COUNTS = ("total_ops", "total_params")
+"""Buffers that thop adds to every module to count its multiply-adds and parameters."""
+
+
+@dataclass(eq=False)
+class Stub:
+    """Stands for an instance of the class `pickled_name`: stores its state and does nothing."""
+
+    pickled_name: str
+    arguments: tuple[object, ...] = ()
+    state: Any = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """The class name without its package."""
+        return self.pickled_name.rpartition(".")[2]
+
+    def get(self, key: str) -> Any:
+        """The attribute `key` of the pickled object, or None."""
+        return self.state.get(key) if isinstance(self.state, dict) else None
+
+    def group(self, key: str) -> dict[Any, Any]:
+        """The attribute `key`, which must be a dict or absent."""
+        found = self.get(key)
+        if not isinstance(found, dict | None):
+            raise WeightsError(f"expected a dict as {key} of a {self.kind}, found {shown(found)}")
+        return found or {}
 
 
 @dataclass(frozen=True)
@@ -90,3 +121,38 @@ def _check_numbers(*numbers: object) -> None:
     for number in numbers:
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < _MAX_SIZE:
             raise WeightsError(f"the pickle cannot be read: a tensor has the size {shown(number)}")
+
+
+def modules_of(root: Stub) -> dict[str, Stub]:
+    """Every module of the tree by its dotted path, like `named_modules`; the root is ''."""
+    found = {"": root}
+    waiting = [("", root)]
+    while waiting:
+        path, module = waiting.pop()
+        for name, child in module.group("_modules").items():
+            if child is None:  # such as the normalisation of fused convolutions in v3
+                continue
+            if not isinstance(name, str) or not isinstance(child, Stub):
+                raise WeightsError(f"expected modules below {shown(path)}, found {shown(child)}")
+            below = f"{path}.{name}" if path else name
+            if len(found) >= MAX_MODULES or len(below) > MAX_PATH_LENGTH:
+                raise WeightsError(f"it has more than {MAX_MODULES} modules, or one that contains itself")
+            found[below] = child
+            waiting.append((below, child))
+    return found
+
+
+def tensors_of(modules: Mapping[str, Stub]) -> Iterator[tuple[str, StoredTensor]]:
+    """Keys and tensors of a module tree, like its state_dict, without what thop counted."""
+    for path, module in modules.items():
+        transient = module.get("_non_persistent_buffers_set")
+        for name, tensor in (module.group("_parameters") | module.group("_buffers")).items():
+            if (
+                tensor is None
+                or name in _COUNTS
+                or (isinstance(transient, (set, list, tuple)) and name in transient)
+            ):
+                continue
+            if not isinstance(name, str) or not isinstance(tensor, StoredTensor):
+                raise WeightsError(f"expected tensors in {shown(path)}, found {shown(tensor)}")
+            yield f"{path}.{name}" if path else name, tensor
