@@ -12,7 +12,14 @@ from rclpy.qos import HistoryPolicy, QoSPolicyKind, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
-from yolov5_lifecycle.ros.topics import COLOUR_IMAGES, full_name, of_camera, published, subscribed
+from yolov5_lifecycle.ros.topics import (
+    COLOUR_IMAGES,
+    full_name,
+    impossible_names,
+    of_camera,
+    published,
+    subscribed,
+)
 from yolov5_lifecycle.settings.schema import Problem
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.settings.suggestion import did_you_mean
@@ -58,7 +65,9 @@ def qos_rules(node: Node) -> list[Callable[[Settings], list[Problem]]]:
 
 
 def _reliability_problems(node: Node, settings: Settings) -> list[Problem]:
-    overrides = parameter_overrides(node)
+    overrides = [name for name in parameter_overrides(node) if name.startswith(QOS_PREFIX)]
+    if not overrides or impossible_names(node, settings.camera_names):  # which `configure` refuses
+        return []
     problems = []
     for camera in settings.camera_names:
         reliability = settings.for_camera(camera).image_reliability

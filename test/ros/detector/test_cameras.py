@@ -194,13 +194,19 @@ def test_cameras_whose_topics_are_remapped_to_one_name_are_refused(prepare: Prep
 
 
 LONG = "a" * 64
-LONG_NAMESPACE = ["--ros-args", "-r", f"__ns:=/{'n' * 170}"]
+LONG_NAMESPACE = f"/{'n' * 170}"
+QOS_OF_FRONT = f"qos_overrides.{LONG_NAMESPACE}/yolov5/front/image_raw.subscription.depth:=2"
 
 
+@pytest.mark.parametrize("overrides", [[], [QOS_OF_FRONT]], ids=["plain", "with a QoS override"])
 def test_a_camera_whose_topics_would_have_too_long_names_fails_configure_until_it_is_renamed(
-    prepare: Preparations,
+    prepare: Preparations, overrides: list[str]
 ) -> None:
-    with ServedNode(prepare, parameters=[f"cameras:=[{LONG}]"], arguments=LONG_NAMESPACE) as served:
+    parameters, arguments = (
+        [f"cameras:=[{LONG}]", *overrides],
+        ["--ros-args", "-r", f"__ns:={LONG_NAMESPACE}"],
+    )
+    with ServedNode(prepare, parameters=parameters, arguments=arguments) as served:
         served.wait_for(lambda: bool(served.diagnostics), "diagnostics")
         assert served.node.trigger_configure() is TransitionCallbackReturn.FAILURE
         told = f"ROS refuses the full name of ~/{LONG}/detections"
