@@ -12,11 +12,10 @@ from support.served_node import ServedNode
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.ros.detector.camera_status import SLOW_S
-from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, abandoned
+from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S, abandoned
 from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, MAX_NAME_LENGTH, camera_names_rule
 from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME
-from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
 NUMBERS = {2: "two", 3: "three", 4: "four"}
 FAILURES = SETTINGS_BY_NAME["max_consecutive_failures"].default
@@ -35,7 +34,7 @@ HEIGHT, WIDTH = USUAL_SOURCE_HW
         pytest.param(CAMERAS_PAGE, f"waits for it for {REST_TIMEOUT_S:g} s", id="hung"),
         pytest.param(REFERENCE, abandoned(REST_TIMEOUT_S), id="hung-in-log"),
         pytest.param(
-            REFERENCE, f"{NUMBERS[MAX_ABANDONED_THREADS + 1]} inference threads hang", id="abandoned-threads"
+            REFERENCE, f"hangs in {NUMBERS[MAX_ABANDONED_SESSIONS + 1]} abandoned sessions", id="abandoned"
         ),
         pytest.param(
             CAMERAS_PAGE,

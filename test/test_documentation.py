@@ -41,7 +41,7 @@ from yolov5_lifecycle.images.encodings import ENCODINGS
 from yolov5_lifecycle.offline.detect_bag_arguments import command_parser
 from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
-from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.node import EXIT_ABANDONED_SESSIONS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.parameters.values import coerced
 from yolov5_lifecycle.ros.topics import published, subscribed
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAME, validated
@@ -289,7 +289,7 @@ def test_a_parameter_of_yolo_ros_without_a_replacement_is_refused_without_anothe
 def test_every_reason_for_silence_is_explained() -> None:
     explained = " ".join(TROUBLESHOOTING.read_text().split())
     folder = REPOSITORY / "yolov5_lifecycle" / "ros" / "detector"
-    files = ("status.py", "camera_status.py", "depth_status.py")
+    files = ("diagnostics.py", "camera_status.py", "depth.py")
     sources = [ast.parse((folder / name).read_text()) for name in files]
     functions = [node for source in sources for node in ast.walk(source) if isinstance(node, ast.FunctionDef)]
     told = [
@@ -320,7 +320,7 @@ def test_the_values_of_the_diagnostics_are_those_of_the_reference() -> None:
 def test_the_exit_codes_of_the_detector_alone_are_those_of_the_reference() -> None:
     codes = {row[0] for row in table(REFERENCE, "Exit codes") if "`detector`" in row[1]}
     missing_package = 1  # see test_process_start.py
-    assert codes == {str(missing_package), str(EXIT_DEVICE_LOST), str(EXIT_ABANDONED_THREADS)}
+    assert codes == {str(missing_package), str(EXIT_DEVICE_LOST), str(EXIT_ABANDONED_SESSIONS)}
 
 
 @pytest.mark.parametrize("page", ["reference.md", "troubleshooting.md"])

@@ -1,17 +1,64 @@
-"""Loading and freeing of models in a background thread."""
+"""Loading and freeing of models in a background thread, which callbacks of the executor await."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, TypeVar
 
+from rclpy.executors import Executor
 from rclpy.node import Node
+from rclpy.task import Future as RosFuture
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
-from yolov5_lifecycle.ros.detector.background import Background
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
+
+Result = TypeVar("Result")
+
+
+def resume(waiting: RosFuture, result: object, executor: Executor) -> None:
+    """Resume the callback that awaits `waiting`, with `result`."""
+    waiting.set_result(result)
+    # Before rclpy 7.1.8, set_result does not wake the executor (ros2/rclpy#1374).
+    executor.wake()
+
+
+class Background:
+    """One thread, called `name`, that runs tasks in FIFO order while the executor of `node` keeps serving
+    callbacks.
+    """
+
+    def __init__(self, node: Node, name: str = "background") -> None:
+        self._node = node
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=name)
+        # The pool starts its thread with the first task; later the node's number of threads stays constant.
+        self._thread.submit(lambda: None)
+        self._unfinished: set[Future[Any]] = set()
+
+    def submit(self, work: Callable[[], Result]) -> Future[Result]:
+        """Queue `work`; the future receives its result or exception."""
+        future = self._thread.submit(work)
+        self._unfinished.add(future)
+        future.add_done_callback(self._unfinished.discard)
+        return future
+
+    async def finish(self, future: Future[Result]) -> Future[Result]:
+        """Await `future` inside an executor callback, then return it."""
+        executor = self._node.executor
+        assert executor is not None, "only a callback awaits, so there is an executor"
+        done = RosFuture(executor=executor)
+
+        future.add_done_callback(lambda _: resume(done, None, executor))
+        await done
+        return future
+
+    def close(self) -> bool:
+        """Cancel queued tasks without waiting; return False if one is still running and continues."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+        return not self._unfinished
+
 
 Preparation = Future[PreparedModel]
 """Once done, holds the model or the exception that explains the failure."""

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Generator, Sequence
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.task import Future as RosFuture
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
-from yolov5_lifecycle.ros.detector.background import ReloadTurns
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
-from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation
+from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation, resume
 from yolov5_lifecycle.ros.detector.session import Session
 from yolov5_lifecycle.ros.parameters.proposal import Proposal, refusal
 from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_SUGGESTIONS, SettingsParameters
@@ -51,7 +52,9 @@ class Reconfiguration:
         self._parameters = parameters
         self._loader = loader
         self._resources = resources
-        self._turns = ReloadTurns(node)
+        self._is_reloading = False
+        self._waiting: RosFuture | None = None
+        """Of the reload that waits for its turn."""
 
     def handlers(self) -> dict[str, Handler]:
         """Service callbacks by the last component of the service name."""
@@ -98,12 +101,28 @@ class Reconfiguration:
         return self._commit(proposal)
 
     async def _reload(self, session: Session, proposal: Proposal) -> SetParametersResult:
-        if not await self._turns.begin():
-            return _refused(_SUPERSEDED)
+        """Reload once no other reload runs; of those that wait the latest remains.
+
+        Otherwise every queued reload would load a model that the next one replaces.
+        """
+        if self._waiting is not None:
+            self._resume(self._waiting, False)
+        if self._is_reloading:
+            turn = self._waiting = RosFuture(executor=self._node.executor)
+            if not await turn:
+                return _refused(_SUPERSEDED)
+        self._is_reloading = True
         try:
             return await self._reload_now(session, proposal)
         finally:
-            self._turns.end()
+            waiting, self._waiting = self._waiting, None
+            self._is_reloading = waiting is not None
+            if waiting is not None:
+                self._resume(waiting, True)
+
+    def _resume(self, turn: RosFuture, may_begin: bool) -> None:
+        if (executor := self._node.executor) is not None:
+            resume(turn, may_begin, executor)
 
     async def _reload_now(self, session: Session, asked: Proposal) -> SetParametersResult:
         def wanted() -> Settings | None:
@@ -138,7 +157,9 @@ class Reconfiguration:
             is_replaced = session.model is new
             if is_replaced:
                 self._node.get_logger().info(f"the model was replaced: {new.summary}")
-            await self._loader.retire(old if is_replaced else new, after=session.rest)
+            await self._loader.retire(
+                old if is_replaced else new, after=partial(self._resources.is_at_rest, session)
+            )
 
     def _replace_now(
         self, session: Session, preparation: Preparation, asked: Proposal
