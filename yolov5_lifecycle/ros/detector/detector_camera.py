@@ -79,6 +79,7 @@ class DetectorCamera:
         return self.stream.completed(status) if self.stream else status
 
 
+@dataclass(eq=False)
 class Stream:
     """Owns a camera's subscriptions, tracker and statistics while the node is active.
 
@@ -88,38 +89,28 @@ class Stream:
     If the subscription cannot be created, this is shown in the status; every `update` retries.
     """
 
-    def __init__(
-        self,
-        node: LifecycleNode,
-        camera: DetectorCamera,
-        *,
-        settings: Settings,
-        model: PreparedModel,
-        threads: InferenceThreads,
-        track_ids: Iterator[int],
-        collector: Collector | None,
-    ) -> None:
-        assert camera.outputs is not None, "only a configured camera is activated"
-        self._node = node
-        self._camera = camera
-        self._outputs = camera.outputs
-        self._settings = settings
-        self._model = model
-        self._threads = threads
-        self._queue = CameraQueue(camera.counter, partial(camera.failures.report, camera.name))
-        self._track_ids = track_ids
-        self._collector = collector
+    node: LifecycleNode
+    camera: DetectorCamera
+    outputs: Outputs
+    settings: Settings
+    model: PreparedModel
+    threads: InferenceThreads
+    track_ids: Iterator[int]
+    collector: Collector | None
+
+    def __post_init__(self) -> None:
+        self._queue = CameraQueue(self.camera.counter, partial(self.camera.failures.report, self.camera.name))
         self._stamps = StampCounts()
         self._told_jumps = 0
-        self._tracking = TrackedDetection.started(settings, track_ids, self._stamps)
+        self._tracking = TrackedDetection.started(self.settings, self.track_ids, self._stamps)
         self.collecting: CameraCollecting | None = None
         """None unless images that are worth a label are kept."""
         self._input: ImageInput | None = None
         self._losses = ImageLosses()
         self._latencies = LatencyWindow()
-        self._empty_frames = _no_empty_frames(settings)
+        self._empty_frames = _no_empty_frames(self.settings)
         self._depth: DepthInput | None = None
-        camera.topic.follow(settings.image_transport)
+        self.camera.topic.follow(self.settings.image_transport)
         self._start()
 
     def completed(self, status: CameraStatus) -> CameraStatus:
@@ -135,9 +126,9 @@ class Stream:
             empty=self._empty_frames.run,
             tracking=self._tracker_values(),
             depth_status=self._depth.status() if self._depth else None,
-            segments=self._model.detector.segments,
-            busy_s=self._threads.busy_s(self._queue),
-            collecting_problem=self._collector.status.problem if self._collector and self.collecting else "",
+            segments=self.model.detector.segments,
+            busy_s=self.threads.busy_s(self._queue),
+            collecting_problem=self.collector.status.problem if self.collector and self.collecting else "",
         )
 
     def update(self) -> None:
@@ -157,12 +148,12 @@ class Stream:
 
         `is_other_model`: what was found before is not comparable, so there is another tracker.
         """
-        if settings == self._settings and model is self._model:
+        if settings == self.settings and model is self.model:
             return
-        before, self._settings, self._model = self._settings, settings, model
+        before, self.settings, self.model = self.settings, settings, model
         is_other_camera = before.image_transport != settings.image_transport
         if is_other_camera or is_other_model or before.tracker != settings.tracker:
-            self._tracking = TrackedDetection.started(settings, self._track_ids, self._stamps)
+            self._tracking = TrackedDetection.started(settings, self.track_ids, self._stamps)
         elif self._tracking is not None:
             self._tracking = self._tracking.with_settings(settings)
         if is_other_model:
@@ -172,7 +163,7 @@ class Stream:
         is_resubscribed = bool(before.differing(settings, Change.RESUBSCRIBE))
         if is_resubscribed:
             self.unsubscribe()
-            self._camera.topic.follow(settings.image_transport)
+            self.camera.topic.follow(settings.image_transport)
         if is_other_camera:
             self._losses.stop()
         if (
@@ -184,17 +175,17 @@ class Stream:
 
     def follow_subscribers(self) -> None:
         """Subscribe if frames are needed; unsubscribe if `lazy` and the outputs have no subscriber."""
-        is_lazy, outputs = self._settings.lazy, self._outputs
-        subscribers_3d = outputs.subscribers_3d if self._settings.depth else 0
-        mask_subscribers = outputs.mask_subscribers if self._model.detector.segments else 0
+        is_lazy, outputs = self.settings.lazy, self.outputs
+        subscribers_3d = outputs.subscribers_3d if self.settings.depth else 0
+        mask_subscribers = outputs.mask_subscribers if self.model.detector.segments else 0
         subscribers = outputs.subscribers + mask_subscribers + subscribers_3d
-        wanted = not is_lazy or self._settings.collect or subscribers > 0
+        wanted = not is_lazy or self.settings.collect or subscribers > 0
         if wanted and self._input is None:
             self._input = ImageInput(
-                self._node,
-                topic=self._camera.topic,
-                reliability=self._settings.image_reliability,
-                on_frame=partial(self._threads.offer, self._queue),
+                self.node,
+                topic=self.camera.topic,
+                reliability=self.settings.image_reliability,
+                on_frame=partial(self.threads.offer, self._queue),
                 losses=self._losses,
             )
         elif not wanted:
@@ -217,7 +208,7 @@ class Stream:
         if self._tracking is None:
             return {}
         return {
-            "tracker": self._settings.tracker,
+            "tracker": self.settings.tracker,
             "confirmed tracks": str(self._tracking.tracker.confirmed),
             "late images not tracked": str(self._stamps.late),
             "jumps back in time": str(self._stamps.jumps),
@@ -228,56 +219,56 @@ class Stream:
         if jumps == 0:
             return
         self._told_jumps += jumps
-        whose = f"{self._camera.name}: " if self._camera.name else ""
+        whose = f"{self.camera.name}: " if self.camera.name else ""
         often = f" {jumps} times" if jumps > 1 else ""
-        self._node.get_logger().warning(
+        self.node.get_logger().warning(
             f"{whose}the stamps of the images went back{often} by {self._stamps.last_jump_s:.1f} s: tracking "
             "begins anew. This is right if a recording or the simulation began again; otherwise look for a "
             "second publisher or a clock that was set"
         )
 
     def _start(self) -> None:
-        selected = selection(self._settings, self._model.detector.class_names)
+        selected = selection(self.settings, self.model.detector.class_names)
         self._follow_depth()
         self._follow_collecting(selected)
         pipeline = CameraPipeline(
-            model=self._model,
+            model=self.model,
             selection=selected,
-            outputs=self._outputs,
+            outputs=self.outputs,
             latencies=self._latencies,
             empty_frames=self._empty_frames,
-            last_image=self._camera.last_image,
+            last_image=self.camera.last_image,
             depth=self._depth,
             tracking=self._tracking,
             collecting=self.collecting,
         )
-        self._threads.start(self._queue, pipeline, max_rate_hz=self._settings.max_rate)
+        self.threads.start(self._queue, pipeline, max_rate_hz=self.settings.max_rate)
 
     def _follow_collecting(self, selected: Selection) -> None:
         """Start or stop looking at frames that may be worth a label, or change the rules."""
-        if not self._settings.collect or self._collector is None:
+        if not self.settings.collect or self.collector is None:
             self.collecting = None
             return
         rules = CollectRules.of(
-            self._settings,
+            self.settings,
             selected,
-            camera=self._camera.name,
-            class_names=self._model.detector.class_names,
-            segments=self._model.detector.segments,
-            weights_sha256=self._model.weights_sha256,
+            camera=self.camera.name,
+            class_names=self.model.detector.class_names,
+            segments=self.model.detector.segments,
+            weights_sha256=self.model.weights_sha256,
         )
-        present = self.collecting or CameraCollecting(self._collector, rules)
+        present = self.collecting or CameraCollecting(self.collector, rules)
         self.collecting = present.with_rules(rules)
 
     def _follow_depth(self) -> None:
         """Start or stop placing detections; restart if the slop changed."""
-        slop_s = self._settings.depth_slop_s if self._settings.depth else None
+        slop_s = self.settings.depth_slop_s if self.settings.depth else None
         if slop_s == (self._depth.slop_s if self._depth else None):
             return
         if self._depth is not None:
             self._depth.follow(is_needed=False)
         self._depth = (
-            None if slop_s is None else DepthInput(self._node, camera=self._camera.name, slop_s=slop_s)
+            None if slop_s is None else DepthInput(self.node, camera=self.camera.name, slop_s=slop_s)
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 
 from rclpy.node import Node
 
@@ -15,6 +16,7 @@ RECENT_S = 2.0
 """A rejection or failure is reported in diagnostics for this long."""
 
 
+@dataclass(eq=False)
 class FrameFailures:
     """Logs the problems with frames, throttled, keeps the last one of each camera, and reports when detection
     should end.
@@ -24,18 +26,13 @@ class FrameFailures:
     Both run in the executor. A camera is its name in `cameras`, "" if it has none.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        *,
-        max_consecutive: Callable[[], int],
-        on_too_many: Callable[[str], object],
-        on_device_lost: Callable[[str], None],
-    ) -> None:
-        self._node = node
-        self._max_consecutive = max_consecutive
-        self._on_too_many = on_too_many
-        self._on_device_lost = on_device_lost
+    node: Node
+    _: KW_ONLY
+    max_consecutive: Callable[[], int]
+    on_too_many: Callable[[str], object]
+    on_device_lost: Callable[[str], None]
+
+    def __post_init__(self) -> None:
         self._in_a_row: dict[str, int] = {}
         """Failed frames, of the cameras that had a frame since the last restart."""
         # Strings only: an exception would keep the model alive through its traceback.
@@ -62,7 +59,7 @@ class FrameFailures:
         if error is None:
             self._in_a_row[camera] = 0
             return
-        whose, log = f" of camera {camera}" if camera else "", self._node.get_logger()
+        whose, log = f" of camera {camera}" if camera else "", self.node.get_logger()
         if outcome is Outcome.REJECTED:
             self._problems[camera] = f"images are rejected: {error}", time.monotonic()
             log.warning(f"image{whose} rejected: {error}", throttle_duration_sec=5.0)
@@ -77,11 +74,11 @@ class FrameFailures:
     def _count(self, camera: str, error: Exception, reason: str) -> None:
         count = self._in_a_row[camera] = self._in_a_row.get(camera, 0) + 1
         if isinstance(error, DeviceLostError):
-            self._tell(self._on_device_lost, reason)
-        elif count >= self._max_consecutive() and 0 not in tuple(self._in_a_row.values()):
-            self._tell(self._on_too_many, f"{count} failed frames in a row, the last: {reason}")
+            self._tell(self.on_device_lost, reason)
+        elif count >= self.max_consecutive() and 0 not in tuple(self._in_a_row.values()):
+            self._tell(self.on_too_many, f"{count} failed frames in a row, the last: {reason}")
             self.restart()
 
     def _tell(self, what: Callable[[str], object], reason: str) -> None:
-        if (executor := self._node.executor) is not None:
+        if (executor := self.node.executor) is not None:
             executor.create_task(what, reason)

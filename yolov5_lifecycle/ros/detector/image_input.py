@@ -185,7 +185,7 @@ class ImageInput:
         begun_s, received, lost = self._samples[0]
         ended_s, last_received, last_lost = self._samples[-1]
         return InputStatus(
-            reliability=self._subscription.reliability,
+            reliability=self._subscription.subscribed[0],
             silent_s=time.monotonic() - self._last_frame_s,
             window_s=ended_s - begun_s,
             received=last_received - received,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, TypeVar
 
 from rclpy.executors import Executor
@@ -66,6 +67,7 @@ REFUSALS = (ValueError, OSError, RuntimeError)
 """Exceptions of a preparation with a message for the user; any other is a bug."""
 
 
+@dataclass(eq=False)
 class ModelLoader:
     """Prepares one model at a time in its own thread, from construction to `close`.
 
@@ -73,24 +75,19 @@ class ModelLoader:
     `on_device_lost(reason)` is called when no further model can be prepared.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        prepare: Prepare,
-        *,
-        sizes_hw: Callable[[Settings], Sequence[tuple[int, int]]],
-        on_device_lost: Callable[[str], None],
-    ) -> None:
-        self._node = node
-        self._prepare = prepare
-        self._sizes_hw = sizes_hw
-        self._on_device_lost = on_device_lost
-        self._background = Background(node)
+    node: Node
+    prepare: Prepare
+    _: KW_ONLY
+    sizes_hw: Callable[[Settings], Sequence[tuple[int, int]]]
+    on_device_lost: Callable[[str], None]
+
+    def __post_init__(self) -> None:
+        self._background = Background(self.node)
 
     def begin(self, settings: Settings) -> Preparation:
         """Queue the preparation of the model for `settings`."""
-        sizes_hw = self._sizes_hw(settings)
-        return self._background.submit(lambda: self._prepare(settings, sizes_hw))
+        sizes_hw = self.sizes_hw(settings)
+        return self._background.submit(lambda: self.prepare(settings, sizes_hw))
 
     async def load(self, wanted: Callable[[], Settings | None]) -> Preparation | None:
         """Prepare the model for `wanted()`; repeat if other settings are wanted by then.
@@ -101,7 +98,7 @@ class ModelLoader:
             preparation = await self._background.finish(self.begin(settings))
             error = preparation.exception()
             if isinstance(error, DeviceLostError):
-                self._on_device_lost(str(error))
+                self.on_device_lost(str(error))
             now_wanted = wanted()
             if now_wanted is not None and not settings.differing(now_wanted, Change.RELOAD):
                 return preparation
@@ -113,7 +110,7 @@ class ModelLoader:
         """Free `model` after `after()`, which waits for its last frame and returns whether that finished."""
         freed = self._background.submit(lambda: model.close(is_at_rest=after()))
         if (error := (await self._background.finish(freed)).exception()) is not None:
-            self._node.get_logger().error(f"the previous model could not be freed: {error}")
+            self.node.get_logger().error(f"the previous model could not be freed: {error}")
 
     def close(self) -> bool:
         """Cancel queued work without waiting; return False if a model is still being loaded or freed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from builtin_interfaces.msg import Time
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
@@ -32,6 +33,7 @@ def abandoned(rest_timeout_s: float) -> str:
     )
 
 
+@dataclass(eq=False)
 class Session:
     """Owns the model and the threads with which all `cameras` detect from `start` to `close`.
 
@@ -41,23 +43,13 @@ class Session:
     see `Stream`.
     """
 
-    def __init__(
-        self,
-        node: LifecycleNode,
-        *,
-        preparation: Preparation,
-        cameras: Mapping[str, DetectorCamera],
-        label_info: LifecyclePublisher,
-        track_ids: Iterator[int],
-        collector: Collector | None,
-    ) -> None:
-        self._node = node
-        self._cameras = cameras
-        self._label_info = label_info
-        self._track_ids = track_ids
-        self._collector = collector
-        self.preparation = preparation
-        self.threads = InferenceThreads()
+    node: LifecycleNode
+    preparation: Preparation
+    cameras: Mapping[str, DetectorCamera]
+    label_info: LifecyclePublisher
+    track_ids: Iterator[int]
+    collector: Collector | None
+    threads: InferenceThreads = field(default_factory=InferenceThreads)
 
     @property
     def model(self) -> PreparedModel:
@@ -67,21 +59,24 @@ class Session:
     @property
     def streams(self) -> dict[str, Stream]:
         """Those of the cameras that detect, by name."""
-        return {name: camera.stream for name, camera in self._cameras.items() if camera.stream}
+        return {name: camera.stream for name, camera in self.cameras.items() if camera.stream}
 
     def start(self, settings: Settings) -> None:
         """Start detecting; raises what loading raised, SettingsError if the settings do not fit the model."""
         if problems := model_problems(settings, self.model.detector.class_names):
             raise SettingsError(problems)
         for name in settings.camera_names:
-            self._cameras[name].stream = Stream(
-                self._node,
-                self._cameras[name],
-                settings=settings.for_camera(name),
-                model=self.model,
-                threads=self.threads,
-                track_ids=self._track_ids,
-                collector=self._collector,
+            camera = self.cameras[name]
+            assert camera.outputs is not None, "only a configured camera is activated"
+            camera.stream = Stream(
+                self.node,
+                camera,
+                camera.outputs,
+                settings.for_camera(name),
+                self.model,
+                self.threads,
+                self.track_ids,
+                self.collector,
             )
 
     def publish_first(self, settings: Settings) -> None:
@@ -108,7 +103,7 @@ class Session:
         """
         for name, stream in self.streams.items():
             stream.unsubscribe()
-            self._cameras[name].stream = None
+            self.cameras[name].stream = None
         return self.threads.close(timeout_s)
 
     def free(self, *, is_at_rest: bool) -> None:
@@ -122,8 +117,8 @@ class Session:
         return model.weights_sha256 != before.weights_sha256 or not before.serves(model.settings)
 
     def _publish_label_info(self, settings: Settings) -> None:
-        stamp = self._node.get_clock().now().to_msg()
-        self._label_info.publish(
+        stamp = self.node.get_clock().now().to_msg()
+        self.label_info.publish(
             label_info(self.model.detector.class_names, settings.confidence_threshold, stamp)
         )
 
