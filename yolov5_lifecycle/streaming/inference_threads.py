@@ -237,9 +237,9 @@ class InferenceThreads:
                 self._count(task, Outcome.DETECTED if task.has_sent else Outcome.FAILED)
             for inbox in self._threads:
                 inbox.put(None)
-        if has_rested:
-            for thread in self._threads.values():
-                thread.join(timeout_s)
+        end_s = time.monotonic() + (timeout_s if has_rested else 0.0)
+        for thread in self._threads.values():
+            thread.join(max(0.0, end_s - time.monotonic()))
         return has_rested
 
     def _add_thread(self) -> None:

@@ -71,24 +71,16 @@ class Status:
     @property
     def of_node(self) -> Summary:
         """Summary of the node: all values of its only camera, or the first problem of several cameras."""
-        each = self.of_cameras
-        if not self.cameras:
-            return Summary(
-                NODE_STATUS, self.problem, self.namesakes, self._inactivity, self._values(self.problem)
-            )
-        if not each:
-            one, problem = self._summary(self.cameras[0]), self.problem or self.cameras[0].problem
-            hint = self.namesakes or one.hint
-            return Summary(NODE_STATUS, problem, hint, one.remark, self._values(problem) | one.values)
-        problems = [f"{camera.name}: {camera.problem}" for camera in each if camera.problem]
-        hints = [f"{camera.name}: {camera.hint}" for camera in each if camera.hint]
-        return Summary(
-            NODE_STATUS,
-            problem=self.problem,
-            hint=self.namesakes or next(iter(problems + hints), ""),
-            remark=self._inactivity,
-            values=self._values(self.problem) | {"cameras": ", ".join(camera.name for camera in each)},
-        )
+        problem, hint, remark, values = self.problem, "", self._inactivity, dict[str, str]()
+        if each := self.of_cameras:
+            problems = [f"{camera.name}: {camera.problem}" for camera in each if camera.problem]
+            hints = [f"{camera.name}: {camera.hint}" for camera in each if camera.hint]
+            hint = next(iter(problems + hints), "")
+            values = {"cameras": ", ".join(camera.name for camera in each)}
+        elif self.cameras:
+            one = self._summary(self.cameras[0])
+            problem, hint, remark, values = self.problem or one.problem, one.hint, one.remark, one.values
+        return Summary(NODE_STATUS, problem, self.namesakes or hint, remark, self._values(problem) | values)
 
     @property
     def of_cameras(self) -> list[Summary]:

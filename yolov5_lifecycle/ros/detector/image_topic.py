@@ -231,7 +231,11 @@ class ImageTopic:
             missing_s=now_s - self._seen_s,
             similar=tuple(others)[:_MAX_SHOWN],
             sent_as=in_one_line(first.name) if first and first.camera == camera_of(self.name) else "",
-            remedy=self._remedy(first) if first else "",
+            remedy=remedy(
+                self._node, first, topics=_LOCAL_NAMES, transport=self.transport, camera=self._camera
+            )
+            if first
+            else "",
         )
 
     def publisher(self) -> bytes | None:
@@ -251,9 +255,6 @@ class ImageTopic:
             usable=TOPICS,
             is_candidate=lambda name: name not in own and not _words(name) & not_colour,
         )
-
-    def _remedy(self, images: PublishedImages) -> str:
-        return remedy(self._node, images, topics=_LOCAL_NAMES, transport=self.transport, camera=self._camera)
 
 
 def _words(name: str) -> set[str]:
