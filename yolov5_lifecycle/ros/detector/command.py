@@ -88,12 +88,7 @@ def _serve(node: DetectorNode, stop: threading.Event, finalized_s: float) -> int
     # Torch and pydantic keep 300,000 objects alive; scanning them in a collection blocks all threads 0.15 s.
     gc.freeze()
     sys.setswitchinterval(_SWITCH_S)
-    finalized = FinalizedPeriod(announce=node.get_logger().info, duration_s=finalized_s)
-    spin(
-        executor,
-        node,
-        until=lambda: stop.is_set() or node.exit_code is not None or finalized.is_over(node.state_label),
-    )
+    spin(executor, node, until=_end(node, stop, finalized_s))
     if node.exit_code is not None:
         return node.exit_code  # neither a dead device nor what a hung thread uses can be released
     autostart.cancel()  # else Python warns "never awaited" if it has not started
@@ -102,32 +97,23 @@ def _serve(node: DetectorNode, stop: threading.Event, finalized_s: float) -> int
     return 0
 
 
-class FinalizedPeriod:
-    """Timer that starts when a node is first seen finalized and runs for `duration_s` seconds.
+def _end(node: DetectorNode, stop: threading.Event, finalized_s: float) -> Callable[[], bool]:
+    """Function that is true after a signal, with an exit code, or once `node` was finalized for that time."""
+    end_s: float | None = None
 
-    `announce` is called once, with a log message, when the timer starts. `clock` returns monotonic seconds.
-    """
-
-    def __init__(
-        self,
-        *,
-        announce: Callable[[str], object],
-        duration_s: float = FINALIZED_S,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._announce = announce
-        self._duration_s = duration_s
-        self._clock = clock
-        self._end_s: float | None = None
-
-    def is_over(self, state: str) -> bool:
-        """Whether the period is over for a node in the lifecycle state `state`."""
-        if state != "finalized":
+    def is_over() -> bool:
+        nonlocal end_s
+        if stop.is_set() or node.exit_code is not None:
+            return True
+        if node.state_label != "finalized":
             return False
-        if self._end_s is None:
-            self._end_s = self._clock() + self._duration_s
-            self._announce(f"finalized: everything is released, the process ends in {self._duration_s:g} s")
-        return self._clock() >= self._end_s
+        if end_s is None:
+            end_s = time.monotonic() + finalized_s
+            told = f"finalized: everything is released, the process ends in {finalized_s:g} s"
+            node.get_logger().info(told)
+        return time.monotonic() >= end_s
+
+    return is_over
 
 
 if __name__ == "__main__":
