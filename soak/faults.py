@@ -11,9 +11,8 @@ from soak.faulty_detector import GREYS
 from soak.finding import Finding, none_wrong, number_of, problem
 from soak.sender import Sender
 from soak.subject import Subject, subject
-from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
-from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
-from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
+from yolov5_lifecycle.ros.detector.node import EXIT_ABANDONED_SESSIONS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S
 
 _FAILING = ("raise", "out of memory", "NaN", "wrong shape")
 _SIDE_PX = 320
@@ -62,10 +61,10 @@ def ended_by_abandoned_threads(count: int) -> Finding:
     """Hang inference repeatedly in each of `count` processes."""
     return none_wrong(
         "too many hung inference threads end the process with its own code",
-        f"{count} processes, {MAX_ABANDONED_THREADS + 1} hangs each",
+        f"{count} processes, {MAX_ABANDONED_SESSIONS + 1} hangs each",
         "other ends",
         [*filter(None, (problem(_abandon_threads) for _ in range(count)))],
-        limit=f"0; exit code {EXIT_ABANDONED_THREADS} within {_END_S:g} s",
+        limit=f"0; exit code {EXIT_ABANDONED_SESSIONS} within {_END_S:g} s",
     )
 
 
@@ -77,7 +76,7 @@ def faulty_image(kind: str) -> Image:
 
 def _abandon_threads() -> None:
     with subject() as process:
-        for abandoned in range(MAX_ABANDONED_THREADS + 1):
+        for abandoned in range(MAX_ABANDONED_SESSIONS + 1):
             process.bring_to("active")
             assert process.status()["abandoned threads"] == str(abandoned)
             sender = Sender(process, "raw")
@@ -87,7 +86,7 @@ def _abandon_threads() -> None:
             assert process.transition("deactivate")
             sender.close()
         code = process.process.wait(_END_S)
-        assert code == EXIT_ABANDONED_THREADS, f"exit code {code}"
+        assert code == EXIT_ABANDONED_SESSIONS, f"exit code {code}"
 
 
 def _lose_device() -> None:

@@ -26,7 +26,7 @@ from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector import outputs, pipeline
 from yolov5_lifecycle.ros.detector.command import main
-from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing
+from yolov5_lifecycle.ros.detector.depth import DepthInput
 from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 
@@ -35,7 +35,7 @@ STEPS: dict[str, tuple[Any, str]] = {
     "inference": (CompiledRuntime, "__call__"),
     "NMS": (detector, "select"),
     "tracking": (ByteTracker, "update"),
-    "placing": (DepthPlacing, "place"),
+    "placing": (DepthInput, "place"),
     "masks": (Masks, "label_image"),
     "drawing": (pipeline, "annotate"),
     "compressing": (outputs, "compressed_image_message"),

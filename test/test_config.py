@@ -17,7 +17,7 @@ import yaml
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from support.detector_process import NODE
 
-from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.node import EXIT_ABANDONED_SESSIONS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.settings.parameter_file import file_values
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings, validated
 
@@ -160,7 +160,7 @@ def test_the_arguments_of_the_console_may_be_several_words() -> None:
 
 def test_systemd_restarts_what_has_failed_alone() -> None:
     assert {tuple(unit(name)["Restart"]) for name in UNITS} == {("on-failure",)}
-    assert 0 not in (EXIT_DEVICE_LOST, EXIT_ABANDONED_THREADS)
+    assert 0 not in (EXIT_DEVICE_LOST, EXIT_ABANDONED_SESSIONS)
 
 
 def test_a_unit_leaves_the_shared_memory_of_other_nodes_alone() -> None:

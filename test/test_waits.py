@@ -13,9 +13,12 @@ FOLDERS = ("ros", "ros/detector", "ros/parameters", "streaming")
 """What the executor of the detector runs."""
 BLOCKING = {"wait": 1, "join": 1, "result": 1, "acquire": 1, "wait_for": 2, "get": 1, "put": 2}
 """Methods that wait for another thread, and how many arguments they have when the last one is the limit."""
+NO_LIMIT = "a SimpleQueue takes any number of objects"
 DONE = "the future is done: an awaited callback has it"
 ALLOWED = {
-    "streaming.worker._next_job": "the inference thread itself waits for work",
+    "streaming.inference_threads._run": "the inference thread itself waits for work",
+    "streaming.inference_threads._begin_tasks": NO_LIMIT,
+    "streaming.inference_threads.close": NO_LIMIT,
     "ros.child_process.__exit__": "of `demo` and its like, after SIGKILL",
     "ros.observer.call": DONE,
     "ros.detector.session.model": f"{DONE}, unless a program activates the node without its executor",

@@ -19,10 +19,10 @@ from support.worker import worker_domain
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.node import EXIT_ABANDONED_SESSIONS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer, RemoteLifecycleNode
 
-TOO_MANY_ABANDONED = "exiting (code 4): 1 inference threads hang, the limit is 0"
+TOO_MANY_ABANDONED = "exiting (code 4): inference hangs in 1 abandoned sessions, the limit is 0"
 DEVICE_LOST = "exiting (code 3) because the device is lost: DeviceLostError: the GPU fell off the bus"
 SCRIPT = SUPPORT / "scripted_detector.py"
 
@@ -86,7 +86,7 @@ def test_too_many_abandoned_threads_are_reported_and_end_the_process_with_their_
         assert node.change_state("deactivate")
         observer.wait_for(lambda: reports[-1]["message"] == TOO_MANY_ABANDONED, "the last diagnostics")
         assert reports[-1]["abandoned threads"] == "1"
-        assert process.wait(PATIENCE_S) == EXIT_ABANDONED_THREADS
+        assert process.wait(PATIENCE_S) == EXIT_ABANDONED_SESSIONS
     assert TOO_MANY_ABANDONED in process.output
 
 

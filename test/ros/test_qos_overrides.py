@@ -17,7 +17,7 @@ from support.detector_process import NODE, PARAMETERS, as_arguments, detector_pr
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.ros.detector.depth_input import DepthInput
+from yolov5_lifecycle.ros.detector.depth import DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
 from yolov5_lifecycle.ros.detector.outputs import Outputs, label_info_publisher
@@ -156,7 +156,7 @@ def test_every_topic_may_be_overridden_in_history_depth_and_reliability(
             assert endpoint.qos_profile.depth == 7
             assert endpoint.qos_profile.reliability.name == reliability.upper()
         for image_input in inputs:
-            assert image_input.look().reliability.name == reliability.upper()
+            assert image_input.status().reliability.name == reliability.upper()
             image_input.close()
         depth.follow(is_needed=False)
         outputs.close()
@@ -213,7 +213,8 @@ def test_without_an_override_the_subscription_follows_a_camera_that_is_replaced(
         )
 
         def reliability() -> ReliabilityPolicy:
-            return image_input.look().reliability
+            image_input.update()
+            return image_input.status().reliability
 
         observer.wait_for(lambda: reliability() is first, "the first camera's reliability")
         observer.destroy_publisher(camera)

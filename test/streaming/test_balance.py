@@ -1,21 +1,19 @@
-"""Whatever several threads do with feeds, and however frames end, every frame is counted exactly once."""
+"""Whatever several threads do with sessions, and however frames end, every frame is counted exactly once."""
 
 from __future__ import annotations
 
 import sys
 import threading
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from random import Random
 
 import pytest
 from support.scripted_camera import PATIENCE_S
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Networks, Send
-from yolov5_lifecycle.streaming.worker import Worker
+from yolov5_lifecycle.streaming.frame_statistics import FrameCounter, Outcome
+from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads, Send
 
 CAMERAS = 4
 THREADS = 2
@@ -51,18 +49,17 @@ class Fate:
 
 
 class RandomCamera:
-    """A feed, what was offered to it, and what it was told."""
+    """A pipeline, what was offered to it, and what it was told."""
 
-    def __init__(self, worker: Worker[int, int], fate: Fate, networks: Networks) -> None:
-        self.networks = networks
+    def __init__(self, fate: Fate, whole: object, parallel: Sequence[object]) -> None:
+        self.whole = whole
+        self.parallel = parallel
+        self.counter = FrameCounter()
         self.begun: list[int] = []
         self.published: list[int] = []
         self.reported: Counter[Outcome] = Counter()
-        self.timeouts: list[float] = []
-        self._ended = threading.Semaphore(0)
-        self.feed = worker.feed(on_failure=self._fail, on_success=self._succeed)
+        self.ended = threading.Semaphore(0)
         self._fate = fate
-        self._worker = worker
 
     def detect(self, number: int, network: object) -> int:
         self.begun.append(number)
@@ -71,30 +68,48 @@ class RandomCamera:
     def messages(self, result: int) -> Iterator[Send]:
         yield lambda: self.published.append(result)
 
-    def use(self, random: Random) -> None:
-        """Offer frames, and now and then start the feed or stop all; some threads close it in the end."""
+    def report(self, outcome: Outcome, error: Exception | None) -> None:
+        self.reported[outcome] += 1
+        self.ended.release()
+
+
+class Sessions:
+    """Sessions of the same cameras, one after the other."""
+
+    def __init__(self, cameras: list[RandomCamera]) -> None:
+        self.cameras = cameras
+        self.timeouts = 0
+        self._lock = threading.Lock()
+        self._begin()
+
+    def _begin(self) -> None:
+        inference = InferenceThreads()
+        queues = [CameraQueue(camera.counter, camera.report) for camera in self.cameras]
+        for queue, camera in zip(queues, self.cameras, strict=True):
+            inference.start(queue, camera)
+        self.now = inference, queues
+
+    def end(self, timeout_s: float) -> None:
+        inference, _ = self.now
+        self.timeouts += not inference.close(timeout_s)
+
+    def use(self, index: int, random: Random) -> None:
+        """Offer frames of a camera, and now and then change its rate or begin another session."""
         for number in range(1, OFFERS + 1):
-            self.feed.offer(number)
+            inference, queues = self.now
+            inference.offer(queues[index], number)
             chance = random.random()
             if chance < 0.1:
-                with suppress(RuntimeError):  # it is closed
-                    self.feed.start(self, max_rate_hz=random.choice([0.0, 0.0, 1e4]))
+                with self._lock:
+                    inference, queues = self.now
+                    rate_hz = random.choice([0.0, 0.0, 1e4])
+                    inference.start(queues[index], self.cameras[index], max_rate_hz=rate_hz)
             elif chance < 0.13:
-                timeout_s = random.choice([0.0, MOMENT_S])
-                if not self._worker.stop(timeout_s):
-                    self.timeouts.append(timeout_s)
+                with self._lock:
+                    self.end(random.choice([0.0, MOMENT_S]))
+                    self._begin()
             elif chance < 0.5:
-                self._ended.acquire(timeout=MOMENT_S)
-        if random.random() < 0.2:
-            self.feed.close()
-
-    def _fail(self, outcome: Outcome, error: Exception) -> None:
-        self.reported[outcome] += 1
-        self._ended.release()
-
-    def _succeed(self) -> None:
-        self.reported[Outcome.DETECTED] += 1
-        self._ended.release()
+                self.cameras[index].ended.acquire(timeout=MOMENT_S)
 
 
 def run_all(threads: list[threading.Thread]) -> None:
@@ -119,33 +134,26 @@ def _many_switches() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("_many_switches")
-@pytest.mark.parametrize(
-    "networks",
-    [
-        pytest.param([Networks(object()) for _ in range(CAMERAS)], id="alone"),
-        pytest.param([Networks(object(), [object(), object(), object()])] * CAMERAS, id="in lanes"),
-    ],
-)
+@pytest.mark.parametrize("parallel", [(), ("left", "middle", "right")], ids=["one at a time", "in parallel"])
 @pytest.mark.parametrize("seed", range(4))
-def test_every_frame_is_counted_once(seed: int, networks: list[Networks]) -> None:
+def test_every_frame_is_counted_once(seed: int, parallel: tuple[str, ...]) -> None:
     before = inference_threads()
     fate = Fate(Random(seed))
-    worker: Worker[int, int] = Worker()
-    cameras = [RandomCamera(worker, fate, of_camera) for of_camera in networks]
+    cameras = [RandomCamera(fate, "whole", parallel) for _ in range(CAMERAS)]
+    sessions = Sessions(cameras)
     run_all(
         [
-            threading.Thread(target=camera.use, args=(Random(f"{seed} {index} {thread}"),))
-            for index, camera in enumerate(cameras)
+            threading.Thread(target=sessions.use, args=(index, Random(f"{seed} {index} {thread}")))
+            for index in range(CAMERAS)
             for thread in range(THREADS)
         ]
     )
-    timeouts = sum(len(camera.timeouts) for camera in cameras) + (not worker.stop(0.0))
+    sessions.end(0.0)
     fate.released.set()
-    worker.close(PATIENCE_S)
     for thread in inference_threads() - before:
         thread.join(PATIENCE_S)
     for camera in cameras:
-        balance = camera.feed.balance()
+        balance = camera.counter.balance()
         assert balance.received == THREADS * OFFERS
         assert balance.pending == 0
         assert balance[Outcome.DETECTED] == len(camera.published)
@@ -153,4 +161,4 @@ def test_every_frame_is_counted_once(seed: int, networks: list[Networks]) -> Non
         assert sum(balance[outcome] for outcome in ENDED) == len(camera.begun)
     begun = sum(len(camera.begun) for camera in cameras)
     reported = sum(camera.reported.total() for camera in cameras)
-    assert begun - reported <= timeouts * CAMERAS, "only abandoned frames are not reported"
+    assert begun - reported <= sessions.timeouts * CAMERAS, "only abandoned frames are not reported"

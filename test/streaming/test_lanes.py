@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 
 import pytest
 from support.scripted_camera import PATIENCE_S, ScriptedCamera
 
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Networks
-from yolov5_lifecycle.streaming.worker import Worker
+from yolov5_lifecycle.streaming.inference_threads import InferenceThreads
 
 WHOLE, LEFT, RIGHT = "whole", "left", "right"
 
 
 class Cameras:
-    """Four started cameras whose model has two lanes."""
+    """Four started cameras whose model has two parallel networks."""
 
     def __init__(self) -> None:
-        self.worker: Worker[int, int] = Worker()
-        self.networks = Networks(WHOLE, (LEFT, RIGHT))
-        self.all = [ScriptedCamera(self.worker, self.networks) for _ in range(4)]
+        self.inference = InferenceThreads()
+        self.all = [ScriptedCamera(self.inference, WHOLE, (LEFT, RIGHT)) for _ in range(4)]
         for camera in self.all:
-            camera.frames.start(camera)
+            camera.start()
 
     def begin_two(self) -> None:
         """Return while the second and third camera have frames in progress."""
@@ -46,12 +43,7 @@ def cameras() -> Iterator[Cameras]:
     cameras = Cameras()
     yield cameras
     cameras.open()
-    cameras.worker.close(PATIENCE_S)
-
-
-def thread_of(camera: ScriptedCamera) -> threading.Thread:
-    (found,) = (thread for thread in threading.enumerate() if thread.ident == camera.threads[-1])
-    return found
+    cameras.inference.close(PATIENCE_S)
 
 
 def test_a_lone_frame_has_the_network_for_all_processors(cameras: Cameras) -> None:
@@ -65,7 +57,7 @@ def test_no_other_frame_begins_beside_one_that_has_all_processors(cameras: Camer
     first, second, *_ = cameras.all
     first.hold(1)
     second.offer(1)
-    assert second.frames.balance().pending == 1
+    assert second.balance().pending == 1
     assert second.used == []
 
 
@@ -76,7 +68,7 @@ def test_frames_that_wait_together_run_at_the_same_time_in_networks_of_their_own
     assert second.threads[-1] != third.threads[-1]
 
 
-def test_no_more_frames_run_at_the_same_time_than_there_are_lanes(cameras: Cameras) -> None:
+def test_no_more_frames_run_at_the_same_time_than_there_are_networks(cameras: Cameras) -> None:
     cameras.begin_two()
     _, second, third, fourth = cameras.all
     fourth.offer(1)
@@ -84,7 +76,7 @@ def test_no_more_frames_run_at_the_same_time_than_there_are_lanes(cameras: Camer
     second.open()
     fourth.wait()
     assert fourth.used == second.used
-    assert third.frames.balance().pending == 1
+    assert third.balance().pending == 1
 
 
 def test_the_next_frame_of_a_camera_waits_for_the_one_before(cameras: Cameras) -> None:
@@ -93,7 +85,7 @@ def test_the_next_frame_of_a_camera_waits_for_the_one_before(cameras: Cameras) -
     second.offer(2)
     third.open()
     third.wait()
-    assert second.frames.balance().pending == 2
+    assert second.balance().pending == 2
     second.open()
     second.wait()
     second.wait()
@@ -101,7 +93,7 @@ def test_the_next_frame_of_a_camera_waits_for_the_one_before(cameras: Cameras) -
 
 
 @pytest.mark.parametrize("is_hung", [False, True], ids=["that ends", "that hangs"])
-def test_a_stop_waits_for_every_lane_and_counts_each_frame_once(cameras: Cameras, is_hung: bool) -> None:
+def test_close_waits_for_every_thread_and_counts_each_frame_once(cameras: Cameras, is_hung: bool) -> None:
     cameras.begin_two()
     _, second, third, fourth = cameras.all
     fourth.offer(1)
@@ -110,25 +102,25 @@ def test_a_stop_waits_for_every_lane_and_counts_each_frame_once(cameras: Cameras
     fourth.wait()
     if not is_hung:
         second.open()
-    assert cameras.worker.stop(0.0 if is_hung else PATIENCE_S) is not is_hung
+    assert cameras.inference.close(0.0 if is_hung else PATIENCE_S) is not is_hung
     assert second.counts() == ({Outcome.FAILED: 1} if is_hung else {Outcome.DETECTED: 1})
-    assert cameras.worker.is_at_rest()
-    assert cameras.worker.abandoned_threads() == is_hung
+    assert cameras.inference.is_at_rest
+    assert cameras.inference.hanging == is_hung
 
 
-def test_a_stop_abandons_every_hung_lane(cameras: Cameras) -> None:
+def test_close_abandons_every_hung_thread(cameras: Cameras) -> None:
     cameras.begin_two()
-    assert not cameras.worker.stop(0.01)
-    assert cameras.worker.abandoned_threads() == 2
+    assert not cameras.inference.close(0.01)
+    assert cameras.inference.hanging == 2
     assert [camera.counts() for camera in cameras.all[1:3]] == [{Outcome.FAILED: 1}] * 2
 
 
-def test_in_a_pause_all_lanes_come_to_rest(cameras: Cameras) -> None:
+def test_in_a_pause_all_frames_come_to_rest(cameras: Cameras) -> None:
     cameras.begin_two()
-    with cameras.worker.paused():
+    with cameras.inference.paused():
         cameras.all[3].offer(1)
         cameras.open()
-        assert cameras.worker.rest(PATIENCE_S)
+        assert cameras.inference.rest(PATIENCE_S)
         assert cameras.all[3].used == []
     cameras.all[3].wait()
     assert cameras.all[3].published == [1]

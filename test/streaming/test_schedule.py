@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from queue import SimpleQueue
 from random import Random
+from threading import Thread
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Networks, Send
-from yolov5_lifecycle.streaming.schedule import Job, Schedule, Slot
+from yolov5_lifecycle.streaming.frame_statistics import FrameCounter, Outcome
+from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads, Send
 
 
 class Unused:
     """A pipeline that is not asked for anything."""
 
-    def __init__(self, networks: Networks) -> None:
-        self.networks = networks
+    whole = "network"
+    parallel: Sequence[object] = ()
 
     def detect(self, number: int, network: object) -> int:
         raise AssertionError("no thread runs")
@@ -28,35 +29,28 @@ class Unused:
 
 
 class Turns:
-    """A schedule without a thread; cameras are numbers, and so are their frames."""
+    """Inference threads of which none runs; cameras are numbers, and so are their frames."""
 
     def __init__(self, cameras: int) -> None:
-        self.abandoned: list[Job[int, int]] = []
-        self.schedule: Schedule[int, int] = Schedule(clock=lambda: 0.0, on_abandoned=self.abandoned.append)
-        self.slots = [_slot() for _ in range(cameras)]
-        networks = Networks(object())
-        for slot in self.slots:
-            slot.start(Unused(networks), 0.0)
+        self.inference = InferenceThreads(clock=lambda: 0.0)
+        self.inference._threads[SimpleQueue()] = Thread()  # which is never idle
+        self.queues = [CameraQueue(FrameCounter(), lambda outcome, error: None) for _ in range(cameras)]
+        for queue in self.queues:
+            self.inference.start(queue, Unused())
 
     def offer(self, camera: int) -> None:
-        with self.schedule.lock:
-            self.schedule.offer(self.slots[camera], camera)
+        self.inference.offer(self.queues[camera], camera)
 
     def serve(self) -> list[int]:
-        """Do one job; return its camera, [] if none waits."""
-        with self.schedule.lock:
-            job = self.schedule.begin()
-            if job is None:
-                return []
-            self.schedule.end(job)
-            return [self.slots.index(job.slot)]
+        """Do one task; return its camera, [] if none waits."""
+        task = self.inference._next_task()
+        if task is None:
+            return []
+        self.inference._end(task, Outcome.DETECTED)
+        return [self.queues.index(task.queue)]
 
     def waiting(self) -> set[int]:
-        return {self.slots.index(slot) for slot in self.schedule.waiting}
-
-
-def _slot() -> Slot[int, int]:
-    return Slot(on_failure=lambda outcome, error: None, on_success=lambda: None)
+        return {camera for camera, queue in enumerate(self.queues) if queue.frame is not None}
 
 
 SERVE = -1
@@ -100,7 +94,7 @@ def test_a_waiting_frame_is_overtaken_at_most_once_by_each_camera(steps: list[in
         assert overtaken.keys() == turns.waiting()
 
 
-def test_a_fast_camera_delays_a_slow_one_by_one_job() -> None:
+def test_a_fast_camera_delays_a_slow_one_by_one_task() -> None:
     turns = Turns(2)
     fast, slow = 0, 1
     turns.offer(fast)
@@ -122,32 +116,3 @@ def test_cameras_without_frames_change_nothing(steps: list[int]) -> None:
         else:
             few.offer(step)
             many.offer(step)
-
-
-def test_an_abandoned_job_is_no_rest_for_whoever_waits_for_it() -> None:
-    turns = Turns(1)
-    turns.offer(0)
-    schedule = turns.schedule
-    with schedule.lock:
-        job = schedule.begin()
-        assert job is not None
-        assert not schedule.wait([job], 0.0)
-        assert not schedule.wait_or_abandon([job], 0.0)
-        assert not schedule.wait([job], 0.0)
-        assert not schedule.wait_or_abandon([job], 0.0)
-    assert turns.abandoned == [job]
-    assert turns.slots[0].counter.balance()[Outcome.FAILED] == 1
-
-
-def test_the_time_of_all_jobs_that_are_awaited_begins_at_once() -> None:
-    turns = Turns(3)
-    networks = Networks(object(), [object(), object()])
-    for camera, slot in enumerate(turns.slots):
-        slot.start(Unused(networks), 0.0)
-        turns.offer(camera)
-    schedule = turns.schedule
-    with schedule.lock:
-        jobs = [job for job in (schedule.begin(), schedule.begin()) if job is not None]
-        assert schedule.begin() is None
-        assert not schedule.wait(jobs, 0.0)
-    assert [job.awaited_s for job in jobs] == [0.0, 0.0]

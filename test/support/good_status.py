@@ -8,22 +8,22 @@ from rclpy.qos import ReliabilityPolicy
 
 from yolov5_lifecycle.collecting.collector import CollectorStatus
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
-from yolov5_lifecycle.ros.detector.depth_placing import PlacingCounts
-from yolov5_lifecycle.ros.detector.depth_status import DepthStatus, SourceStatus
-from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
+from yolov5_lifecycle.ros.detector.depth import DepthCounts, DepthStatus, SourceStatus
+from yolov5_lifecycle.ros.detector.diagnostics import Status
+from yolov5_lifecycle.ros.detector.image_input import InputStatus
 from yolov5_lifecycle.ros.detector.image_topic import TopicStatus
-from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameCounter, LatencySummary
 
 LARGE = 921_600
-TOPIC = TopicStatus(
-    name="/yolov5/image_raw", reliabilities=(ReliabilityPolicy.BEST_EFFORT,), gids=frozenset({b"camera"})
-)
+TOPIC = TopicStatus(name="/yolov5/image_raw", reliabilities=(ReliabilityPolicy.BEST_EFFORT,))
 GOOD_INPUT = InputStatus(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     silent_s=0.1,
-    recent=RecentImages(window_s=5.0, received=150, lost=1, max_bytes=LARGE),
+    window_s=5.0,
+    received=150,
+    lost=1,
+    max_bytes=LARGE,
 )
 SOURCE = SourceStatus("/yolov5/depth/image_raw", publishers=1, missing_s=0.0)
 GOOD_CAMERA = CameraStatus(
@@ -35,7 +35,7 @@ GOOD_CAMERA = CameraStatus(
     topic=TOPIC,
     input=GOOD_INPUT,
     lost=3,
-    overtaken=7,
+    dropped_in_queue=7,
     latency=LatencySummary(29.9, 21.0, 30.5),
     empty=EmptyRun(0.9),
     tracking={
@@ -45,7 +45,7 @@ GOOD_CAMERA = CameraStatus(
         "jumps back in time": "1",
     },
     depth_status=DepthStatus(
-        image=SOURCE, camera_info=SOURCE, counts=PlacingCounts(), run=None, recently_rejected=""
+        image=SOURCE, camera_info=SOURCE, counts=DepthCounts(), run=None, recently_rejected=""
     ),
     subscribers_3d=1,
     segments=True,

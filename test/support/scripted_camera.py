@@ -1,21 +1,20 @@
-"""A camera of numbers on a worker, with a gate that holds the worker while it detects or publishes."""
+"""A camera of numbers, with gates that hold its frames while they are detected, published or drawn."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.pipeline import Networks, Send
-from yolov5_lifecycle.streaming.worker import Worker
+from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
+from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads, Pipeline, Send
 
 PATIENCE_S = 60.0
 
 
-def when_awaited(worker: Worker[int, int], act: Callable[[], object]) -> None:
-    """Call `act` whenever somebody begins to wait for the job in progress, which cannot end before that."""
-    ended = worker._schedule._ended
+def when_awaited(inference: InferenceThreads, act: Callable[[], object]) -> None:
+    """Call `act` whenever somebody begins to wait for the frame in progress, which cannot end before that."""
+    ended = inference._ended
     wait_for = ended.wait_for
 
     def acted(predicate: Callable[[], bool], timeout: float | None = None) -> bool:
@@ -26,17 +25,21 @@ def when_awaited(worker: Worker[int, int], act: Callable[[], object]) -> None:
 
 
 class ScriptedCamera:
-    """A feed and its pipeline: a negative number is no image, zero an error of inference.
+    """A queue and its pipeline: a negative number is no image, zero an error of inference.
 
-    It has a network of its own unless `networks` are given; `used` are the networks of its frames.
+    `used` are the networks of its frames.
     """
 
-    def __init__(self, worker: Worker[int, int], networks: Networks | None = None) -> None:
-        self.networks = networks or Networks(self)
+    def __init__(
+        self, inference: InferenceThreads, whole: object = "whole", parallel: Sequence[object] = ()
+    ) -> None:
+        self.inference = inference
+        self.whole = whole
+        self.parallel = parallel
         self.used: list[object] = []
         self.published: list[int] = []
         self.failures: list[tuple[Outcome, str]] = []
-        self.threads: list[int] = []
+        self.threads: list[threading.Thread] = []
         self.gate = threading.Event()
         self.gate.set()
         self.entered = threading.Event()
@@ -48,11 +51,11 @@ class ScriptedCamera:
         self.drawing = threading.Event()
         self.drawn: list[int] = []
         self.ended = threading.Semaphore(0)
-        self.frames = worker.feed(on_failure=self._fail, on_success=self.ended.release)
+        self.queue = CameraQueue(FrameCounter(), self._report)
 
     def detect(self, number: int, network: object) -> int:
         self.used.append(network)
-        self.threads.append(threading.get_ident())
+        self.threads.append(threading.current_thread())
         self.entered.set()
         assert self.gate.wait(PATIENCE_S)
         if number < 0:
@@ -62,7 +65,7 @@ class ScriptedCamera:
         return number
 
     def messages(self, result: int) -> Iterator[Send]:
-        self.threads.append(threading.get_ident())
+        self.threads.append(threading.current_thread())
         yield lambda: self._publish(result)
         self.drawing.set()
         assert self.draw_gate.wait(PATIENCE_S)
@@ -73,8 +76,12 @@ class ScriptedCamera:
         assert self.publish_gate.wait(PATIENCE_S)
         self.published.append(result)
 
-    def offer(self, number: int) -> None:
-        self.frames.offer(number)
+    def start(self, pipeline: Pipeline | None = None, *, max_rate_hz: float = 0.0) -> None:
+        self.inference.start(self.queue, pipeline or self, max_rate_hz=max_rate_hz)
+
+    def offer(self, *numbers: int) -> None:
+        for number in numbers:
+            self.inference.offer(self.queue, number)
 
     def feed(self, number: int) -> None:
         """Offer one frame and wait until it ended."""
@@ -86,25 +93,26 @@ class ScriptedCamera:
         assert self.ended.acquire(timeout=PATIENCE_S)
 
     def hold(self, number: int) -> None:
-        """Offer one frame and return while the worker is inside it."""
+        """Offer one frame and return while a thread is inside it."""
         self.gate.clear()
         self.entered.clear()
         self.offer(number)
         assert self.entered.wait(PATIENCE_S)
 
     def open(self) -> None:
-        """Let the worker go on, now and in all frames to come."""
+        """Let frames go on, now and in all frames to come."""
         self.gate.set()
         self.publish_gate.set()
         self.draw_gate.set()
 
-    def count(self, outcome: Outcome) -> int:
-        return self.frames.balance()[outcome]
+    def balance(self) -> FrameBalance:
+        return self.queue.counter.balance()
 
     def counts(self) -> dict[Outcome, int]:
         """Outcomes that occurred."""
-        return {outcome: count for outcome, count in self.frames.balance().outcomes.items() if count}
+        return {outcome: count for outcome, count in self.balance().outcomes.items() if count}
 
-    def _fail(self, outcome: Outcome, error: Exception) -> None:
-        self.failures.append((outcome, str(error)))
+    def _report(self, outcome: Outcome, error: Exception | None) -> None:
+        if error is not None:
+            self.failures.append((outcome, str(error)))
         self.ended.release()

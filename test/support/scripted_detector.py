@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from support.preparations import Preparations
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.ros.detector.command import main
+from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
 
 def lose_device() -> NDArray[np.float32]:
@@ -58,5 +58,5 @@ if __name__ == "__main__":
         ["detector", *sys.argv[2:]],
         prepare=prepare,
         finalized_s=FINALIZED_S,
-        max_abandoned_threads=0 if sys.argv[1] == "hang_at_most_never" else MAX_ABANDONED_THREADS,
+        max_abandoned_sessions=0 if sys.argv[1] == "hang_at_most_never" else MAX_ABANDONED_SESSIONS,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics
+import threading
 import time
 from collections import Counter, deque
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ class Outcome(Enum):
     DETECTED = "detected"
     """Its detections were published."""
     STALE = "stale"
-    """A newer frame arrived before the worker was free."""
+    """A newer frame arrived before an inference thread was free."""
     REJECTED = "rejected"
     """It was not a readable image."""
     FAILED = "failed"
@@ -49,21 +50,26 @@ class FrameBalance:
 
 
 class FrameCounter:
-    """Counts received and finished frames; not thread-safe, the owner holds a lock."""
+    """Counts received and finished frames, in any thread."""
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._received = 0
         self._outcomes: Counter[Outcome] = Counter()
 
     def receive(self) -> None:
-        self._received += 1
+        with self._lock:
+            self._received += 1
 
     def finish(self, outcome: Outcome) -> None:
-        self._outcomes[outcome] += 1
+        with self._lock:
+            self._outcomes[outcome] += 1
 
     def balance(self) -> FrameBalance:
-        outcomes = {outcome: self._outcomes[outcome] for outcome in Outcome}
-        return FrameBalance(self._received, self._received - sum(outcomes.values()), outcomes)
+        """A consistent snapshot of all counts."""
+        with self._lock:
+            outcomes = {outcome: self._outcomes[outcome] for outcome in Outcome}
+            return FrameBalance(self._received, self._received - sum(outcomes.values()), outcomes)
 
 
 @dataclass(frozen=True)

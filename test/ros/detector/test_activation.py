@@ -8,6 +8,7 @@ import pytest
 from support.preparations import Preparations
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of
 
+from yolov5_lifecycle.ros.detector.node import EXIT_DEVICE_LOST
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 
 
@@ -142,5 +143,5 @@ def test_a_device_that_is_lost_while_a_model_loads_ends_the_node(
     prepare.refusal = "torch failed on cuda:0"
     answered = served.transition("activate") if state == "inactive" else served.set(image_size=320)[0]
     assert not answered
-    assert served.node.device_lost
+    assert served.node.exit_code == EXIT_DEVICE_LOST
     served.wait_for_log("exiting (code 3) because the device is lost: torch failed on cuda:0")

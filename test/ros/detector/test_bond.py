@@ -178,12 +178,15 @@ class OneSide:
     def __init__(self, observer: Observer, capture: pytest.CaptureFixture[str]) -> None:
         self.now_s = 100.0
         self.heard: list[Status] = []
-        self.bond = Bond(observer, clock=lambda: self.now_s)
         self._observer = observer
         self._capture = capture
         self._log = ""
         observer.create_subscription(Status, "/bond", self._take, 100)
         self._publisher = observer.create_publisher(Status, "/bond", 5)
+        self.bond = self.another(4.0)
+
+    def another(self, timeout_s: float) -> Bond:
+        return Bond(self._observer, timeout_s, clock=lambda: self.now_s)
 
     def send(self, *, is_active: bool, node_name: str = "yolov5") -> None:
         self._observer.wait_for(lambda: self._publisher.get_subscription_count() == 2, "both subscriptions")
@@ -221,9 +224,8 @@ class OneSide:
 def side(ros_domain: int, capfd: pytest.CaptureFixture[str]) -> Iterator[OneSide]:
     with closing(Observer("yolov5", domain=ros_domain)) as observer:
         side = OneSide(observer, capfd)
-        side.bond.start(4.0)
         yield side
-        side.bond.stop()
+        side.bond.close()
 
 
 def test_heartbeats_end_when_no_manager_joins_in_time(side: OneSide) -> None:
@@ -265,13 +267,12 @@ def test_a_silent_manager_is_logged_once_and_the_heartbeats_go_on(side: OneSide)
     assert all(message.active for message in side.heard)
 
 
-def test_a_bond_that_is_started_again_is_another_one(side: OneSide) -> None:
+def test_a_bond_says_that_it_ends_and_the_next_one_is_another(side: OneSide) -> None:
     side.wait_for_more(1)
-    side.bond.stop()
-    side.bond.stop()
+    side.bond.close()
     side.wait_for_silence()
     assert not side.heard[-1].active
-    side.bond.start(4.0)
+    side.bond = side.another(4.0)
     side.wait_for_more(1)
     assert side.heard[-1].active
     assert side.heard[-1].instance_id != side.heard[0].instance_id
@@ -279,7 +280,8 @@ def test_a_bond_that_is_started_again_is_another_one(side: OneSide) -> None:
 
 @pytest.mark.parametrize(("timeout_s", "period_s"), [(60.0, 0.1), (0.2, 0.05), (0.001, 0.01)])
 def test_several_heartbeats_come_within_the_timeout(side: OneSide, timeout_s: float, period_s: float) -> None:
-    side.bond.start(timeout_s)
-    side.wait_for_more(2)
+    side.bond.close()
+    side.bond = side.another(timeout_s)
+    side.wait_for_more(3)
     assert side.heard[-1].heartbeat_timeout == pytest.approx(timeout_s)
     assert side.heard[-1].heartbeat_period == pytest.approx(period_s)

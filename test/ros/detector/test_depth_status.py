@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 from support.good_status import GOOD, GOOD_CAMERA, SOURCE
 
-from yolov5_lifecycle.ros.detector.depth_placing import PlacingCounts, UnplacedRun
-from yolov5_lifecycle.ros.detector.depth_status import UNPLACED_S, DepthStatus
+from yolov5_lifecycle.ros.detector.depth import UNPLACED_S, DepthCounts, DepthStatus, RunWithoutDepth
 from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S
 from yolov5_lifecycle.spatial.placement import Unplaced
 
@@ -18,11 +17,11 @@ IMAGE = SOURCE
 INFO = dataclasses.replace(SOURCE, name="/yolov5/depth/camera_info")
 REJECTION = "depth images are rejected: Expected a depth image in 16UC1 or 32FC1, found encoding 'rgb8'."
 REASON = "no depth image: no depth image has been received"
-LONG_RUN = UnplacedRun(REASON, begun_s=5.0, ended_s=5.5 + UNPLACED_S)
+LONG_RUN = RunWithoutDepth(REASON, begun_s=5.0, ended_s=5.5 + UNPLACED_S)
 
 
 def depth(**changes: Any) -> DepthStatus:
-    good = DepthStatus(image=IMAGE, camera_info=INFO, counts=PlacingCounts(), run=None, recently_rejected="")
+    good = DepthStatus(image=IMAGE, camera_info=INFO, counts=DepthCounts(), run=None, recently_rejected="")
     return dataclasses.replace(good, **changes)
 
 
@@ -99,7 +98,7 @@ def test_what_is_wrong_with_the_images_is_told_before_depth() -> None:
 
 
 def test_the_values_hold_every_count() -> None:
-    counts = PlacingCounts(
+    counts = DepthCounts(
         depth_images=9,
         rejected_depth_images=2,
         rejected_camera_infos=3,

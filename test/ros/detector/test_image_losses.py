@@ -40,12 +40,12 @@ def take(losses: ImageLosses, *numbers: int, at_ns: int = 1) -> None:
         losses.take(number, at_ns)
 
 
-def test_gaps_that_nobody_lost_were_overtaken() -> None:
+def test_gaps_that_nobody_lost_were_dropped_in_queue() -> None:
     losses = single()
     take(losses, 7, 8, 12)
     losses.lose(1)
     losses.settle()
-    assert (losses.lost, losses.overtaken) == (1, 2)
+    assert (losses.lost, losses.dropped_in_queue) == (1, 2)
 
 
 def test_what_was_lost_before_the_first_image_is_no_gap() -> None:
@@ -53,7 +53,7 @@ def test_what_was_lost_before_the_first_image_is_no_gap() -> None:
     losses.lose(5)
     take(losses, 6, 9)
     losses.settle()
-    assert (losses.lost, losses.overtaken) == (5, 2)
+    assert (losses.lost, losses.dropped_in_queue) == (5, 2)
 
 
 def test_a_second_publisher_ends_the_count_and_takes_back_what_it_caused() -> None:
@@ -64,7 +64,7 @@ def test_a_second_publisher_ends_the_count_and_takes_back_what_it_caused() -> No
     losses.match(None, ever_matched=2, has_joined=True, now_ns=10)
     take(losses, 6, 5010, at_ns=11)
     losses.settle()
-    assert losses.overtaken == 2
+    assert losses.dropped_in_queue == 2
 
 
 def test_counting_begins_again_with_what_arrives_after_the_second_has_left() -> None:
@@ -74,7 +74,7 @@ def test_counting_begins_again_with_what_arrives_after_the_second_has_left() -> 
     take(losses, 9000, at_ns=19)  # the last one of the other, still in the queue
     take(losses, 100, 103, at_ns=21)
     losses.settle()
-    assert losses.overtaken == 2
+    assert losses.dropped_in_queue == 2
 
 
 def test_a_publisher_that_came_and_went_unseen_between_two_images_causes_nothing() -> None:
@@ -83,7 +83,7 @@ def test_a_publisher_that_came_and_went_unseen_between_two_images_causes_nothing
     losses.match(FRONT, ever_matched=2, has_joined=True, now_ns=10)
     take(losses, 2, 4, at_ns=11)
     losses.settle()
-    assert losses.overtaken == 1
+    assert losses.dropped_in_queue == 1
 
 
 def test_a_loss_that_is_reported_after_its_gap_was_settled_is_counted_once() -> None:
@@ -92,7 +92,7 @@ def test_a_loss_that_is_reported_after_its_gap_was_settled_is_counted_once() -> 
     losses.settle()
     losses.lose(1)
     losses.settle()
-    assert (losses.lost, losses.overtaken) == (1, 1)
+    assert (losses.lost, losses.dropped_in_queue) == (1, 1)
 
 
 def test_the_end_of_the_only_publisher_keeps_its_gaps() -> None:
@@ -100,7 +100,7 @@ def test_the_end_of_the_only_publisher_keeps_its_gaps() -> None:
     take(losses, 1, 4)
     losses.match(None, ever_matched=1, has_joined=False, now_ns=10)
     losses.settle()
-    assert losses.overtaken == 2
+    assert losses.dropped_in_queue == 2
 
 
 def test_the_same_publisher_is_counted_on_over_a_new_subscription_and_another_is_not() -> None:
@@ -114,7 +114,7 @@ def test_the_same_publisher_is_counted_on_over_a_new_subscription_and_another_is
     losses.match(REAR, ever_matched=1, has_joined=True, now_ns=20)
     take(losses, 901, 903, at_ns=21)
     losses.settle()
-    assert losses.overtaken == 1  # the gap before the other publisher was not settled yet
+    assert losses.dropped_in_queue == 1  # the gap before the other publisher was not settled yet
 
 
 def test_what_is_sent_while_the_node_wants_no_images_is_not_missed() -> None:
@@ -125,7 +125,7 @@ def test_what_is_sent_while_the_node_wants_no_images_is_not_missed() -> None:
     losses.match(FRONT, ever_matched=1, has_joined=True, now_ns=10)
     take(losses, 50, 52)
     losses.settle()
-    assert losses.overtaken == 2
+    assert losses.dropped_in_queue == 2
 
 
 def test_a_middleware_without_sequence_numbers_has_no_gaps() -> None:
@@ -133,7 +133,7 @@ def test_a_middleware_without_sequence_numbers_has_no_gaps() -> None:
     losses.take(None, 1)
     losses.take(None, 2)
     losses.settle()
-    assert losses.overtaken == 0
+    assert losses.dropped_in_queue == 0
 
 
 @given(
@@ -145,7 +145,7 @@ def test_a_middleware_without_sequence_numbers_has_no_gaps() -> None:
         max_size=30,
     )
 )
-def test_with_two_publishers_no_more_are_overtaken_than_the_first_sent_alone(
+def test_with_two_publishers_no_more_are_dropped_in_queue_than_the_first_sent_alone(
     steps: list[tuple[str, str, int]],
 ) -> None:
     """Whatever the order of arrival, when the event of the second match comes before the next look."""
@@ -163,7 +163,7 @@ def test_with_two_publishers_no_more_are_overtaken_than_the_first_sent_alone(
             losses.take(numbers[who], 1)
             losses.match(None, ever_matched=2, has_joined=True, now_ns=2)
     losses.settle()
-    assert losses.overtaken <= missed
+    assert losses.dropped_in_queue <= missed
 
 
 class Receiver:
@@ -202,7 +202,7 @@ class Receiver:
         self.node.wait_for(lambda: publisher.get_subscription_count() == 1, "the new subscription")
 
     def look(self) -> None:
-        self.input.look()
+        self.input.update()
 
     def send(self, publisher: Publisher, count: int = 1) -> None:
         """Publish so many at once; only the last can be taken, since one is kept."""
@@ -227,14 +227,14 @@ def receiver(ros_domain: int) -> Iterator[Receiver]:
         yield receiver
 
 
-def test_images_that_replace_each_other_while_the_node_is_busy_are_overtaken_not_lost(
+def test_images_that_replace_each_other_while_the_node_is_busy_are_dropped_in_queue_not_lost(
     receiver: Receiver,
 ) -> None:
     camera = receiver.publisher()
     for count in (1, 3, 1, 5):
         receiver.send(camera, count)
     receiver.look()
-    assert len(receiver.received) + receiver.losses.overtaken == 10
+    assert len(receiver.received) + receiver.losses.dropped_in_queue == 10
     assert receiver.losses.lost == 0
 
 
@@ -270,9 +270,9 @@ def test_a_second_camera_that_joins_and_leaves_adds_nothing(receiver: Receiver) 
     for _ in range(100):  # until the node has seen that one is left
         receiver.send(first, 3)
         receiver.look()
-        if receiver.losses.overtaken:
+        if receiver.losses.dropped_in_queue:
             break
-    assert (receiver.losses.lost, receiver.losses.overtaken) == (0, 2)
+    assert (receiver.losses.lost, receiver.losses.dropped_in_queue) == (0, 2)
 
 
 @pytest.mark.parametrize("durability", [DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL])
@@ -284,7 +284,7 @@ def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_
     receiver.subscribe_again(camera, missed=4)
     receiver.send(camera)
     receiver.look()
-    assert (len(receiver.received), receiver.losses.lost, receiver.losses.overtaken) == (2, 0, 4)
+    assert (len(receiver.received), receiver.losses.lost, receiver.losses.dropped_in_queue) == (2, 0, 4)
     (subscription,) = receiver.node.get_subscriptions_info_by_topic(TOPIC)
     assert subscription.qos_profile.durability is DurabilityPolicy.VOLATILE
 

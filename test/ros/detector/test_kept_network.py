@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from sensor_msgs.msg import Image
 from support.camera_client import CameraClient
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import scene_image
-from support.preparations import Preparations, prediction
 from support.runtime_names import EVERY_RUNTIME
 from support.served_node import PATIENCE_S, ServedNode
 from vision_msgs.msg import Detection2DArray
@@ -115,39 +114,3 @@ def detected(served: ServedNode, camera: CameraClient, image: Image) -> Detectio
 
     served.wait_for(is_answered, f"detections of {camera.name}")
     return camera.detections[-1]
-
-
-def hanging(release: threading.Event, entered: threading.Event) -> Callable[[], np.ndarray]:
-    def run() -> np.ndarray:
-        entered.set()
-        assert release.wait(10 * PATIENCE_S)
-        return prediction("cat", 0.9)
-
-    return run
-
-
-@pytest.fixture
-def cameras(prepare: Preparations) -> Iterator[tuple[ServedNode, CameraClient, CameraClient]]:
-    with ServedNode(prepare, parameters=["cameras:=[front, rear]"]) as served:
-        front, rear = CameraClient(served, "front"), CameraClient(served, "rear")
-        served.bring_to("active")
-        front.detect()
-        rear.detect()
-        rear.wait_for(rear.send())  # the last one: none that waits may hang
-        yield served, front, rear
-    assert served.escaped == []
-
-
-def test_a_wait_for_a_frame_starts_no_thread(
-    prepare: Preparations, cameras: tuple[ServedNode, CameraClient, CameraClient]
-) -> None:
-    served, front, _ = cameras
-    release, entered = threading.Event(), threading.Event()
-    prepare.running.run = hanging(release, entered)
-    served.wait_for(lambda: bool(front.send()) and entered.is_set(), "inference to begin")
-    before = set(threading.enumerate())
-    left = served.begin_transition("deactivate")
-    assert served.state() == "active"
-    assert set(threading.enumerate()) <= before
-    release.set()
-    served.wait_for(left.done, "the answer")

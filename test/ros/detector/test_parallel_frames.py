@@ -12,6 +12,8 @@ from support.camera_client import CameraClient
 from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of
 
+from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S
+
 NAMES = ("front", "rear", "left")
 
 
@@ -61,10 +63,16 @@ class Lanes:
 
 
 @pytest.fixture
-def lanes(ros_domain: int) -> Iterator[Lanes]:
+def rest_timeout_s() -> float:
+    return REST_TIMEOUT_S
+
+
+@pytest.fixture
+def lanes(ros_domain: int, rest_timeout_s: float) -> Iterator[Lanes]:
     prepare = Preparations()
     prepare.lanes = 2
-    with ServedNode(prepare, parameters=[f"cameras:=[{', '.join(NAMES)}]"]) as served:
+    parameters = [f"cameras:=[{', '.join(NAMES)}]"]
+    with ServedNode(prepare, parameters=parameters, rest_timeout_s=rest_timeout_s) as served:
         lanes = Lanes(served, prepare)
         served.bring_to("active")
         for camera in (lanes.front, lanes.rear, lanes.left):
@@ -95,6 +103,20 @@ def test_a_frame_that_hangs_in_a_lane_does_not_stop_the_other_cameras(lanes: Lan
         return sorted(new)[1] >= 3
 
     lanes.served.wait_for(others_go_on, "three detections of each camera but the one that hangs")
+
+
+@pytest.mark.parametrize("rest_timeout_s", [0.1])
+def test_a_session_is_abandoned_as_a_whole_however_many_of_its_frames_hang(lanes: Lanes) -> None:
+    served, sessions = lanes.served, MAX_ABANDONED_SESSIONS - 1
+    for session in range(1, sessions + 1):
+        lanes.hold()
+        assert served.transition("deactivate")
+        assert served.values()["abandoned threads"] == str(2 * session)
+        assert served.transition("activate")
+    assert 2 * sessions > MAX_ABANDONED_SESSIONS
+    assert served.node.exit_code is None
+    for camera in (lanes.front, lanes.rear, lanes.left):
+        assert class_ids_of(camera.detect()) == ["cat"]
 
 
 def test_after_the_answer_to_a_reload_no_camera_publishes_what_the_previous_model_found(lanes: Lanes) -> None:

@@ -6,16 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rcl_interfaces.msg import Parameter, ParameterValue
 from support.detector_process import (
     WEIGHTS,
     DetectorProcess,
-    is_balanced,
     scene_image,
     scene_truth,
 )
 from support.random_model import blank_model
-from support.served_node import STATES
 from support.sighting import Sighting
 
 from benchmark.process_memory import resident_mb
@@ -23,13 +20,6 @@ from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.architecture import SIZES
 from yolov5_lifecycle.runtimes.cache import cache_folder
 from yolov5_lifecycle.tracking.assignment import iou_matrix
-
-
-def test_a_raised_threshold_applies_to_the_next_frame(active: DetectorProcess) -> None:
-    scores = active.look().scores
-    middle = float(np.mean([min(scores), max(scores)]))
-    assert active.node.set_parameters(confidence_threshold=middle) == ""
-    assert active.look().scores == tuple(score for score in scores if score > middle)
 
 
 @pytest.mark.parametrize("classes", [["circle", "star"], ["0", "3"]], ids=["names", "indices"])
@@ -60,14 +50,6 @@ def _largest_overlap(found: Sighting) -> float:
     return float(np.triu(ious, k=1).max(initial=0))
 
 
-def test_a_class_that_the_model_does_not_have_is_refused_with_a_suggestion(active: DetectorProcess) -> None:
-    refusal = active.node.set_parameters(classes=["cirlce"])
-    assert "cirlce" in refusal
-    assert "Did you mean 'circle'?" in refusal
-    assert active.node.parameter("classes") == []
-    assert len(active.look().scores) > 0
-
-
 def test_another_image_size_is_swapped_in_while_active(active: DetectorProcess) -> None:
     assert active.node.set_parameters(image_size=416) == ""
     assert active.look().found_of(scene_truth()) >= len(scene_truth().scores) - 1
@@ -75,45 +57,6 @@ def test_another_image_size_is_swapped_in_while_active(active: DetectorProcess) 
     assert "image_size" in refusal
     assert active.node.parameter("image_size") == 416
     assert active.node.state() == "active"
-
-
-@pytest.mark.parametrize("state", STATES)
-def test_a_value_of_a_type_that_does_not_exist_is_refused(detector: DetectorProcess, state: str) -> None:
-    detector.bring_to(state)
-    (result,) = detector.set_one_by_one([Parameter(name="iou_threshold", value=ParameterValue(type=42))])
-    assert not result.successful
-    assert result.reason
-    assert detector.node.state() == state
-
-
-@pytest.mark.parametrize("state", STATES)
-def test_diagnostics_have_the_state_and_the_balance_of_frames(detector: DetectorProcess, state: str) -> None:
-    detector.bring_to("active")
-    detector.look()
-    detector.bring_to(state)
-    status = detector.status()
-    assert status["state"] == state
-    assert is_balanced(status)
-    assert int(status["frames detected"]) >= 1
-
-
-@pytest.mark.parametrize(
-    ("state", "refused"),
-    [
-        ("unconfigured", ("activate", "deactivate", "cleanup")),
-        ("inactive", ("configure", "deactivate")),
-        ("active", ("configure", "activate", "cleanup")),
-    ],
-)
-def test_a_transition_that_is_not_possible_is_refused(
-    detector: DetectorProcess, state: str, refused: tuple[str, ...]
-) -> None:
-    detector.bring_to(state)
-    for label in refused:
-        assert not detector.transition(label)
-    for transition_id in (0, 10, 99, 255):  # none, a private one, two that do not exist
-        assert not detector.transition(transition_id=transition_id)
-    assert detector.node.state() == state
 
 
 def test_missing_weights_are_named_with_the_remedy_and_may_be_given_then(detector: DetectorProcess) -> None:
@@ -127,13 +70,6 @@ def test_missing_weights_are_named_with_the_remedy_and_may_be_given_then(detecto
     assert detector.node.set_parameters(weights=WEIGHTS) == ""
     assert detector.transition("activate")
     assert len(detector.look().scores) > 0
-
-
-def test_activate_names_a_class_that_the_model_does_not_have(detector: DetectorProcess) -> None:
-    assert detector.node.set_parameters(classes=["squaer"]) == ""
-    detector.bring_to("inactive")
-    assert not detector.transition("activate")
-    assert "Did you mean 'square'?" in detector.status()["last problem"]
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 
-from yolov5_lifecycle.ros.detector import published_images
-from yolov5_lifecycle.ros.detector.depth_input import DepthInput
+from yolov5_lifecycle.ros.detector import image_topic
+from yolov5_lifecycle.ros.detector.depth import DepthInput
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
 
 Transport = Literal["raw", "compressed"]
@@ -45,7 +45,7 @@ class Graph(Node):  # type: ignore[misc]  # rclpy has no types
 
 @pytest.fixture(autouse=True)
 def _graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(published_images, "publishers_on", Graph.get_publishers_info_by_topic)
+    monkeypatch.setattr(image_topic, "publishers_on", Graph.get_publishers_info_by_topic)
 
 
 @contextmanager
@@ -205,7 +205,7 @@ def test_depth_images_in_another_form_are_advised_too(
     with node(published, "--ros-args", "-r", f"~/depth/image_raw:={name}") as graph:
         depth = DepthInput(graph, slop_s=0.1)
         depth.follow(is_needed=True)
-        source = depth.look().image
+        source = depth.status().image
         depth.follow(is_needed=False)
     assert source is not None
     assert (source.remedy, source.sent_as != "") == (advice, advice != "")

@@ -11,6 +11,7 @@ from support.detector_process import (
     detector_process,
 )
 
+from yolov5_lifecycle.ros.detector.command import FINALIZED_S
 from yolov5_lifecycle.ros.observer import PATIENCE_S
 
 
@@ -42,3 +43,7 @@ def test_the_transition_shutdown_is_answered_and_ends_the_process_cleanly() -> N
         assert detector.transition("shutdown")
         assert detector.process.wait(PATIENCE_S) == 0
     assert "Traceback" not in detector.process.output
+
+
+def test_nav2_has_the_time_to_ask() -> None:
+    assert FINALIZED_S >= 2 * 2.0, "its manager waits 2 s for the answer of get_state"

@@ -12,10 +12,8 @@ from rclpy.qos import ReliabilityPolicy
 from support.good_status import GOOD, GOOD_CAMERA, GOOD_INPUT, LARGE, OF_CAMERAS
 
 from yolov5_lifecycle.ros.detector.camera_status import EMPTY_S, SILENCE_S, SLOW_S
-from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics
-from yolov5_lifecycle.ros.detector.image_input import RecentImages
+from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics, Status
 from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S, TopicStatus
-from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameCounter, Outcome
@@ -38,7 +36,7 @@ def _with_topic(topic: TopicStatus = NO_CAMERA, **changes: Any) -> Status:
 
 
 def _with_losses(received: int, lost: int, max_bytes: int = LARGE) -> Status:
-    return _with_input(recent=RecentImages(window_s=4.2, received=received, lost=lost, max_bytes=max_bytes))
+    return _with_input(window_s=4.2, received=received, lost=lost, max_bytes=max_bytes)
 
 
 def _with_input(**changes: Any) -> Status:

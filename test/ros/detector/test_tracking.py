@@ -18,7 +18,6 @@ from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
-from yolov5_lifecycle.streaming.pipeline import Networks
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
@@ -172,17 +171,17 @@ def test_a_frame_that_is_abandoned_before_it_is_published_leaves_the_tracks_alon
     nothing: Any = None
     tracker = ByteTracker(itertools.count(1))
     pipeline = CameraPipeline(
-        networks=Networks(detector := Preparations()(Settings(), [(48, 64)]).detector),
+        model=(model := Preparations()(Settings(), [(48, 64)])),
         selection=Selection(),
         outputs=nothing,
         latencies=LatencyWindow(),
         empty_frames=EmptyFrames(EmptyRun(0.25)),
         last_image=LastImage(),
-        placing=None,
+        depth=None,
         tracking=TrackedDetection(tracker, TrackerSettings()),
     )
     for sec in range(1, 6):
         message = image()
         message.header.stamp.sec = sec
-        assert len(pipeline.detect(ReceivedFrame(message, float(sec)), detector).found) == 1
+        assert len(pipeline.detect(ReceivedFrame(message, float(sec)), model.detector).found) == 1
     assert tracker.confirmed == 0

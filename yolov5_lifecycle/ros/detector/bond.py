@@ -42,30 +42,6 @@ def check_bond(timeout_s: float) -> None:
         _status_type(timeout_s)
 
 
-class Bond:
-    """Publishes heartbeats of `node` on the topic `bond` from `start` to `stop`; restartable.
-
-    `clock` returns monotonic seconds.
-    """
-
-    def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
-        self._node = node
-        self._clock = clock
-        self._side: _Side | None = None
-
-    def start(self, timeout_s: float) -> None:
-        """Start sending heartbeats, several per `timeout_s`; 0 disables the bond."""
-        self.stop()
-        if timeout_s:
-            self._side = _Side(self._node, timeout_s, self._clock)
-
-    def stop(self) -> None:
-        """Notify the manager that the bond ends and stop the heartbeats; takes at most 0.1 s."""
-        side, self._side = self._side, None
-        if side is not None:
-            side.close()
-
-
 class _Polled(CallbackGroup):
     """Callback group whose subscriptions do not wake the executor; the heartbeat timer polls them.
 
@@ -76,10 +52,15 @@ class _Polled(CallbackGroup):
         return False
 
 
-class _Side:
-    """This side of one bond; its id is the node's name, its instance id is unique."""
+class Bond:
+    """This side of one bond: publishes heartbeats of `node` on the topic `bond`, several per `timeout_s`.
 
-    def __init__(self, node: Node, timeout_s: float, clock: Callable[[], float]) -> None:
+    It lasts from construction to `close`. Its id is the node's name, its instance id is unique.
+
+    `clock` returns monotonic seconds.
+    """
+
+    def __init__(self, node: Node, timeout_s: float, *, clock: Callable[[], float] = time.monotonic) -> None:
         status_type = _status_type(timeout_s)
         self._node = node
         self._clock = clock
@@ -100,6 +81,7 @@ class _Side:
         )
 
     def close(self) -> None:
+        """Notify the manager that the bond ends and stop the heartbeats; takes at most 0.1 s."""
         if self._state is not _State.DEAD:
             self._publish(is_active=False)
             self._publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_S))

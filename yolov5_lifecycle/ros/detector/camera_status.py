@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from rclpy.qos import ReliabilityPolicy
 
 from yolov5_lifecycle.detection.nms import WORTH_TELLING
-from yolov5_lifecycle.ros.detector.depth_status import DepthStatus
-from yolov5_lifecycle.ros.detector.image_input import InputStatus, RecentImages
+from yolov5_lifecycle.ros.detector.depth import DepthStatus
+from yolov5_lifecycle.ros.detector.image_input import InputStatus
 from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S, TopicStatus
 from yolov5_lifecycle.ros.topics import DETECTIONS, DETECTIONS_3D, IMAGE, MASKS, of_camera
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameBalance, LatencySummary, Outcome
@@ -35,7 +35,7 @@ class CameraStatus:
     `camera`: its name in `cameras`, "" without one. `problem`: why it cannot be subscribed to, "" if it can.
     `last_problem`: of its frames; `recent_failure`: the same while it lasts.
     `topic`: the expected image topic, in every state; `input`: the subscription to it, None without one.
-    `lost`, `overtaken`: images sent but not received since activation, as counted by `ImageLosses`.
+    `lost`, `dropped_in_queue`: images sent but not received since activation, as counted by `ImageLosses`.
     `latency`, `empty`: while active. `tracking`: values of the tracker, empty without one.
     `depth_status`: while active with the setting `depth`. `subscribers_3d`: subscriptions to detections in
     space. `segments`: whether there is a model and it segments. `mask_subscribers`: subscriptions to masks.
@@ -44,23 +44,23 @@ class CameraStatus:
     """
 
     camera: str
-    problem: str
     last_problem: str
     recent_failure: str
     balance: FrameBalance
     topic: TopicStatus
-    input: InputStatus | None
-    lost: int | None
-    overtaken: int | None
-    latency: LatencySummary | None
-    empty: EmptyRun | None
-    tracking: Mapping[str, str]
-    depth_status: DepthStatus | None
     subscribers_3d: int
-    segments: bool
     mask_subscribers: int
-    busy_s: float
-    collecting_problem: str
+    problem: str = ""
+    input: InputStatus | None = None
+    lost: int | None = None
+    dropped_in_queue: int | None = None
+    latency: LatencySummary | None = None
+    empty: EmptyRun | None = None
+    tracking: Mapping[str, str] = field(default_factory=dict)
+    depth_status: DepthStatus | None = None
+    segments: bool = False
+    busy_s: float = 0.0
+    collecting_problem: str = ""
 
     @property
     def hint(self) -> str:
@@ -69,8 +69,9 @@ class CameraStatus:
             return ""
         if self.busy_s > SLOW_S:
             return (
-                f"inference of one image takes more than {SLOW_S:g} s. If inference hangs, deactivate and "
-                "activate the node; if the model is too slow, use a smaller image_size or model"
+                f"inference of one image takes more than {SLOW_S:g} s, {self.busy_s:.0f} s so far. "
+                "If inference hangs, deactivate and activate the node; if the model is too slow, use a "
+                "smaller image_size or model"
             )
         if self.topic.publishers == 0:
             return _missing(self.topic) if self.topic.missing_s > DISCOVERY_S else ""
@@ -82,8 +83,8 @@ class CameraStatus:
         if self.input.silent_s > SILENCE_S:
             silent_s = f"{self.input.silent_s:.0f} s"
             return f"no image on {self.topic.name} for {silent_s}, although the topic has a publisher"
-        if _has_many_lost(self.input.recent):
-            return _losses(self.input.recent)
+        if _has_many_lost(self.input):
+            return _losses(self.input)
         if self.recent_failure:
             return self.recent_failure
         if self.collecting_problem:
@@ -127,7 +128,7 @@ class CameraStatus:
         if self.input is not None:
             values["image reliability"] = self.input.reliability.name.lower()
         if self.lost is not None:
-            values |= {"frames lost": str(self.lost), "frames overtaken": str(self.overtaken)}
+            values |= {"frames lost": str(self.lost), "frames overtaken": str(self.dropped_in_queue)}
         if self.latency is not None:
             values["rate Hz"] = f"{self.latency.rate_hz:.1f}"
             values["latency median ms"] = f"{self.latency.median_ms:.1f}"
@@ -173,12 +174,12 @@ def _missing(topic: TopicStatus) -> str:
     return f"{text}. " + f"Images are published on {similar}: did you mean that?{then}"
 
 
-def _has_many_lost(recent: RecentImages) -> bool:
+def _has_many_lost(recent: InputStatus) -> bool:
     total = recent.received + recent.lost
     return total >= FEWEST_IMAGES and recent.lost > recent.received / MANY_LOST
 
 
-def _losses(recent: RecentImages) -> str:
+def _losses(recent: InputStatus) -> str:
     lost = (
         f"{recent.lost} of {recent.received + recent.lost} images were lost between the camera and this node "
         f"in the last {recent.window_s:.0f} s"

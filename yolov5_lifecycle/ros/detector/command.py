@@ -15,8 +15,8 @@ from rclpy.exceptions import ParameterException
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.process.standard_streams import flush_output
-from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
 from yolov5_lifecycle.ros.detector.node import DetectorNode
+from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS
 from yolov5_lifecycle.ros.rclpy_internals import ResilientExecutor
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
 from yolov5_lifecycle.ros.spin import spin, stop_event
@@ -28,7 +28,6 @@ from yolov5_lifecycle.ros.start_arguments import (
     start_arguments,
 )
 from yolov5_lifecycle.settings.settings import SETTINGS
-from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
 
 FINALIZED_S = 5.0
 """Longer than a lifecycle manager waits for get_state; Nav2's waits up to 2 s."""
@@ -46,22 +45,22 @@ def main(
     *,
     prepare: Prepare = prepare_model,
     finalized_s: float = FINALIZED_S,
-    max_abandoned_threads: int = MAX_ABANDONED_THREADS,
+    max_abandoned_sessions: int = MAX_ABANDONED_SESSIONS,
 ) -> NoReturn:
     """Spin the node until a signal or its shutdown, release everything, and exit with code 0.
 
     After the shutdown transition the node answers services for `finalized_s` more seconds. The exit code is 2
-    for invalid arguments, EXIT_DEVICE_LOST if the GPU is lost, EXIT_ABANDONED_THREADS if more than
-    `max_abandoned_threads` inference threads hang. `prepare` creates the models; see `DetectorNode`.
+    for invalid arguments, EXIT_DEVICE_LOST if the GPU is lost, EXIT_ABANDONED_SESSIONS if frames hang in more
+    than `max_abandoned_sessions` abandoned sessions. `prepare` creates the models; see `DetectorNode`.
     """
-    code = _run(list(sys.argv if args is None else args), prepare, finalized_s, max_abandoned_threads)
+    code = _run(list(sys.argv if args is None else args), prepare, finalized_s, max_abandoned_sessions)
     # Without os._exit, Python and torch would take seconds to free what the OS reclaims at once, and would
     # abort if a thread is still running inside torch.
     flush_output("detector", code)  # the reader of the pipe may have exited
     os._exit(code)
 
 
-def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandoned_threads: int) -> int:
+def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandoned_sessions: int) -> int:
     stop = stop_event()
     shortages = shared_memory_problems()
     try:
@@ -72,7 +71,7 @@ def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandon
             prepare=prepare,
             start_problems=given.problems,
             arguments=given.words,
-            max_abandoned_threads=max_abandoned_threads,
+            max_abandoned_sessions=max_abandoned_sessions,
         )
     except (RuntimeError, ParameterException) as error:
         return refuse("detector", f"cannot start: {error}")
@@ -89,53 +88,32 @@ def _serve(node: DetectorNode, stop: threading.Event, finalized_s: float) -> int
     # Torch and pydantic keep 300,000 objects alive; scanning them in a collection blocks all threads 0.15 s.
     gc.freeze()
     sys.setswitchinterval(_SWITCH_S)
-    finalized = FinalizedPeriod(announce=node.get_logger().info, duration_s=finalized_s)
-    spin(
-        executor,
-        node,
-        until=lambda: (
-            stop.is_set()
-            or node.device_lost
-            or node.too_many_abandoned
-            or finalized.is_over(node.state_label)
-        ),
-    )
-    if node.device_lost:
-        return EXIT_DEVICE_LOST  # a dead device cannot release anything
-    if node.too_many_abandoned:
-        return EXIT_ABANDONED_THREADS  # what a hung thread uses cannot be released
+    spin(executor, node, until=_end(node, stop, finalized_s))
+    if node.exit_code is not None:
+        return node.exit_code  # neither a dead device nor what a hung thread uses can be released
     autostart.cancel()  # else Python warns "never awaited" if it has not started
     node.close()
     rclpy.try_shutdown()
     return 0
 
 
-class FinalizedPeriod:
-    """Timer that starts when a node is first seen finalized and runs for `duration_s` seconds.
+def _end(node: DetectorNode, stop: threading.Event, finalized_s: float) -> Callable[[], bool]:
+    """Function that is true after a signal, with an exit code, or once `node` was finalized for that time."""
+    end_s: float | None = None
 
-    `announce` is called once, with a log message, when the timer starts. `clock` returns monotonic seconds.
-    """
-
-    def __init__(
-        self,
-        *,
-        announce: Callable[[str], object],
-        duration_s: float = FINALIZED_S,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._announce = announce
-        self._duration_s = duration_s
-        self._clock = clock
-        self._end_s: float | None = None
-
-    def is_over(self, state: str) -> bool:
-        """Whether the period is over for a node in the lifecycle state `state`."""
-        if state != "finalized":
+    def is_over() -> bool:
+        nonlocal end_s
+        if stop.is_set() or node.exit_code is not None:
+            return True
+        if node.state_label != "finalized":
             return False
-        if self._end_s is None:
-            self._end_s = self._clock() + self._duration_s
-            self._announce(f"finalized: everything is released, the process ends in {self._duration_s:g} s")
-        return self._clock() >= self._end_s
+        if end_s is None:
+            end_s = time.monotonic() + finalized_s
+            told = f"finalized: everything is released, the process ends in {finalized_s:g} s"
+            node.get_logger().info(told)
+        return time.monotonic() >= end_s
+
+    return is_over
 
 
 if __name__ == "__main__":

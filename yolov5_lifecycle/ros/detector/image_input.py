@@ -36,22 +36,18 @@ class ReceivedFrame:
 
 
 @dataclass(frozen=True)
-class RecentImages:
-    """Images received and lost in the last `window_s` seconds, and the max size received, in bytes."""
+class InputStatus:
+    """QoS reliability, time since the last image in seconds, and the max size of an image, in bytes.
 
+    `received` and `lost` are the images of the last `window_s` seconds.
+    """
+
+    reliability: ReliabilityPolicy
+    silent_s: float
     window_s: float
     received: int
     lost: int
     max_bytes: int
-
-
-@dataclass(frozen=True)
-class InputStatus:
-    """Current QoS reliability, time since the last image in seconds, and recent images."""
-
-    reliability: ReliabilityPolicy
-    silent_s: float
-    recent: RecentImages
 
 
 class ImageLosses:
@@ -60,15 +56,15 @@ class ImageLosses:
     `lost`: reported by the middleware (the event `message_lost`), which counts per publisher; correct for
     any number of publishers.
 
-    `overtaken`: sent and not lost, but replaced by a newer image before it was taken, or sent while the node
-    resubscribed. Computed as the gaps in the publisher's sequence numbers minus `lost`. rclpy does not expose
-    which publisher sent a message, so gaps count only between messages that arrived while the same single
-    publisher was matched. Only `settle` updates `overtaken`.
+    `dropped_in_queue`: sent and not lost, but replaced by a newer image before it was taken, or sent while
+    the node resubscribed. Computed as the gaps in the publisher's sequence numbers minus `lost`. rclpy does
+    not expose which publisher sent a message, so gaps count only between messages that arrived while the same
+    single publisher was matched. Only `settle` updates `dropped_in_queue`.
     """
 
     def __init__(self) -> None:
         self.lost = 0
-        self.overtaken = 0
+        self.dropped_in_queue = 0
         self._before_run = 0
         self._publisher: bytes | None = None
         self._is_counting = False
@@ -117,16 +113,16 @@ class ImageLosses:
         self._restart(None, 0)
 
     def settle(self) -> None:
-        """Add the gaps seen so far to `overtaken`.
+        """Add the gaps seen so far to `dropped_in_queue`.
 
-        The middleware may report a loss after its gap was added: then `overtaken` falls by as many as `lost`
-        has grown, so that no image is counted twice.
+        The middleware may report a loss after its gap was added: then `dropped_in_queue` falls by as many as
+        `lost` has grown, so that no image is counted twice.
         """
         run = max(0, self._gaps - (self.lost - self._lost_before)) if self._gaps else 0
-        self.overtaken = self._before_run + run
+        self.dropped_in_queue = self._before_run + run
 
     def _restart(self, publisher: bytes | None, now_ns: int) -> None:
-        self._before_run = self.overtaken
+        self._before_run = self.dropped_in_queue
         self._publisher = publisher
         self._is_counting = publisher is not None
         self._begun_ns = now_ns
@@ -157,8 +153,8 @@ class ImageInput:
         self._last_frame_s = time.monotonic()
         self._received = 0
         self._max_bytes = 0
-        # (time in s, images received, images lost), one per call of `look` within the window
-        self._looks: deque[tuple[float, int, int]] = deque([(self._last_frame_s, 0, losses.lost)])
+        # (time in s, images received, images lost), one per call of `update` within the window
+        self._samples: deque[tuple[float, int, int]] = deque([(self._last_frame_s, 0, losses.lost)])
         self._subscription = Subscription(
             node,
             topic.local_name,
@@ -176,15 +172,25 @@ class ImageInput:
         """Why there is no subscription, "" if there is one."""
         return self._subscription.problem
 
-    def look(self) -> InputStatus:
-        """Update the subscription to what the publishers offer; return the status."""
+    def update(self) -> None:
+        """Subscribe again if what the publishers offer requires it; count recent losses."""
         self._losses.settle()
         self._follow()
         now_s = time.monotonic()
+        self._samples.append((now_s, self._received, self._losses.lost))
+        while len(self._samples) > 2 and now_s - self._samples[1][0] >= WINDOW_S:
+            self._samples.popleft()
+
+    def status(self) -> InputStatus:
+        begun_s, received, lost = self._samples[0]
+        ended_s, last_received, last_lost = self._samples[-1]
         return InputStatus(
-            reliability=self._subscription.reliability,
-            silent_s=now_s - self._last_frame_s,
-            recent=self._recent(now_s),
+            reliability=self._subscription.subscribed[0],
+            silent_s=time.monotonic() - self._last_frame_s,
+            window_s=ended_s - begun_s,
+            received=last_received - received,
+            lost=last_lost - lost,
+            max_bytes=self._max_bytes,
         )
 
     def close(self) -> None:
@@ -194,15 +200,6 @@ class ImageInput:
     def _follow(self) -> None:
         if self._subscription.follow():
             self._losses.subscribe()
-
-    def _recent(self, now_s: float) -> RecentImages:
-        self._looks.append((now_s, self._received, self._losses.lost))
-        while len(self._looks) > 2 and now_s - self._looks[1][0] >= WINDOW_S:
-            self._looks.popleft()
-        begun_s, received, lost = self._looks[0]
-        return RecentImages(
-            now_s - begun_s, self._received - received, self._losses.lost - lost, self._max_bytes
-        )
 
     def _match(self, event: QoSSubscriptionMatchedInfo) -> None:
         self._losses.match(

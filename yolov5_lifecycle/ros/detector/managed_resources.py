@@ -1,39 +1,38 @@
-"""Cameras, publishers and model, which transitions create and release, and the threads behind them."""
+"""Cameras, publishers and session, which transitions create and release, and the threads behind them."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AbstractContextManager, asynccontextmanager
+from contextlib import asynccontextmanager
+from functools import partial
 
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.process.memory import resident_mb
-from yolov5_lifecycle.ros.detector.background import Background
 from yolov5_lifecycle.ros.detector.collect_service import CollectService
 from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
+from yolov5_lifecycle.ros.detector.diagnostics import Status
 from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
-from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.model_loader import ModelLoader, Preparation
-from yolov5_lifecycle.ros.detector.outputs import label_info_publisher
-from yolov5_lifecycle.ros.detector.pipeline import DetectedFrame
+from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
+from yolov5_lifecycle.ros.detector.model_loader import Background, ModelLoader, Preparation
+from yolov5_lifecycle.ros.detector.outputs import Outputs, label_info_publisher
 from yolov5_lifecycle.ros.detector.session import Session
-from yolov5_lifecycle.ros.detector.status import Status
 from yolov5_lifecycle.ros.namesakes import namesakes
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.topics import impossible_names
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.worker import Worker
+from yolov5_lifecycle.streaming.inference_threads import InferenceThreads
 
 
 class ManagedResources:
     """Owns the cameras, their publishers from `configure` to `release`, and the session from `activate` to
     `deactivate`.
 
-    The inference thread and the model loader exist from construction to `close`. `on_too_many(reason)`, whose
-    result is awaited, and `on_device_lost(reason)` are called in the executor; see `FrameFailures`.
-    A frame in progress is waited for `rest_timeout_s`.
+    The model loader exists from construction to `close`. `on_too_many(reason)`, whose result is awaited, and
+    `on_device_lost(reason)` are called in the executor; see `FrameFailures`. A frame in progress is waited
+    for `rest_timeout_s`.
     """
 
     def __init__(
@@ -55,13 +54,14 @@ class ManagedResources:
             on_too_many=on_too_many,
             on_device_lost=on_device_lost,
         )
-        self._worker: Worker[ReceivedFrame, DetectedFrame] = Worker()
         self._track_ids = itertools.count(1)
         self._waits = Background(node, "waits")
         self._cameras: dict[str, DetectorCamera] = {}
         self._collecting = CollectService(node, parameters, self._cameras)
         self.loader = ModelLoader(node, prepare, sizes_hw=self._sizes_hw, on_device_lost=on_device_lost)
         self.session: Session | None = None
+        self._abandoned: list[InferenceThreads] = []
+        """Those of sessions in which a frame hung."""
         self._label_info: LifecyclePublisher | None = None
         self._loading_for: LifecyclePublisher | None = None
 
@@ -70,12 +70,14 @@ class ManagedResources:
         self._label_info = label_info_publisher(self._node)
         self._make_cameras()
         for camera in self._cameras.values():
-            camera.configure()
+            camera.outputs = Outputs(
+                self._node, camera=camera.name, on_subscribers_changed=self._follow_subscribers
+            )
 
     async def load(self) -> bool:
         """Load the model while other callbacks are served; False if another transition was requested first.
 
-        Then `detection` exists, and `activate` starts it or raises what loading raised.
+        Then `session` exists, and `activate` starts it or raises what loading raised.
         """
         label_info = self._label_info
         if self._loading_for is label_info:
@@ -96,7 +98,7 @@ class ManagedResources:
         return True
 
     def activate(self) -> Session:
-        """Start the loaded detection; if a program triggered the transition without `load`, load now.
+        """Start the loaded session; if a program triggered the transition without `load`, load now.
 
         Raises what loading the model raises, and SettingsError if the settings do not fit it.
         """
@@ -110,31 +112,36 @@ class ManagedResources:
 
     @asynccontextmanager
     async def between_frames(self) -> AsyncIterator[None]:
-        """In the block no frame is in progress, of any camera, unless one hangs; others are served before."""
-        with self._worker.paused():
-            await self.rest()
+        """In the block no frame is in progress, of any camera, unless one hangs; others are served before.
+
+        The executor itself never waits for a frame.
+        """
+        if self.session is None:
+            yield
+            return
+        threads = self.session.threads
+        with threads.paused():
+            if not threads.is_at_rest:
+                await self._waits.finish(self._waits.submit(partial(threads.rest, self._rest_timeout_s)))
             yield
 
-    def paused(self) -> AbstractContextManager[None]:
-        """In the block no frame begins."""
-        return self._worker.paused()
-
-    async def rest(self) -> None:
-        """Wait until the frame in progress, if any, has ended or hangs, while other callbacks are served."""
-        if not self._worker.is_at_rest():
-            await self._waited(self._worker.rest)
-
-    async def _waited(self, rest: Callable[[float], bool]) -> None:
-        """Call `rest(timeout_s)` in a thread: the executor itself never waits for a frame."""
-        await self._waits.finish(self._waits.submit(lambda: rest(self._rest_timeout_s)))
+    def is_at_rest(self, session: Session) -> bool:
+        """Wait for the frames in progress; False if a thread hangs, which may still use a model."""
+        return session.threads.rest(self._rest_timeout_s) and not self.hanging_threads
 
     def deactivate(self) -> bool:
-        """Release the detection; False if its frame hangs and the thread was abandoned.
+        """Release the session; False if its frame hangs and it was abandoned.
 
-        Call it `paused` and after `rest`: otherwise it waits for the frame in progress itself.
+        Call it `between_frames`: otherwise it waits for the frame in progress itself.
         """
         session, self.session = self.session, None
-        return session is None or session.close()
+        if session is None:
+            return True
+        has_ended = session.stop(self._rest_timeout_s)
+        if not has_ended:
+            self._abandoned.append(session.threads)
+        session.free(is_at_rest=not self.hanging_threads)  # that of an earlier session may hang in a GPU
+        return has_ended
 
     def release(self) -> None:
         """Destroy the publishers; call after `deactivate`."""
@@ -146,65 +153,70 @@ class ManagedResources:
             self._label_info = None
 
     def close(self) -> None:
-        """End the threads; those that hang are abandoned and logged."""
+        """End the threads; those that hang are abandoned and logged. Call after `release`."""
         log = self._node.get_logger()
         if not self.loader.close():
             log.warning("a model is still being loaded or freed: its thread is abandoned")
-        if not self._worker.close(self._rest_timeout_s):
+        if self.hanging_threads:
             log.warning("inference has still not finished: its thread is abandoned")
         self._collecting.close()
         self._waits.close()
 
-    def abandoned_threads(self) -> int:
-        """Number of inference threads that hung and have not ended yet."""
-        return self._worker.abandoned_threads()
+    @property
+    def hanging_sessions(self) -> int:
+        """Number of abandoned sessions in which a frame still hangs."""
+        self._abandoned = [threads for threads in self._abandoned if threads.hanging]
+        return len(self._abandoned)
+
+    @property
+    def hanging_threads(self) -> int:
+        """Number of inference threads of abandoned sessions that have not ended yet."""
+        return sum(threads.hanging for threads in self._abandoned)
+
+    def update(self) -> None:
+        """Adapt cameras and subscriptions to parameters and to the ROS graph."""
+        if self._label_info is None and not impossible_names(self._node, self._names()):
+            self._make_cameras()  # `configure` refuses impossible names
+        for name, camera in self._cameras.items():
+            camera.update(self._parameters.value_for(name, "image_transport"))
 
     def status(self, state: str, problem: str) -> Status:
         """Snapshot of the node in the lifecycle state `state`, with the last `problem` that was reported."""
-        if self._label_info is None and not impossible_names(self._node, self._names()):
-            self._make_cameras()  # `configure` refuses impossible names
         return Status(
             state=state,
             problem=problem,
             settings=self._parameters.settings() if self._label_info else None,
             model=self.session.model if self.session else None,
-            cameras=tuple(
-                camera.status(self._parameters.value_for(name, "image_transport"))
-                for name, camera in self._cameras.items()
-            ),
-            abandoned_threads=self._worker.abandoned_threads(),
+            cameras=tuple(camera.status() for camera in self._cameras.values()),
+            abandoned_threads=self.hanging_threads,
             resident_mb=resident_mb(),
             collected=self._collecting.status,
             namesakes=namesakes(self._node),
         )
+
+    def _follow_subscribers(self) -> None:
+        if self.session is not None:
+            for stream in self.session.streams.values():
+                stream.follow_subscribers()
 
     def _sizes_hw(self, settings: Settings) -> list[tuple[int, int]]:
         """The size of each camera's last image, or a common size."""
         return [self._cameras[name].last_image.size_hw for name in settings.camera_names]
 
     def _make_cameras(self) -> None:
-        """Those that the parameters name; the others, of which no frame is in progress, end."""
+        """Those that the parameters name; the others, which have no publishers any more, end."""
         names = self._names()
         for name in [name for name in self._cameras if name not in names]:
-            self._cameras.pop(name).close()
+            del self._cameras[name]
+            self._failures.forget(name)
         for name in names:
             if name not in self._cameras:
-                self._cameras[name] = self._new_camera(name)
+                topic = ImageTopic(self._node, "raw", camera=name, cameras=self._names)
+                self._cameras[name] = DetectorCamera(name, topic, self._failures)
 
     def _names(self) -> tuple[str, ...]:
         """The cameras that the parameters name; valid even if other settings are not."""
         return self._parameters.value("cameras") or ("",)
-
-    def _new_camera(self, name: str) -> DetectorCamera:
-        return DetectorCamera(
-            self._node,
-            name,
-            names=self._names,
-            worker=self._worker,
-            failures=self._failures,
-            track_ids=self._track_ids,
-            collector=self._collecting.collector,
-        )
 
     def _may_activate(self, label_info: LifecyclePublisher | None) -> bool:
         """Whether the configuration with `label_info` still exists and is not active."""
@@ -215,7 +227,7 @@ class ManagedResources:
             self._node,
             preparation=preparation,
             cameras=self._cameras,
-            rest_timeout_s=self._rest_timeout_s,
             label_info=label_info,
-            worker=self._worker,
+            track_ids=self._track_ids,
+            collector=self._collecting.collector,
         )

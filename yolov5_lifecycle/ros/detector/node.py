@@ -1,8 +1,10 @@
-"""The lifecycle node, which connects parameters, model, worker and topics."""
+"""The lifecycle node, which connects parameters, model, inference and topics."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import traceback
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -11,19 +13,11 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from yolov5_lifecycle.detection.prepared_model import Prepare, check_place, prepare_model
 from yolov5_lifecycle.printable import in_lines, in_one_line
 from yolov5_lifecycle.ros.detector.bond import Bond, check_bond
-from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics
-from yolov5_lifecycle.ros.detector.exit_codes import EXIT_ABANDONED_THREADS, EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics, Status
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
-from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, abandoned
-from yolov5_lifecycle.ros.detector.transitions import (
-    FAILURE,
-    SUCCESS,
-    logged,
-    refused_transition,
-    requested_label,
-)
+from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S, abandoned
 from yolov5_lifecycle.ros.parameters.configuration_problems import corrections
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters, Validate
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
@@ -38,7 +32,49 @@ from yolov5_lifecycle.ros.services import wrap_services
 from yolov5_lifecycle.ros.topics import impossible_names, remapping_problems
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.settings import validated
-from yolov5_lifecycle.streaming.worker import MAX_ABANDONED_THREADS
+
+EXIT_DEVICE_LOST = 3
+"""The GPU is lost; restart the process."""
+
+EXIT_ABANDONED_SESSIONS = 4
+"""Inference hangs in too many abandoned sessions; restart the process, which frees their memory."""
+
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+Transition = Callable[["DetectorNode", LifecycleState], TransitionCallbackReturn]
+
+
+def logged(transition: Transition) -> Transition:
+    """Log an exception in a transition, which rclpy turns into a silent ERROR (ros2/rclpy#1673)."""
+
+    @functools.wraps(transition)
+    def guarded(node: DetectorNode, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(node, state)
+        except Exception as error:  # noqa: BLE001 - logged with its traceback, answered with ERROR
+            node.report(f"unexpected {type(error).__name__} in {transition.__name__}: {error}")
+            node.get_logger().error(traceback.format_exc())
+            return TransitionCallbackReturn.ERROR
+
+    return guarded
+
+
+def requested_label(wanted: Any, possible: Sequence[tuple[Any, ...]]) -> str | None:
+    """Label of the transition that the `lifecycle_msgs/Transition` `wanted` requests, None if not possible.
+
+    `possible`: rows (id, label, ...). A label takes precedence over an id. For an impossible transition rclpy
+    would raise (ros2/rclpy#1209).
+    """
+    column, value = (1, wanted.label) if wanted.label else (0, wanted.id)
+    return next((str(row[1]) for row in possible if row[column] == value), None)
+
+
+def refused_transition(wanted: Any, possible: Sequence[tuple[Any, ...]], state: str) -> str:
+    """Explain why `wanted` is refused in `state`, and list the possible transitions."""
+    asked = in_one_line(wanted.label[:100]) or wanted.id
+    names = ", ".join(f"{row[1]} ({row[0]})" for row in possible) or "none"
+    return f"transition '{asked}' refused in state {state}. Possible now: {names}."
 
 
 class DetectorNode(PrintableNode, LifecycleNode):
@@ -50,8 +86,8 @@ class DetectorNode(PrintableNode, LifecycleNode):
 
     A frame in progress is waited for `rest_timeout_s`; diagnostics come every `diagnostics_period_s`.
 
-    `device_lost` is set when only a new process can detect again, `too_many_abandoned` when more than
-    `max_abandoned_threads` inference threads hang.
+    `exit_code` is set when only a new process can detect again: the device is lost, or frames hang in more
+    than `max_abandoned_sessions` abandoned sessions.
     """
 
     def __init__(
@@ -61,7 +97,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
         validate: Validate = validated,
         arguments: Sequence[str] = (),
         start_problems: Sequence[str] = (),
-        max_abandoned_threads: int = MAX_ABANDONED_THREADS,
+        max_abandoned_sessions: int = MAX_ABANDONED_SESSIONS,
         rest_timeout_s: float = REST_TIMEOUT_S,
         diagnostics_period_s: float = 1.0,
         **node_options: Any,
@@ -71,12 +107,11 @@ class DetectorNode(PrintableNode, LifecycleNode):
         self._group = ForgettingGroup()
         super().__init__("yolov5", **node_options)
         self._start_problems = list(start_problems)
-        self._max_abandoned_threads = max_abandoned_threads
+        self._max_abandoned_sessions = max_abandoned_sessions
         self._rest_timeout_s = rest_timeout_s
         self._problem = ""
         self._is_qos_checked = False
-        self.device_lost = False
-        self.too_many_abandoned = False
+        self.exit_code: int | None = None
         self._settings = self._declared_settings(validate, arguments)
         self._resources = ManagedResources(
             self,
@@ -91,10 +126,10 @@ class DetectorNode(PrintableNode, LifecycleNode):
         )
         self._diagnostics = Diagnostics(
             self,
-            lambda: self._resources.status(self.state_label, self._problem),
+            self._status,
             period_s=diagnostics_period_s,
         )
-        self._bond = Bond(self)
+        self._bond: Bond | None = None
         wrap_services(self, {"change_state": self._change_state} | self._reconfiguration.handlers())
         self._greet()
 
@@ -174,7 +209,8 @@ class DetectorNode(PrintableNode, LifecycleNode):
         self.get_logger().info(f"active with {session.model.summary}")
         result = super().on_activate(state)
         session.publish_first(self._settings.settings())
-        self._bond.start(self._settings.settings().bond_timeout)
+        if timeout_s := self._settings.settings().bond_timeout:
+            self._bond = Bond(self, timeout_s)
         return result
 
     @logged
@@ -211,6 +247,10 @@ class DetectorNode(PrintableNode, LifecycleNode):
         of_qos = [] if self._is_qos_checked else qos_problems(self, cameras, are_undecided=are_undecided)
         return [*remapping_problems(self, cameras), *(in_one_line(str(problem)) for problem in of_qos)]
 
+    def _status(self) -> Status:
+        self._resources.update()
+        return self._resources.status(self.state_label, self._problem)
+
     def _greet(self) -> None:
         if self._start_problems:
             self.report("\n  ".join(self._start_problems))
@@ -225,20 +265,20 @@ class DetectorNode(PrintableNode, LifecycleNode):
         return SUCCESS
 
     def _stop_detecting(self) -> None:
-        self._bond.stop()
+        bond, self._bond = self._bond, None
+        if bond is not None:
+            bond.close()
         if not self._resources.deactivate():
             self.report(abandoned(self._rest_timeout_s))
-            self._bound_abandoned_threads()
+            self._bound_abandoned_sessions()
 
-    def _bound_abandoned_threads(self) -> None:
-        count = self._resources.abandoned_threads()
-        if count > self._max_abandoned_threads:
-            self.report(
-                f"exiting (code {EXIT_ABANDONED_THREADS}): {count} inference threads hang, the limit is "
-                f"{self._max_abandoned_threads}"
+    def _bound_abandoned_sessions(self) -> None:
+        count = self._resources.hanging_sessions
+        if count > self._max_abandoned_sessions:
+            told = (
+                f"inference hangs in {count} abandoned sessions, the limit is {self._max_abandoned_sessions}"
             )
-            self._diagnostics.publish()
-            self.too_many_abandoned = True
+            self._exit(EXIT_ABANDONED_SESSIONS, f": {told}")
 
     async def _change_state(self, request: Any, response: Any) -> Any:
         wanted, possible = request.transition, available_transitions(self)
@@ -255,8 +295,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
     async def _trigger_at_rest(self, label: str) -> bool:
         """Trigger a transition once the frame in progress has ended or hangs; return its success."""
         before = self.state_label
-        with self._resources.paused():
-            await self._resources.rest()
+        async with self._resources.between_frames():
             if self.state_label == before:
                 return getattr(self, f"trigger_{label}")() is SUCCESS
         self.get_logger().warning(
@@ -269,6 +308,9 @@ class DetectorNode(PrintableNode, LifecycleNode):
             self.report(f"deactivated after {reason}")
 
     def _lose_device(self, reason: str) -> None:
-        self.report(f"exiting (code {EXIT_DEVICE_LOST}) because the device is lost: {reason}")
+        self._exit(EXIT_DEVICE_LOST, f" because the device is lost: {reason}")
+
+    def _exit(self, code: int, why: str) -> None:
+        self.report(f"exiting (code {code}){why}")
         self._diagnostics.publish()
-        self.device_lost = True
+        self.exit_code = code

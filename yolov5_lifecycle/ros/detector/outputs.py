@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
-from lifecycle_msgs.msg import State
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
@@ -29,9 +28,7 @@ from yolov5_lifecycle.ros.topics import (
     endpoint_name,
     of_camera,
 )
-from yolov5_lifecycle.streaming.pipeline import Send
-
-_ACTIVE = LifecycleState("active", State.PRIMARY_STATE_ACTIVE)
+from yolov5_lifecycle.streaming.inference_threads import Send
 
 
 def label_info_publisher(node: LifecycleNode) -> LifecyclePublisher:
@@ -114,11 +111,6 @@ class Outputs:
                 return
             message = compressed_image_message(jpeg, f"{image.order}8", header)
             yield partial(self._compressed_image.publish, message)
-
-    def activate(self) -> None:
-        """Activate the publishers, as rclpy does for those that exist when the node is activated."""
-        for publisher in self._publishers:
-            publisher.on_activate(_ACTIVE)
 
     def close(self) -> None:
         for publisher in self._publishers:

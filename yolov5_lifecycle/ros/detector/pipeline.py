@@ -15,13 +15,14 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.nms import Selection, narrowed
+from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros import messages
-from yolov5_lifecycle.ros.detector.depth_placing import DepthPlacing, PlacedImage
+from yolov5_lifecycle.ros.detector.depth import DepthInput, PlacedImage
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
-from yolov5_lifecycle.streaming.pipeline import Networks, Send
+from yolov5_lifecycle.streaming.inference_threads import Send
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 
@@ -48,20 +49,28 @@ class LastImage:
 class CameraPipeline:
     """One running configuration; immutable, so each frame uses exactly one. A change creates a new one.
 
-    See `streaming.pipeline.Pipeline`.
+    See `Pipeline` in `streaming.inference_threads`.
     """
 
-    networks: Networks
+    model: PreparedModel
     selection: Selection
     outputs: Outputs
     latencies: LatencyWindow
     empty_frames: EmptyFrames
     last_image: LastImage
-    placing: DepthPlacing | None
+    depth: DepthInput | None
     """None while the setting `depth` is false."""
     tracking: TrackedDetection | None = None
     collecting: CameraCollecting | None = None
     """None while the setting `collect` is false."""
+
+    @property
+    def whole(self) -> Detector:
+        return self.model.detector
+
+    @property
+    def parallel(self) -> Sequence[Detector]:
+        return self.model.lanes.detectors
 
     def detect(self, frame: ReceivedFrame, network: Detector) -> DetectedFrame:
         """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
@@ -75,8 +84,8 @@ class CameraPipeline:
         """
         image = messages.image_of_message(frame.message)
         self.last_image.size_hw = image.size_hw
-        if self.placing is not None:
-            self.placing.expect(frame.message.header.stamp)
+        if self.depth is not None:
+            self.depth.expect(frame.message.header.stamp)
         return image
 
     @property
@@ -87,7 +96,7 @@ class CameraPipeline:
         subscriber; what a look at the frame needs if it may be collected.
         """
         outputs = self.outputs
-        with_masks = self.networks.whole.segments and outputs.mask_subscribers + outputs.image_subscribers > 0
+        with_masks = self.whole.segments and outputs.mask_subscribers + outputs.image_subscribers > 0
         selection = replace(self._selected, with_masks=with_masks)
         return selection if self.collecting is None else self.collecting.wanted(selection)
 
@@ -107,7 +116,7 @@ class CameraPipeline:
         if self.tracking is not None:
             stamp_s = messages.stamp_s(header)
             detections = self.tracking.follow(detections, result.image, self.selection, stamp_s)
-        array = messages.detection_array(detections, self.networks.whole.class_names, header)
+        array = messages.detection_array(detections, self.whole.class_names, header)
         yield partial(self.outputs.detections.publish, array)
         self._note(detections, result.frame.received_s)
         placed = self._placed(array, detections, result.image)
@@ -136,9 +145,9 @@ class CameraPipeline:
 
         An image without depth gets no message: an empty one would mean that there are no objects.
         """
-        if self.placing is None or self.outputs.subscribers_3d + self.outputs.image_subscribers == 0:
+        if self.depth is None or self.outputs.subscribers_3d + self.outputs.image_subscribers == 0:
             return None
-        return self.placing.place(detections.boxes_xyxy, image.size_hw, array.header.stamp)
+        return self.depth.place(detections.boxes_xyxy, image.size_hw, array.header.stamp)
 
     def _images(
         self, result: DetectedFrame, detections: Detections, distances_m: Sequence[float | None]
@@ -156,7 +165,7 @@ class CameraPipeline:
             drawn = annotate(
                 result.image,
                 detections,
-                self.networks.whole.class_names,
+                self.whole.class_names,
                 distances_m=distances_m,
                 label_image=label_image,
                 box_filter=self.selection.box_filter,

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Generator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.task import Future as RosFuture
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
-from yolov5_lifecycle.ros.detector.background import ReloadTurns
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
-from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation
+from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation, resume
 from yolov5_lifecycle.ros.detector.session import Session
 from yolov5_lifecycle.ros.parameters.proposal import Proposal, refusal
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
@@ -40,22 +42,24 @@ _LEFT = "the node left the active state while the new model was loading; nothing
 _SUPERSEDED = "superseded by a later request that loads another model; nothing was changed."
 
 
+@dataclass(eq=False)
 class Reconfiguration:
     """Handlers of the services that set parameters."""
 
-    def __init__(
-        self, node: Node, *, parameters: SettingsParameters, loader: ModelLoader, resources: ManagedResources
-    ) -> None:
-        self._node = node
-        self._parameters = parameters
-        self._loader = loader
-        self._resources = resources
-        self._turns = ReloadTurns(node)
+    node: Node
+    parameters: SettingsParameters
+    loader: ModelLoader
+    resources: ManagedResources
+
+    def __post_init__(self) -> None:
+        self._is_reloading = False
+        self._waiting: RosFuture | None = None
+        """Of the reload that waits for its turn."""
 
     def handlers(self) -> dict[str, Handler]:
         """Service callbacks by the last component of the service name."""
         return {
-            "describe_parameters": self._parameters.describe,
+            "describe_parameters": self.parameters.describe,
             "set_parameters": self._set_one_by_one,
             "set_parameters_atomically": self._set_together,
         }
@@ -66,21 +70,21 @@ class Reconfiguration:
         for index, parameter in enumerate(asked):
             if index % _AT_A_TIME == _AT_A_TIME - 1:
                 await self._others()
-            proposal = self._parameters.propose([parameter])
+            proposal = self.parameters.propose([parameter])
             result = await self._set(proposal)
             if not result.successful and len(asked) > 1:
-                whole = whole or self._parameters.propose(asked)
+                whole = whole or self.parameters.propose(asked)
                 result.reason += _remark(proposal, whole)
             response.results.append(result)
         return response
 
     async def _set_together(self, request: Any, response: Any) -> Any:
         asked = [*map(Parameter.from_parameter_msg, request.parameters)]
-        response.result = await self._set(self._parameters.propose(asked))
+        response.result = await self._set(self.parameters.propose(asked))
         return response
 
     def _others(self) -> Awaitable[None]:
-        if (executor := self._node.executor) is not None:
+        if (executor := self.node.executor) is not None:
             executor.wake()
         return _Pause()
 
@@ -88,7 +92,7 @@ class Reconfiguration:
         """Apply the whole proposal or nothing."""
         if proposal.problems:
             return refusal(proposal.problems)
-        session = self._resources.session
+        session = self.resources.session
         if session is not None and proposal.kind is Change.RELOAD:
             return await self._reload(session, proposal)
         if session is not None and (problems := _broken_by(proposal, session.model)):
@@ -96,28 +100,44 @@ class Reconfiguration:
         return self._commit(proposal)
 
     async def _reload(self, session: Session, proposal: Proposal) -> SetParametersResult:
-        if not await self._turns.begin():
-            return _refused(_SUPERSEDED)
+        """Reload once no other reload runs; of those that wait the latest remains.
+
+        Otherwise every queued reload would load a model that the next one replaces.
+        """
+        if self._waiting is not None:
+            self._resume(self._waiting, False)
+        if self._is_reloading:
+            turn = self._waiting = RosFuture(executor=self.node.executor)
+            if not await turn:
+                return _refused(_SUPERSEDED)
+        self._is_reloading = True
         try:
             return await self._reload_now(session, proposal)
         finally:
-            self._turns.end()
+            waiting, self._waiting = self._waiting, None
+            self._is_reloading = waiting is not None
+            if waiting is not None:
+                self._resume(waiting, True)
+
+    def _resume(self, turn: RosFuture, may_begin: bool) -> None:
+        if (executor := self.node.executor) is not None:
+            resume(turn, may_begin, executor)
 
     async def _reload_now(self, session: Session, asked: Proposal) -> SetParametersResult:
         def wanted() -> Settings | None:
-            proposal = self._parameters.renewed(asked)
-            is_wanted = self._resources.session is session and not proposal.problems
+            proposal = self.parameters.renewed(asked)
+            is_wanted = self.resources.session is session and not proposal.problems
             return proposal.after.settings if is_wanted else None
 
-        preparation = await self._loader.load(wanted)
+        preparation = await self.loader.load(wanted)
         if preparation is None:
             # Another change came first and contradicts this one, or another transition came first.
-            proposal = self._parameters.renewed(asked)
+            proposal = self.parameters.renewed(asked)
             return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
         try:
             preparation.result()
         except REFUSALS as error:
-            self._node.get_logger().warning(f"the running model stays, its replacement was refused: {error}")
+            self.node.get_logger().warning(f"the running model stays, its replacement was refused: {error}")
             return _refused(f"{error} The running model stays.")
         return await self._replace(session, preparation, asked)
 
@@ -130,19 +150,21 @@ class Reconfiguration:
         """
         old, new = session.model, preparation.result()
         try:
-            async with self._resources.between_frames():
+            async with self.resources.between_frames():
                 return self._replace_now(session, preparation, asked)
         finally:
             is_replaced = session.model is new
             if is_replaced:
-                self._node.get_logger().info(f"the model was replaced: {new.summary}")
-            await self._loader.retire(old if is_replaced else new, after=session.rest)
+                self.node.get_logger().info(f"the model was replaced: {new.summary}")
+            await self.loader.retire(
+                old if is_replaced else new, after=partial(self.resources.is_at_rest, session)
+            )
 
     def _replace_now(
         self, session: Session, preparation: Preparation, asked: Proposal
     ) -> SetParametersResult:
-        proposal = self._parameters.renewed(asked)
-        if self._resources.session is not session or proposal.problems:  # because of what came meanwhile
+        proposal = self.parameters.renewed(asked)
+        if self.resources.session is not session or proposal.problems:  # because of what came meanwhile
             return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
         if problems := _broken_by(proposal, preparation.result()):
             result = refusal(problems)
@@ -152,9 +174,9 @@ class Reconfiguration:
 
     def _commit(self, proposal: Proposal, preparation: Preparation | None = None) -> SetParametersResult:
         """Store a valid proposal and make it take effect; roll back on an exception."""
-        session, previous = self._resources.session, self._parameters.present(proposal.parameters)
+        session, previous = self.resources.session, self.parameters.present(proposal.parameters)
         running = session.preparation if session is not None else None
-        result = self._parameters.store(proposal)
+        result = self.parameters.store(proposal)
         before, after = proposal.base.settings, proposal.after.settings
         if not result.successful or before is None or after is None or before is after:
             return result
@@ -162,7 +184,7 @@ class Reconfiguration:
             if session is not None and running is not None:
                 session.apply(after, preparation or running)
         except Exception:
-            self._parameters.store(self._parameters.propose(previous))
+            self.parameters.store(self.parameters.propose(previous))
             if session is not None and running is not None:
                 session.apply(before, running)
             raise

@@ -1,0 +1,305 @@
+"""The inference threads of a session: newest frame first, every frame counted once, a hang ends them all."""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections.abc import Iterator, Sequence
+from functools import partial
+
+import pytest
+from support.scripted_camera import PATIENCE_S, ScriptedCamera, when_awaited
+
+from yolov5_lifecycle.streaming.frame_statistics import FrameCounter, Outcome
+from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads, RateLimit, Send
+
+
+class Line(ScriptedCamera):
+    """A started camera with inference threads and a clock of its own; `other` is a second one on them."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+        super().__init__(InferenceThreads(clock=lambda: self.now_s))
+        self.other = ScriptedCamera(self.inference)
+        self.start()
+        self.other.start()
+
+
+@pytest.fixture
+def line() -> Iterator[Line]:
+    line = Line()
+    yield line
+    for camera in (line, line.other):
+        camera.open()
+    line.inference.close(PATIENCE_S)
+    assert (line.balance().pending, line.other.balance().pending) == (0, 0)
+
+
+def test_frames_of_all_cameras_are_detected_and_published_in_order_by_one_thread(line: Line) -> None:
+    for number in (1, 2, 3):
+        line.feed(number)
+        line.other.feed(number)
+    assert line.published == line.other.published == [1, 2, 3]
+    assert len({*line.threads, *line.other.threads}) == 1
+    assert line.counts() == {Outcome.DETECTED: 3}
+
+
+def test_a_newer_frame_replaces_only_the_one_of_its_own_camera_that_waits(line: Line) -> None:
+    line.hold(1)
+    line.other.offer(5)
+    line.offer(2, 3, 4)
+    assert line.balance().pending == 2
+    line.gate.set()
+    for camera in (line, line, line.other):
+        camera.wait()
+    assert (line.published, line.other.published) == ([1, 4], [5])
+    assert line.counts() == {Outcome.DETECTED: 2, Outcome.STALE: 2}
+
+
+def test_a_frame_above_the_rate_of_its_camera_is_only_counted(line: Line) -> None:
+    line.start(max_rate_hz=10.0)
+    for number in (1, 2):
+        line.feed(number)
+        line.other.feed(number)
+    line.offer(3)
+    line.other.feed(3)
+    line.now_s += 0.1
+    line.feed(4)
+    assert (line.published, line.other.published) == ([1, 2, 4], [1, 2, 3])
+    assert line.counts() == {Outcome.DETECTED: 3, Outcome.SKIPPED: 1}
+
+
+def test_another_rate_applies_from_the_next_frame_and_the_same_one_goes_on(line: Line) -> None:
+    line.start(max_rate_hz=0.001)
+    line.feed(1)
+    line.feed(2)
+    line.start(max_rate_hz=0.001)
+    line.offer(3)
+    line.start(max_rate_hz=10.0)
+    line.feed(4)
+    assert line.published == [1, 2, 4]
+
+
+@pytest.mark.parametrize(
+    ("number", "outcome", "message"),
+    [
+        pytest.param(-1, Outcome.REJECTED, "-1 is no image", id="unreadable"),
+        pytest.param(0, Outcome.FAILED, "zero", id="inference-error"),
+    ],
+)
+def test_a_bad_frame_is_counted_and_the_next_one_detected(
+    line: Line, number: int, outcome: Outcome, message: str
+) -> None:
+    line.feed(number)
+    line.feed(7)
+    assert (line.failures, line.other.failures) == ([(outcome, message)], [])
+    assert line.counts() == {outcome: 1, Outcome.DETECTED: 1}
+    assert line.published == [7]
+
+
+def test_close_waits_for_the_frame_in_progress_flushes_the_waiting_ones_and_ends_the_threads(
+    line: Line,
+) -> None:
+    line.hold(1)
+    line.offer(2)
+    line.other.offer(2)
+    when_awaited(line.inference, line.gate.set)
+    assert line.inference.close(PATIENCE_S)
+    assert line.published == [1]
+    line.offer(3)
+    assert line.counts() == {Outcome.DETECTED: 1, Outcome.FLUSHED: 1, Outcome.INACTIVE: 1}
+    assert line.other.counts() == {Outcome.FLUSHED: 1}
+    assert not any(thread.is_alive() for thread in line.threads)
+    with pytest.raises(RuntimeError, match="are closed; create others"):
+        line.start()
+
+
+def test_the_time_spent_on_the_current_frame_is_that_of_its_camera(line: Line) -> None:
+    line.hold(1)
+    line.other.offer(2)
+    line.now_s += 2.5
+    assert (line.inference.busy_s(line.queue), line.inference.busy_s(line.other.queue)) == (2.5, 0)
+    line.gate.set()
+    line.wait()
+    assert line.inference.busy_s(line.queue) == 0
+
+
+@pytest.mark.parametrize("number", [1, 0], ids=["late result", "late error"])
+def test_what_hangs_is_abandoned_and_what_comes_late_dropped(line: Line, number: int) -> None:
+    line.hold(number)
+    line.other.offer(2)
+    assert line.inference.hanging == 0
+    assert not line.inference.close(0.01)
+    assert not line.inference.rest(0.0)
+    assert line.inference.hanging == 1
+    line.gate.set()
+    line.threads[0].join(PATIENCE_S)
+    assert line.inference.hanging == 0
+    assert (line.published, line.failures) == ([], [])
+    assert (line.counts(), line.other.counts()) == ({Outcome.FAILED: 1}, {Outcome.FLUSHED: 1})
+
+
+@pytest.mark.parametrize("moment", ["publishing", "drawing"])
+def test_a_frame_that_hangs_after_its_detections_are_sent_is_abandoned_as_detected(
+    line: Line, moment: str
+) -> None:
+    gate, entered = {
+        "publishing": (line.publish_gate, line.publishing),
+        "drawing": (line.draw_gate, line.drawing),
+    }[moment]
+    gate.clear()
+    line.offer(1)
+    assert entered.wait(PATIENCE_S)
+    assert not line.inference.close(0.0)
+    gate.set()
+    line.threads[0].join(PATIENCE_S)
+    assert (line.published, line.drawn) == ([1], [])
+    assert line.counts() == {Outcome.DETECTED: 1}
+
+
+def test_a_frame_that_is_abandoned_before_it_is_published_updates_nothing(line: Line) -> None:
+    asked: list[int] = []
+
+    class Asked(Negated):
+        def detect(self, number: int, network: object) -> int:
+            return line.detect(number, network)
+
+        def messages(self, result: int) -> Iterator[Send]:
+            asked.append(result)
+            return super().messages(result)
+
+    line.start(Asked(line.published))
+    line.hold(1)
+    assert not line.inference.close(0.0)
+    line.gate.set()
+    line.threads[0].join(PATIENCE_S)
+    assert asked == []
+
+
+def test_while_paused_no_frame_begins(line: Line) -> None:
+    with line.inference.paused(), line.inference.paused():
+        line.offer(1)
+        assert line.inference.is_at_rest
+        assert line.inference.rest(0.0)
+        line.offer(2)
+        assert line.balance().pending == 1
+    line.wait()
+    assert line.published == [2]
+
+
+def test_a_second_wait_continues_the_time_of_the_first(line: Line) -> None:
+    line.hold(1)
+    assert not line.inference.rest(0.0)
+    line.now_s += 3600
+    assert not line.inference.close(3600)  # at once: otherwise this test runs into its time limit
+    line.gate.set()
+    line.threads[0].join(PATIENCE_S)
+
+
+class Negated:
+    """Another pipeline: it publishes the number with its sign changed."""
+
+    whole = "another network"
+    parallel: Sequence[object] = ()
+
+    def __init__(self, published: list[int]) -> None:
+        self._published = published
+
+    def detect(self, number: int, network: object) -> int:
+        return -number
+
+    def messages(self, result: int) -> Iterator[Send]:
+        yield lambda: self._published.append(result)
+
+
+def test_a_new_pipeline_takes_over_at_the_next_frame(line: Line) -> None:
+    line.hold(1)
+    line.start(Negated(line.published))
+    line.offer(2)
+    line.gate.set()
+    line.wait()
+    line.wait()
+    assert line.published == [1, -2]
+
+
+def fail(reason: str) -> None:
+    raise RuntimeError(reason)
+
+
+class Unpublishable(Negated):
+    """A pipeline that detects and cannot publish."""
+
+    def messages(self, result: int) -> Iterator[Send]:
+        yield partial(fail, "no publisher")
+
+
+def test_a_result_that_cannot_be_published_is_a_failed_frame(line: Line) -> None:
+    line.start(Unpublishable(line.published))
+    line.feed(1)
+    assert line.failures == [(Outcome.FAILED, "no publisher")]
+    assert line.counts() == {Outcome.FAILED: 1}
+
+
+def test_rest_ends_when_the_frame_in_progress_does_although_frames_go_on(line: Line) -> None:
+    line.hold(1)
+    assert not line.inference.rest(0.01)
+    line.offer(2, 3)
+    opener = threading.Timer(0.05, line.gate.set)
+    opener.start()
+    assert line.inference.rest(PATIENCE_S)
+    assert 1 in line.published
+
+
+class Buffer:
+    """Pixels, which should not live longer than needed."""
+
+
+class Sink:
+    """A pipeline that keeps nothing."""
+
+    whole = "network"
+    parallel: Sequence[object] = ()
+
+    def detect(self, _: Buffer, network: object) -> None:
+        pass
+
+    def messages(self, result: None) -> Iterator[Send]:
+        return iter(())
+
+
+def test_an_idle_thread_holds_no_frame() -> None:
+    ended, freed = threading.Event(), threading.Event()
+    inference = InferenceThreads()
+    queue = CameraQueue(FrameCounter(), lambda outcome, error: ended.set())
+    inference.start(queue, Sink())
+    buffer = Buffer()
+    weakref.finalize(buffer, freed.set)
+    inference.offer(queue, buffer)
+    del buffer
+    assert ended.wait(PATIENCE_S)
+    assert freed.wait(PATIENCE_S)
+    assert inference.close(PATIENCE_S)
+
+
+@pytest.mark.parametrize("limit_hz", [1.0, 7.0, 10.0, 20.0, 29.0])
+def test_a_stream_is_thinned_to_the_limit_within_two_percent(limit_hz: float) -> None:
+    limit = RateLimit(limit_hz)
+    admitted = sum(limit.admits(1000 + index / 30) for index in range(30 * 100))
+    assert admitted / 100 == pytest.approx(limit_hz, rel=0.02)
+
+
+def test_a_slower_stream_passes_whole() -> None:
+    limit = RateLimit(10.0)
+    assert all(limit.admits(index / 5) for index in range(100))
+
+
+def test_zero_is_no_limit() -> None:
+    limit = RateLimit(0.0)
+    assert all(limit.admits(0.0) for _ in range(10))
+
+
+def test_a_pause_does_not_save_up_a_burst() -> None:
+    limit = RateLimit(10.0)
+    limit.admits(0.0)
+    admitted = sum(limit.admits(100 + index / 1000) for index in range(100))
+    assert admitted <= 2

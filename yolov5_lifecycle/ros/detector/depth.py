@@ -1,0 +1,319 @@
+"""Depth of a camera: its subscriptions, where detections are in space, and why they have no place there."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image
+
+from yolov5_lifecycle.images.image import ImageError
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros.detector.frame_failures import RECENT_S
+from yolov5_lifecycle.ros.detector.image_topic import (
+    COMPRESSED,
+    DISCOVERY_S,
+    RAW,
+    camera_of,
+    remedy,
+    similar_images,
+)
+from yolov5_lifecycle.ros.detector.subscription import Subscription
+from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name, of_camera
+from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
+from yolov5_lifecycle.spatial.intrinsics import Intrinsics, IntrinsicsError, intrinsics_of_message
+from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
+from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
+
+
+@dataclass(frozen=True, eq=False)
+class FramedDepth:
+    """A depth image and the name of its coordinate frame."""
+
+    image: DepthImage
+    frame_id: str
+
+
+@dataclass(frozen=True)
+class PlacedImage:
+    """Places of the detections in one image, and their coordinate frame."""
+
+    placements: tuple[Placement, ...]
+    frame_id: str
+
+    @property
+    def distances_m(self) -> list[float | None]:
+        """Distance of each detection from the camera, None where it is unknown."""
+        return [placed.distance_m if isinstance(placed, Box3D) else None for placed in self.placements]
+
+
+@dataclass
+class DepthCounts:
+    """What has been received and placed so far. Each number is written by one thread only."""
+
+    depth_images: int = 0
+    rejected_depth_images: int = 0
+    rejected_camera_infos: int = 0
+    placed_images: int = 0
+    """Images with a matching depth image and camera_info."""
+    unplaced_images: int = 0
+    placed: int = 0
+    unplaced: Counter[Unplaced] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class RunWithoutDepth:
+    """Consecutive images up to now whose detections could not be placed, with the reason for the last one."""
+
+    reason: str
+    begun_s: float
+    ended_s: float
+
+
+UNPLACED_S = 2.0
+"""Images without depth for longer than this are reported."""
+
+
+@dataclass(frozen=True)
+class SourceStatus:
+    """A topic of the depth camera: its publishers of the right type, and the seconds without one.
+
+    `problem`: why subscribing failed, "" if it did not. `remedy`: what to type if the images are published in
+    another form, on `sent_as`; both "" if they are not.
+    """
+
+    name: str
+    publishers: int
+    missing_s: float
+    problem: str = ""
+    sent_as: str = ""
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class DepthStatus:
+    """Snapshot of depth, while the setting `depth` is true and the node active.
+
+    `image` and `camera_info` are None while nobody needs depth (lazy). `recently_rejected`: why the last
+    depth image or camera_info was rejected, "" if that was long ago.
+    """
+
+    image: SourceStatus | None
+    camera_info: SourceStatus | None
+    counts: DepthCounts
+    run: RunWithoutDepth | None
+    recently_rejected: str
+
+    @property
+    def hint(self) -> str:
+        """Why nothing is published on ~/detections_3d, "" if there is no reason."""
+        for source, what in ((self.image, "depth images"), (self.camera_info, "its camera_info")):
+            if source is None:
+                return ""
+            if source.problem:
+                return f"{source.problem}: detections have no place in space"
+            if source.publishers == 0 and source.missing_s > DISCOVERY_S:
+                where = f" (but in another form on {source.sent_as})" if source.sent_as else ""
+                remedy = source.remedy or "start the depth camera, remap the topic or set depth to false"
+                return (
+                    f"no publisher of {what} on {source.name}{where}: detections have no place in space; "
+                    f"{remedy}"
+                )
+        if self.recently_rejected:
+            return f"detections have no place in space: {self.recently_rejected}"
+        if self.run is not None and self.run.ended_s - self.run.begun_s > UNPLACED_S:
+            return f"detections have no place in space: {self.run.reason}"
+        return ""
+
+    def values(self) -> dict[str, str]:
+        """All values as strings, for diagnostics."""
+        values = {}
+        if self.image is not None and self.camera_info is not None:
+            values["depth topic"] = self.image.name
+            values["depth publishers"] = str(self.image.publishers)
+            values["camera_info publishers"] = str(self.camera_info.publishers)
+        values["depth images received"] = str(self.counts.depth_images)
+        values["depth images rejected"] = str(self.counts.rejected_depth_images)
+        values["camera_infos rejected"] = str(self.counts.rejected_camera_infos)
+        values["images with depth"] = str(self.counts.placed_images)
+        values["images without depth"] = str(self.counts.unplaced_images)
+        values["detections placed"] = str(self.counts.placed)
+        return values | {
+            f"unplaced: {reason.value}": str(self.counts.unplaced[reason]) for reason in Unplaced
+        }
+
+
+_QUEUE = 2
+
+
+class DepthInput:
+    """Owns the subscriptions to depth images and camera_info while depth is needed, and places detections in
+    space with the newest ones.
+
+    `camera`: see `of_camera`. `slop_s` is the setting `depth_slop_s`. If a subscription cannot be created, 2D
+    detection continues; every `update` retries. An unusable message is rejected with a throttled warning, and
+    the previous ones are kept.
+
+    `expect` and `place` are called in the inference thread, the rest in the executor. `clock` returns
+    monotonic seconds.
+    """
+
+    def __init__(
+        self, node: Node, *, camera: str = "", slop_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._node = node
+        self._camera = camera
+        self._clock = clock
+        self.slop_s = slop_s
+        self._subscriptions: list[Subscription] = []
+        """To depth images and to camera_info; empty while depth is not needed."""
+        self._pairing: DepthPairing[FramedDepth] = DepthPairing(slop_s)
+        self._intrinsics: Intrinsics | None = None
+        self.counts = DepthCounts()
+        self.run: RunWithoutDepth | None = None
+        self._rejection, self._rejected_s = "", float("-inf")
+
+    def follow(self, *, is_needed: bool) -> None:
+        """Subscribe if depth is needed, else unsubscribe and forget what was received."""
+        if is_needed and not self._subscriptions:
+            self._subscriptions = [
+                self._subscribed(DEPTH_IMAGE_RAW, Image, self.take_image),
+                self._subscribed(DEPTH_CAMERA_INFO, CameraInfo, self.take_camera_info, takes_latched=True),
+            ]
+        elif not is_needed and self._subscriptions:
+            for subscription in self._subscriptions:
+                subscription.close()
+            self._subscriptions = []
+            self._pairing.clear()
+            self._intrinsics, self.run = None, None
+
+    def update(self) -> None:
+        """Subscribe again if what the publishers offer requires it."""
+        for subscription in self._subscriptions:
+            subscription.follow()
+
+    def status(self) -> DepthStatus:
+        image, camera_info = [
+            SourceStatus(each.name, each.publishers, each.missing_s, each.problem)
+            for each in self._subscriptions
+        ] or (None, None)
+        if image is not None and image.publishers == 0:
+            image = self._in_another_form(image)
+        is_recent = self._clock() - self._rejected_s < RECENT_S
+        return DepthStatus(
+            image=image,
+            camera_info=camera_info,
+            counts=self.counts,
+            run=self.run,
+            recently_rejected=self._rejection if is_recent else "",
+        )
+
+    def take_image(self, message: Image) -> None:
+        """Keep a depth image, without a copy; reject one that cannot be read."""
+        self.counts.depth_images += 1
+        try:
+            depth = FramedDepth(depth_image_of_message(message), message.header.frame_id)
+        except ImageError as error:
+            self.counts.rejected_depth_images += 1
+            self._rejection, self._rejected_s = f"depth images are rejected: {error}", self._clock()
+            self._node.get_logger().warning(f"depth image rejected: {error}", throttle_duration_sec=5.0)
+            return
+        self._pairing.add(_nanoseconds(message.header.stamp), depth)
+
+    def take_camera_info(self, message: CameraInfo) -> None:
+        """Use these intrinsics from now on; reject those of an uncalibrated camera."""
+        try:
+            self._intrinsics = intrinsics_of_message(message)
+        except IntrinsicsError as error:
+            self.counts.rejected_camera_infos += 1
+            self._rejection, self._rejected_s = f"camera_info is rejected: {error}", self._clock()
+            self._node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
+
+    def expect(self, stamp: Time) -> None:
+        """Keep the depth image nearest to the stamp of the image in progress until the next call."""
+        self._pairing.expect(_nanoseconds(stamp))
+
+    def place(
+        self, boxes_xyxy: NDArray[np.float32], image_size_hw: tuple[int, int], stamp: Time
+    ) -> PlacedImage | None:
+        """Place the boxes (n, 4) of the image with this stamp with the depth image nearest to it.
+
+        None, counted with the reason, if no depth image fits.
+        """
+        count, intrinsics = len(boxes_xyxy), self._intrinsics
+        paired = self._pairing.pair(_nanoseconds(stamp))
+        if isinstance(paired, Unpaired):
+            missing = Unplaced.NO_DEPTH_IMAGE
+            self._count_unplaced(count, missing, f"{missing.value}: {paired.value}")
+            return None
+        depth = paired.item.image
+        if (unfit := unusable(image_size_hw, depth, intrinsics)) is not None:
+            self._count_unplaced(count, unfit, _explained(unfit, image_size_hw, depth, intrinsics))
+            return None
+        placements = place(boxes_xyxy, image_size_hw, depth, intrinsics)
+        no_place = Counter(placement for placement in placements if isinstance(placement, Unplaced))
+        self.counts.placed_images += 1
+        self.counts.placed += count - no_place.total()
+        self.counts.unplaced.update(no_place)
+        self.run = None
+        return PlacedImage(placements, paired.item.frame_id)
+
+    def _count_unplaced(self, count: int, reason: Unplaced, told: str) -> None:
+        """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
+        now_s, run = self._clock(), self.run  # `follow` may clear it in the executor
+        self.run = RunWithoutDepth(told, run.begun_s if run else now_s, now_s)
+        self.counts.unplaced_images += 1
+        self.counts.unplaced[reason] += count
+
+    def _subscribed(
+        self, topic: str, message_type: type, take: Callable[[Any], None], *, takes_latched: bool = False
+    ) -> Subscription:
+        subscription = Subscription(
+            self._node,
+            of_camera(topic, self._camera),
+            message_type,
+            take,
+            depth=_QUEUE,
+            takes_latched=takes_latched,
+        )
+        subscription.follow()
+        return subscription
+
+    def _in_another_form(self, image: SourceStatus) -> SourceStatus:
+        """`image` with what to type if the same images are published by another transport."""
+        local = of_camera(DEPTH_IMAGE_RAW, self._camera)
+        name = full_name(self._node, local)
+        found = similar_images(
+            self._node,
+            name,
+            transport=RAW,
+            usable=(RAW,),
+            is_candidate=lambda other: camera_of(other) == camera_of(name),
+        )
+        # JPEG cannot hold distances.
+        best = min(found, key=lambda images: images.form == COMPRESSED, default=None)
+        if best is None:
+            return image
+        clause = remedy(self._node, best, topics={RAW: DEPTH_IMAGE_RAW}, transport=RAW, camera=self._camera)
+        return replace(image, sent_as=in_one_line(best.name), remedy=clause)
+
+
+def _explained(
+    reason: Unplaced, image_size_hw: tuple[int, int], depth: DepthImage, intrinsics: Intrinsics | None
+) -> str:
+    if intrinsics is None:
+        return reason.value
+    sizes = (image_size_hw, depth.size_hw, intrinsics.size_hw)
+    colour, of_depth, of_info = (f"{width}x{height}" for height, width in sizes)
+    return f"{reason.value}: images of {colour}, depth images of {of_depth}, camera_info of {of_info} pixels"
+
+
+def _nanoseconds(stamp: Time) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
