@@ -117,6 +117,15 @@ BOMBS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         ),
         "encodes more than 4194304 bytes",
     ),
+    "a dict of numbers that have one hash": (
+        lambda: archive(
+            asm.EMPTY_DICT
+            + asm.MARK
+            + b"".join(number(index * (2**61 - 1)) + text("") for index in range(40_000))
+            + b"u"
+        ),
+        "keys that are neither text nor numbers of 64 bits",
+    ),
     "a text doubled 40 times": (lambda: doubled(40), "calls '_codecs.encode'"),
     "billion laughs as an item of a set in protocol 4": (
         lambda: laughing(

@@ -202,7 +202,7 @@ class _Interpreter:
 
     def _fill_dict(self, items: Sequence[object]) -> None:
         if not all(map(_is_plain, items[::2])):
-            raise WeightsError("its pickle has a dict with keys that are neither text nor numbers")
+            raise WeightsError("its pickle has a dict with keys that are neither text nor numbers of 64 bits")
         self._top(dict).update(zip(items[::2], items[1::2], strict=True))
 
     def _new_set(self, _: object) -> None:
@@ -342,8 +342,10 @@ def _check_protocol(protocol: int) -> None:
 
 
 def _is_plain(value: object) -> bool:
-    """Whether it takes no time to hash."""
-    return value is None or isinstance(value, (str, int, float))
+    """Whether it takes no time as a key: of longer numbers, any count may have one and the same hash."""
+    if isinstance(value, int):
+        return value.bit_length() < 64
+    return value is None or isinstance(value, (str, float))
 
 
 def _tensor(storage: Storage, offset: int, shape: Any, strides: Any, *_: object) -> StoredTensor:

@@ -112,7 +112,9 @@ def _categories(records: Sequence[Any], problems: Problems) -> dict[int, object]
     names: dict[int, object] = {}
     for record in records:
         match record:
-            case {"id": int(number), "name": name} if number not in names and _is_name(name):
+            case {"id": int(number), "name": name} if (
+                abs(number) < _MAX_ID and number not in names and _is_name(name)
+            ):
                 names[number] = name
                 continue
         reason = f"expected a unique id and a name, found {_shown(record)}"
@@ -208,7 +210,7 @@ def _objects(
                 raise LabelError(f"its image has more than {MAX_BOXES_PER_IMAGE} objects")
         except LabelError as error:
             problems.add("broken labels", f"annotation number {number}", error)
-            if isinstance(image_id, int):
+            if isinstance(image_id, int) and image_id in image_ids:
                 broken.add(image_id)
     return objects
 

@@ -299,12 +299,16 @@ def test_view_only_shows_all_and_changes_nothing(console: ConsoleBesideNode) -> 
 
 
 def test_too_large_a_message_closes_the_connection(console: ConsoleBesideNode) -> None:
-    with console.client.page() as page:
-        with pytest.raises(ConnectionClosed) as closed:
-            page.connection.send("x" * (1 << 20))  # it may be closed before all is sent
-            page.wait_for(lambda: False, "the end")
+    with console.client.page() as page, pytest.raises(ConnectionClosed) as closed:
+        send_much(page)
     assert closed.value.rcvd is not None
     assert closed.value.rcvd.code == 1009
+
+
+def send_much(page: Page) -> None:
+    """Send a megabyte and wait; the connection may be closed before all of it is sent."""
+    page.connection.send("x" * (1 << 20))
+    page.wait_for(lambda: False, "the end")
 
 
 def test_a_flood_closes_its_connection_and_no_other(console: ConsoleBesideNode) -> None:
