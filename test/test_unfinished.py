@@ -15,7 +15,7 @@ import pytest
 from support.colcon_workspace import REPOSITORY
 from support.started import started
 
-from yolov5_lifecycle.atomic_file import OutputError, whole_output, write_whole
+from yolov5_lifecycle.atomic_file import OutputError, atomic_write, whole_output
 from yolov5_lifecycle.unfinished import (
     FOLDER_PREFIX,
     hold,
@@ -188,7 +188,7 @@ def test_a_file_is_locked_by_one_owner_and_only_at_its_path(tmp_path: Path) -> N
 
 
 def test_a_file_is_whole_while_others_remove_what_is_abandoned(tmp_path: Path) -> None:
-    write_whole(tmp_path / "file", b"1", b"2")
+    atomic_write(tmp_path / "file", b"1", b"2")
     (tmp_path / ".old.part").touch()
     remove_abandoned(tmp_path, prefix=".", suffix=".part")
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("file", b"12")]

@@ -15,7 +15,7 @@ _OUTPUT_PREFIX = ".yolov5_lifecycle-unfinished-"
 _ATTEMPTS = 20
 
 
-def write_whole(path: Path, *parts: bytes, is_durable: bool = True) -> None:
+def atomic_write(path: Path, *parts: bytes, is_durable: bool = True) -> None:
     """Atomically replace the file at `path` with the concatenated `parts`; readable by all users.
 
     If not `is_durable`, a power failure may leave a damaged file. A killed process leaves a file `.*.part`
@@ -26,7 +26,7 @@ def write_whole(path: Path, *parts: bytes, is_durable: bool = True) -> None:
 
 
 def write_together(contents: Mapping[Path, bytes]) -> None:
-    """Like `write_whole` for each path, in order, after all of them have been written. Raises OSError."""
+    """Like `atomic_write` for each path, in order, after all of them have been written. Raises OSError."""
     with ExitStack() as stack:
         unfinished = {
             path: stack.enter_context(_written(path.parent, [content], is_durable=True))

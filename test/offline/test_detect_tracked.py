@@ -109,10 +109,10 @@ def test_images_that_are_late_are_detected_but_not_tracked(
     image = ColourImage(shown(0)[0], "rgb")
     stored: list[Any] = [SimpleNamespace(stamp_s=stamp_s, load=lambda: image) for stamp_s in stamps_s]
     found: list[str] = []
-    account = offline.run(stored, expected=0, write=lambda *args: found.append(args[2].track_ids[0]))
+    statistics = offline.run(stored, expected=0, write=lambda *args: found.append(args[2].track_ids[0]))
     assert [each if each in ("", "1") else "other" for each in found] == ids
-    assert account.balance[Outcome.DETECTED] == len(stamps_s)
-    assert (told in report(account)) if told else ("stamps" not in report(account))
+    assert statistics.balance[Outcome.DETECTED] == len(stamps_s)
+    assert (told in report(statistics)) if told else ("stamps" not in report(statistics))
 
 
 def test_without_a_tracker_lines_have_no_ids(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from safetensors.torch import load, save
 
-from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.atomic_file import atomic_write
 from yolov5_lifecycle.checkpoints.yaml_architecture import (
     MAX_ANCHORS,
     MAX_LEVELS,
@@ -56,7 +56,7 @@ def write_safetensors(model: Model, path: Path) -> None:
         "architecture": json.dumps(_described(model.architecture)),
         "class_names": json.dumps(model.class_names),
     }
-    write_whole(path, _repeatable(save(tensors, metadata=metadata)))
+    atomic_write(path, _repeatable(save(tensors, metadata=metadata)))
 
 
 def _repeatable(data: bytes) -> bytes:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import yaml
 
-from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.atomic_file import atomic_write
 from yolov5_lifecycle.collecting.record import CollectedFrame, CollectingError, FrameLine, RecordError
 from yolov5_lifecycle.evaluation.data_description import read_description
 from yolov5_lifecycle.evaluation.ground_truth import MAX_IMAGES, DataError
@@ -110,7 +110,7 @@ def _lines(folder: Path) -> Iterator[bytes]:
 
 def write_frame_list(folder: Path, lines: Iterable[FrameLine]) -> None:
     """Replace the list in `folder`. Raises OSError."""
-    write_whole(folder / FRAMES, *(line.text for line in lines))
+    atomic_write(folder / FRAMES, *(line.text for line in lines))
 
 
 def append_line(folder: Path, line: FrameLine) -> None:
@@ -162,4 +162,4 @@ def write_description(
     """Write a description of the data set that `evaluate` and trainers of YOLOv5 read. Raises OSError."""
     description = {"train": train, "val": validation, "names": dict(enumerate(class_names))}
     text = yaml.safe_dump(description, allow_unicode=True, sort_keys=False)
-    write_whole(path, f"# Labels are predictions until somebody corrects them.\n{text}".encode())
+    atomic_write(path, f"# Labels are predictions until somebody corrects them.\n{text}".encode())

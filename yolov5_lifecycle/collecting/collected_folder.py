@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, write_whole
+from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, atomic_write
 from yolov5_lifecycle.collecting.collected_files import (
     DATA,
     IMAGES,
@@ -161,8 +161,8 @@ class CollectedFolder:
                 (self._path / kind / line.session).mkdir(parents=True)
         try:
             append_line(self._path, line)
-            write_whole(self._path / line.labels, labels.encode())
-            write_whole(self._path / line.image, jpeg)
+            atomic_write(self._path / line.labels, labels.encode())
+            atomic_write(self._path / line.image, jpeg)
         except OSError:
             self._unlink(line)
             raise

@@ -13,7 +13,7 @@ from pathlib import Path
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_bag_arguments import TRACK, command_parser
 from yolov5_lifecycle.offline.detect_files import detect_files
-from yolov5_lifecycle.offline.detecting import Account, DetectingError, OfflineDetector
+from yolov5_lifecycle.offline.detecting import DetectingError, OfflineDetector, RunStatistics
 from yolov5_lifecycle.offline.detector_options import unwound_by_sigterm, wanted_settings
 from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.export.formats import (
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
             unwound_by_sigterm(),
             closing(Terminal("detect_bag", shows_progress=bool(arguments.output))) as terminal,
         ):
-            account = _run(source, arguments, terminal, prepare)
+            statistics = _run(source, arguments, terminal, prepare)
     except BrokenPipeError:
         raise  # not reported: the reader closed the output pipe, as with `| head`
     except SettingsError as error:
@@ -67,13 +67,15 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     except KeyboardInterrupt:
         _complain("interrupted; unfinished output was removed")
         return 130
-    show_report(report(account))
-    if account.missing:
-        complain("detect_bag", f"{source}: {missing_images(account.expected, account.balance.received)}")
-    return EXIT_INCOMPLETE if account.missing else 0
+    show_report(report(statistics))
+    if statistics.missing:
+        complain(
+            "detect_bag", f"{source}: {missing_images(statistics.expected, statistics.balance.received)}"
+        )
+    return EXIT_INCOMPLETE if statistics.missing else 0
 
 
-def _run(source: Path, arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) -> Account:
+def _run(source: Path, arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) -> RunStatistics:
     settings = _settings(arguments)
     export = _export(source, arguments)
     with_masks = (export.masks and may_have_masks(export.suffix)) or arguments.images or arguments.annotated

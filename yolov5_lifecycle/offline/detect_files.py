@@ -10,14 +10,16 @@ from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.annotated_files import VideoOutput, write_image
-from yolov5_lifecycle.offline.detecting import Account, LoadDetector, OfflineDetector
+from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage
 from yolov5_lifecycle.offline.export.exporting import Export, export_images, whole_export
 from yolov5_lifecycle.offline.export.formats import FORMATS
 from yolov5_lifecycle.offline.image_files import VideoFile, has_still_images, image_files
 
 
-def detect_files(source: Path, export: Export, *, annotated: Path | None, load: LoadDetector) -> Account:
+def detect_files(
+    source: Path, export: Export, *, annotated: Path | None, load: LoadDetector
+) -> RunStatistics:
     """`write_files`, with outputs that appear when they are complete, or not at all.
 
     Raises SourceError, OutputError, DetectingError and what `load` raises.
@@ -27,7 +29,7 @@ def detect_files(source: Path, export: Export, *, annotated: Path | None, load: 
         return write_files(source, unfinished, annotated=drawings, load=load)
 
 
-def write_files(source: Path, export: Export, *, annotated: Path | None, load: LoadDetector) -> Account:
+def write_files(source: Path, export: Export, *, annotated: Path | None, load: LoadDetector) -> RunStatistics:
     """Write the detections in the images or the video `source`; what is written stays on failure.
 
     `annotated` is a new folder if `source` is one, else a new image or video.

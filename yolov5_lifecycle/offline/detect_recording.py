@@ -22,7 +22,7 @@ from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections, FoundObject
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.detecting import Account, LoadDetector
+from yolov5_lifecycle.offline.detecting import LoadDetector, RunStatistics
 from yolov5_lifecycle.offline.export.crops import Crops
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage
 from yolov5_lifecycle.offline.export.exporting import Export, export_images, whole_export
@@ -54,7 +54,9 @@ class RecordingOptions:
     """Whether it has annotated images."""
 
 
-def detect_recording(source: Path, export: Export, options: RecordingOptions, load: LoadDetector) -> Account:
+def detect_recording(
+    source: Path, export: Export, options: RecordingOptions, load: LoadDetector
+) -> RunStatistics:
     """`write_detections`, with outputs that appear when they are complete, or not at all.
 
     Raises RecordingError, OutputError, DetectingError and what `load` raises.
@@ -67,7 +69,7 @@ def detect_recording(source: Path, export: Export, options: RecordingOptions, lo
 
 def write_detections(
     recording: Recording, export: Export, options: RecordingOptions, load: LoadDetector
-) -> Account:
+) -> RunStatistics:
     """Write the detections in the images of `recording`; what is written stays on failure.
 
     Without a suffix in `export`, the output is a new recording in the storage format of `recording`. Also
@@ -76,11 +78,11 @@ def write_detections(
     topic = recording.image_topic(options.topic)
     images = _not_empty(recording.path, topic, recording.images(topic))
     if export.suffix:
-        account = export_images(images, topic.count, export, load=load)
+        statistics = export_images(images, topic.count, export, load=load)
     else:
-        account = _write_recording(recording, images, topic.count, export, options, load)
-    account.missing = max(0, topic.count - account.balance.received)
-    return account
+        statistics = _write_recording(recording, images, topic.count, export, options, load)
+    statistics.missing = max(0, topic.count - statistics.balance.received)
+    return statistics
 
 
 def _write_recording(
@@ -90,7 +92,7 @@ def _write_recording(
     export: Export,
     options: RecordingOptions,
     load: LoadDetector,
-) -> Account:
+) -> RunStatistics:
     assert export.path is not None
     _check_name(export.path)
     detector = load()

@@ -46,7 +46,7 @@ class DetectingError(RuntimeError):
     """Detection was aborted or produced no result."""
 
 
-class Account:
+class RunStatistics:
     """Statistics of a run over a source that claims to have `expected` images, 0 if unknown."""
 
     def __init__(self, expected: int, stamps: StampCounts | None = None) -> None:
@@ -74,13 +74,13 @@ class Account:
         self._counter.finish(outcome)
 
 
-class Watch(Protocol):
+class ProgressListener(Protocol):
     """Observer of a run."""
 
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
         """Called if the image named `label` could not be processed."""
 
-    def progress(self, account: Account) -> None:
+    def progress(self, statistics: RunStatistics) -> None:
         """Called after every image."""
 
 
@@ -106,10 +106,15 @@ class OfflineDetector:
     """
 
     def __init__(
-        self, settings: Settings, watch: Watch, *, with_masks: bool, prepare: Prepare = prepare_model
+        self,
+        settings: Settings,
+        listener: ProgressListener,
+        *,
+        with_masks: bool,
+        prepare: Prepare = prepare_model,
     ) -> None:
         self.settings = settings
-        self._watch = watch
+        self._listener = listener
         self._detector = prepared_for(settings, prepare).detector
         self.class_names = self._detector.class_names
         if problems := model_problems(settings, self.class_names):
@@ -135,22 +140,22 @@ class OfflineDetector:
         *,
         expected: int,
         write: Callable[[Stored, ColourImage, Detections], None],
-    ) -> Account:
+    ) -> RunStatistics:
         """Detect in every image and `write` the result; images that fail are reported and counted.
 
         Raises DetectingError after too many consecutive inference failures, if the device is lost, or if no
         image could be used.
         """
-        account = Account(expected, self._stamps)
+        statistics = RunStatistics(expected, self._stamps)
         for stored in images:
-            account.receive()
-            account.finish(self._detect(stored, write, account.objects))
-            self._watch.progress(account)
-        if not account.balance[Outcome.DETECTED]:
-            if not (count := account.balance.received):
+            statistics.receive()
+            statistics.finish(self._detect(stored, write, statistics.objects))
+            self._listener.progress(statistics)
+        if not statistics.balance[Outcome.DETECTED]:
+            if not (count := statistics.balance.received):
                 raise DetectingError("there are no images to use")
             raise DetectingError(f"none of {count} images could be used: see the reasons above")
-        return account
+        return statistics
 
     def _detect(
         self,
@@ -162,10 +167,10 @@ class OfflineDetector:
             image = stored.load()
             detections = self._detections(stored, image)
         except ImageError as error:
-            self._watch.lost(stored.label, Outcome.REJECTED, error)
+            self._listener.lost(stored.label, Outcome.REJECTED, error)
             return Outcome.REJECTED
         except InferenceError as error:
-            self._watch.lost(stored.label, Outcome.FAILED, error)
+            self._listener.lost(stored.label, Outcome.FAILED, error)
             self._count_failure(error)
             return Outcome.FAILED
         self._failures = 0

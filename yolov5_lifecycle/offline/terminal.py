@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 
-from yolov5_lifecycle.offline.detecting import Account
+from yolov5_lifecycle.offline.detecting import RunStatistics
 from yolov5_lifecycle.printable import MAX_TEXT, in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
@@ -56,10 +56,12 @@ class Terminal:
         if self._lost == _MAX_TOLD:
             complain(self._command, "further problems are only counted")
 
-    def progress(self, account: Account) -> None:
+    def progress(self, statistics: RunStatistics) -> None:
         if self._shows_progress:
-            of_all = f" of {account.expected}" if account.expected else ""
-            self._line.show(f"{account.balance.received}{of_all} images, {account.rate_hz:.1f} per second")
+            of_all = f" of {statistics.expected}" if statistics.expected else ""
+            self._line.show(
+                f"{statistics.balance.received}{of_all} images, {statistics.rate_hz:.1f} per second"
+            )
 
     def begin(self, task: str) -> None:
         """Show the name of a `task` that has no images to count."""
@@ -79,16 +81,16 @@ def missing_images(claimed: int, received: int) -> str:
     )
 
 
-def report(account: Account) -> str:
+def report(statistics: RunStatistics) -> str:
     """Summary of a run for the user, one fact per line."""
-    balance, objects = account.balance, account.objects
-    missing = f" of {account.expected} expected" if balance.received < account.expected else ""
+    balance, objects = statistics.balance, statistics.objects
+    missing = f" of {statistics.expected} expected" if balance.received < statistics.expected else ""
     return (
         f"images    {balance.received}{missing}: {balance[Outcome.DETECTED]} detected, "
         f"{balance[Outcome.REJECTED]} rejected, {balance[Outcome.FAILED]} failed\n"
         f"{objects_line(objects)}"
-        f"{order_line(account.stamps.late, account.stamps.jumps)}"
-        f"rate        {account.rate_hz:.1f} images per second\n"
+        f"{order_line(statistics.stamps.late, statistics.stamps.jumps)}"
+        f"rate        {statistics.rate_hz:.1f} images per second\n"
     )
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from yolov5_lifecycle.atomic_file import write_whole
+from yolov5_lifecycle.atomic_file import atomic_write
 from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.models.network import Network
@@ -156,7 +156,7 @@ def _first_problem(error: ValidationError) -> str:
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write the file at `path`, whole or not at all. Raises OSError."""
-    write_whole(path, f"{calibration.model_dump_json()}\n".encode())
+    atomic_write(path, f"{calibration.model_dump_json()}\n".encode())
 
 
 def calibration_digest(weights: Path) -> str | None:

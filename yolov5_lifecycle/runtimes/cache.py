@@ -12,7 +12,7 @@ from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
-from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, write_whole
+from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, atomic_write
 from yolov5_lifecycle.unfinished import open_itself, remove_abandoned
 
 MAX_BYTES = 1 << 30
@@ -59,7 +59,7 @@ def write_cache(path: Path, *parts: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with suppress(OSError):
         remove_abandoned(path.parent, prefix=UNFINISHED_PREFIX, suffix=UNFINISHED_SUFFIX)
-    write_whole(path, *parts, is_durable=False)
+    atomic_write(path, *parts, is_durable=False)
 
 
 class CompiledStore:

@@ -19,7 +19,7 @@ from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
 from yolov5_lifecycle.offline.calibrate.calibration_images import CalibrationData, read_calibration_data
 from yolov5_lifecycle.offline.calibrate.command import main
 from yolov5_lifecycle.offline.calibrate.measuring import map_loss
-from yolov5_lifecycle.offline.detecting import Account
+from yolov5_lifecycle.offline.detecting import RunStatistics
 from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
 from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData
 from yolov5_lifecycle.offline.evaluate.labelled_data import has_labels, labelled_data
@@ -85,7 +85,7 @@ class Notes:
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
         self.told.append(f"{label}: {error}")
 
-    def progress(self, account: Account) -> None:
+    def progress(self, statistics: RunStatistics) -> None:
         pass
 
 
@@ -151,7 +151,7 @@ def loss_on(path: Path, fp32: Detector, int8: Detector) -> float | str:
     settings = validated({"image_size": 320})
     with labelled_data(path, DataOptions(), problems) as found:
         return map_loss(
-            found, load_weights(Path(WEIGHTS)), settings, detectors, watch=Notes(), problems=problems
+            found, load_weights(Path(WEIGHTS)), settings, detectors, listener=Notes(), problems=problems
         )
 
 

@@ -55,7 +55,7 @@ def detector(weights: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Ite
         yield detector
 
 
-class Watch:
+class ProgressListener:
     """What arrived and what the camera sent, from the detector's first message on."""
 
     def __init__(self, detector: DetectorProcess) -> None:
@@ -90,7 +90,7 @@ class Watch:
         self._sent_ns.append(stamp_ns(truth.header))
 
 
-def status_at_rest(detector: DetectorProcess, watch: Watch) -> dict[str, str]:
+def status_at_rest(detector: DetectorProcess, watch: ProgressListener) -> dict[str, str]:
     """The first status without a frame under way, once as many detections have arrived as it counts."""
     statuses: list[dict[str, str]] = []
 
@@ -109,7 +109,7 @@ def _class_names(message: Detection2DArray) -> set[str]:
 
 
 def test_swaps_lose_no_frame_and_mix_no_models(detector: DetectorProcess, weights: tuple[Path, Path]) -> None:
-    watch = Watch(detector)
+    watch = ProgressListener(detector)
     command = [entry_point("camera"), "--ros-args", "-r", "image_raw:=/yolov5/image_raw"]
     rate = ["-p", f"rate:={RATE_HZ}"]
     with ChildProcess("camera", command + rate, environment(detector.domain)) as camera:

@@ -17,7 +17,7 @@ from yolov5_lifecycle.evaluation.figures import mean_of_classes
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
 from yolov5_lifecycle.evaluation.matching import match
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.detecting import DetectingError, Watch
+from yolov5_lifecycle.offline.detecting import DetectingError, ProgressListener
 from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData, evaluate_models
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.runtimes.speed import Taken, median, time_taken
@@ -140,7 +140,7 @@ def map_loss(
     settings: Settings,
     detectors: Mapping[str, Detector],
     *,
-    watch: Watch,
+    listener: ProgressListener,
     problems: Problems,
 ) -> float | str:
     """Points of mAP@50:95 that the second of `detectors` loses against the first, or why that is unknown.
@@ -157,7 +157,9 @@ def map_loss(
 
     wanted = [settings.model_copy(update={"precision": precision}) for precision in detectors]
     try:
-        classes, evaluations = evaluate_models(data, wanted, watch=watch, problems=problems, prepare=prepared)
+        classes, evaluations = evaluate_models(
+            data, wanted, listener=listener, problems=problems, prepare=prepared
+        )
     except (DataError, DetectingError) as error:
         return str(error)
     first, second = (

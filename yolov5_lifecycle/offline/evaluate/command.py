@@ -11,7 +11,7 @@ from dataclasses import fields
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.evaluation.ground_truth import Problems
-from yolov5_lifecycle.offline.detecting import Account, DetectingError
+from yolov5_lifecycle.offline.detecting import DetectingError, RunStatistics
 from yolov5_lifecycle.offline.detector_options import unwound_by_sigterm, wanted_settings
 from yolov5_lifecycle.offline.evaluate.arguments import DataOptions, command_parser
 from yolov5_lifecycle.offline.evaluate.evaluating import NOT_APPLIED, evaluate_models
@@ -69,19 +69,19 @@ def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) ->
         problem = absence_of("matplotlib.figure")
     if problem:
         return _complain(problem)
-    watch = _Watch(terminal)
+    listener = _Listener(terminal)
     with ExitStack() as stack:
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
         opened = labelled_data(
-            arguments.data, _data_options(arguments), watch.problems, progress=terminal.begin
+            arguments.data, _data_options(arguments), listener.problems, progress=terminal.begin
         )
         data = stack.enter_context(opened)
         classes, evaluations = evaluate_models(
-            data, wanted, watch=watch, problems=watch.problems, prepare=prepare
+            data, wanted, listener=listener, problems=listener.problems, prepare=prepare
         )
         terminal.begin("computing the figures")
         result = EvaluationResult(
-            arguments.data, data.kind, classes, evaluations, watch.problems, arguments.thresholds
+            arguments.data, data.kind, classes, evaluations, listener.problems, arguments.thresholds
         )
         text = result.text(arguments.node)
         if folder is not None:
@@ -111,7 +111,7 @@ def _data_options(arguments: argparse.Namespace) -> DataOptions:
     return DataOptions(**{field.name: getattr(arguments, field.name) for field in fields(DataOptions)})
 
 
-class _Watch:
+class _Listener:
     """Shows progress on the terminal, and the first problems; counts all."""
 
     def __init__(self, terminal: Terminal) -> None:
@@ -126,8 +126,8 @@ class _Watch:
             self._rejected.add(label)
             self.problems.add("unusable images", label, error)
 
-    def progress(self, account: Account) -> None:
-        self._terminal.progress(account)
+    def progress(self, statistics: RunStatistics) -> None:
+        self._terminal.progress(statistics)
 
     def _tell(self, problem: str) -> None:
         self._terminal.close()

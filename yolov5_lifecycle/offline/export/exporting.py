@@ -10,7 +10,7 @@ from pathlib import Path
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.detecting import Account, LoadDetector, OfflineDetector
+from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics
 from yolov5_lifecycle.offline.export.crops import Crops
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage, NamedImage, Sink
 from yolov5_lifecycle.offline.export.formats import FORMATS, JSON_LINES
@@ -59,7 +59,7 @@ def export_images(
     *,
     load: LoadDetector,
     drawings: Callable[[OfflineDetector], Sink] | None = None,
-) -> Account:
+) -> RunStatistics:
     """Write the detections in `images`, of which there are `expected`; `drawings` is a further output.
 
     Raises OutputError, OSError, DetectingError and what `load` raises; then the outputs are damaged.
@@ -77,7 +77,7 @@ def export_images(
             for sink in sinks:
                 sink.add(found)
 
-        account = detector.run(images, expected=expected, write=write)
+        statistics = detector.run(images, expected=expected, write=write)
         for sink in sinks:
             sink.finish()
-    return account
+    return statistics

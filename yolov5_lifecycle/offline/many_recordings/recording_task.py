@@ -10,7 +10,7 @@ from pathlib import Path
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_files import write_files
-from yolov5_lifecycle.offline.detecting import Account, OfflineDetector, prepared_for
+from yolov5_lifecycle.offline.detecting import OfflineDetector, RunStatistics, prepared_for
 from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.export.formats import JSON_LINES, may_have_masks
 from yolov5_lifecycle.offline.many_recordings.plan import Plan
@@ -52,7 +52,7 @@ class RecordingTask:
         self._prepared = prepared_for(plan.settings, prepare)
         self.runtime = self._prepared.detector.runtime.name
         self.precision = self._prepared.detector.runtime.precision
-        self._detector(_Watch(on_image))  # refuses classes that the model does not have
+        self._detector(_Listener(on_image))  # refuses classes that the model does not have
 
     def run(self, source: SourceRecording) -> RecordingResult | Refused:
         """Write the result of `source`, unless it exists; return its row, with the reason if set aside.
@@ -60,9 +60,9 @@ class RecordingTask:
         Where every other recording would fail, too, refuses for lack of room, or raises DeviceLostError.
         """
         begun_s = time.monotonic()
-        watch = _Watch(self._on_image)
+        listener = _Listener(self._on_image)
         try:
-            return self._result(source, watch, begun_s)
+            return self._result(source, listener, begun_s)
         except Exception as error:  # noqa: BLE001 - one recording must not end the others
             if isinstance(error.__cause__, DeviceLostError):
                 raise error.__cause__ from None
@@ -73,17 +73,17 @@ class RecordingTask:
                 path=str(source.path),
                 state="set aside",
                 reason=in_lines(str(error) or type(error).__name__),
-                first_problem=watch.first_problem,
+                first_problem=listener.first_problem,
                 seconds=time.monotonic() - begun_s,
             )
 
-    def _result(self, source: SourceRecording, watch: _Watch, begun_s: float) -> RecordingResult:
+    def _result(self, source: SourceRecording, listener: _Listener, begun_s: float) -> RecordingResult:
         if (finished := finished_before(source, self._plan, by_content=True)) is not None:
             return finished  # perhaps by a worker that was then killed
         target, files = self._plan.output / source.name, file_stamps(source.path)
         with whole_output(target, replace=is_replaceable(target)) as unfinished:
-            account = self._detect(source.path, unfinished, watch)
-            result = self._row(source, account, watch, time.monotonic() - begun_s)
+            statistics = self._detect(source.path, unfinished, listener)
+            result = self._row(source, statistics, listener, time.monotonic() - begun_s)
             Record(
                 weights_sha256=self._plan.settings.weights_sha256,
                 settings_sha256=self._plan.settings_sha256,
@@ -96,8 +96,8 @@ class RecordingTask:
                 raise SourceError(f"{source.path}: it changed while it was read. Is it still being recorded?")
         return result
 
-    def _detect(self, source: Path, unfinished: Path, watch: _Watch) -> Account:
-        options, load = self._plan.options, lambda: self._detector(watch)
+    def _detect(self, source: Path, unfinished: Path, listener: _Listener) -> RunStatistics:
+        options, load = self._plan.options, lambda: self._detector(listener)
         suffix = options.suffix or (JSON_LINES if is_video(source) else "")
         path = unfinished / f"{_DETECTIONS}{suffix}" if suffix else unfinished
         export = Export(path, suffix, options.masks, unfinished / CROPS if options.crops else None)
@@ -113,18 +113,18 @@ class RecordingTask:
             of_recording = RecordingOptions(options.topic, options.node, options.images)
             return write_detections(recording, export, of_recording, load)
 
-    def _detector(self, watch: _Watch) -> OfflineDetector:
+    def _detector(self, listener: _Listener) -> OfflineDetector:
         """A detector with the same model and a tracker of its own."""
         options = self._plan.options
         with_masks = (options.masks and may_have_masks(options.suffix)) or options.images
         return OfflineDetector(
-            self._plan.settings, watch, with_masks=with_masks, prepare=lambda *_: self._prepared
+            self._plan.settings, listener, with_masks=with_masks, prepare=lambda *_: self._prepared
         )
 
     def _row(
-        self, source: SourceRecording, account: Account, watch: _Watch, seconds: float
+        self, source: SourceRecording, statistics: RunStatistics, listener: _Listener, seconds: float
     ) -> RecordingResult:
-        balance = account.balance
+        balance = statistics.balance
         return RecordingResult(
             recording=source.name,
             path=str(source.path),
@@ -133,17 +133,17 @@ class RecordingTask:
             detected=balance[Outcome.DETECTED],
             rejected=balance[Outcome.REJECTED],
             failed=balance[Outcome.FAILED],
-            missing=account.missing,
-            late=account.stamps.late,
-            jumps=account.stamps.jumps,
-            first_problem=watch.first_problem,
+            missing=statistics.missing,
+            late=statistics.stamps.late,
+            jumps=statistics.stamps.jumps,
+            first_problem=listener.first_problem,
             seconds=round(seconds, 3),
             runtime=self.runtime,
-            detections={name: account.objects[name] for name in self._prepared.detector.class_names},
+            detections={name: statistics.objects[name] for name in self._prepared.detector.class_names},
         )
 
 
-class _Watch:
+class _Listener:
     """Keeps the first problem and passes on the number of images."""
 
     def __init__(self, on_image: OnImage) -> None:
@@ -153,5 +153,5 @@ class _Watch:
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
         self.first_problem = self.first_problem or in_one_line(f"{label}: {outcome.value}: {error}")
 
-    def progress(self, account: Account) -> None:
-        self._on_image(account.balance.received)
+    def progress(self, statistics: RunStatistics) -> None:
+        self._on_image(statistics.balance.received)

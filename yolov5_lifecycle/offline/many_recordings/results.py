@@ -12,7 +12,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
-from yolov5_lifecycle.atomic_file import OutputError, write_whole
+from yolov5_lifecycle.atomic_file import OutputError, atomic_write
 from yolov5_lifecycle.folder_listing import FolderTree
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.offline.many_recordings.plan import Plan
@@ -87,7 +87,7 @@ class Record(BaseModel):
 
     def write(self, folder: Path) -> None:
         """Write the record into the `folder` of its result; raises OSError."""
-        write_whole(folder / RECORD_NAME, self.model_dump_json(indent=1).encode() + b"\n", is_durable=False)
+        atomic_write(folder / RECORD_NAME, self.model_dump_json(indent=1).encode() + b"\n", is_durable=False)
 
 
 def read_record(folder: Path) -> Record | None:

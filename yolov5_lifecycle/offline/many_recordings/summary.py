@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import get_args
 
-from yolov5_lifecycle.atomic_file import OutputError, write_together, write_whole
+from yolov5_lifecycle.atomic_file import OutputError, atomic_write, write_together
 from yolov5_lifecycle.offline.many_recordings.plan import Plan
 from yolov5_lifecycle.offline.many_recordings.results import COUNTED, RecordingResult, State
 from yolov5_lifecycle.offline.many_recordings.tally import sums
@@ -57,7 +57,7 @@ def write_summary(plan: Plan, results: Sequence[RecordingResult]) -> list[str]:
     )
     json_file, table = plan.output / JSON_NAME, plan.output / PARQUET_NAME
     if absence := absence_of("pyarrow"):
-        write_whole(json_file, text, b"\n")
+        atomic_write(json_file, text, b"\n")
         table.unlink(missing_ok=True)  # it would be that of an earlier run
         return [f"{PARQUET_NAME} was not written, only {JSON_NAME}: {absence}"]
     write_together({json_file: text + b"\n", table: _parquet(results)})
