@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 import zipfile
@@ -80,13 +81,13 @@ for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         try:
             importlib.import_module(found.name)
         except ImportError as error:
-            print(found.name, error.name)
+            print(error.name)
 """
     told = run(home, executables / "python", "-W", "error", "-c", program)
     assert (told.returncode, told.stderr) == (0, "")
     place, *failed = told.stdout.splitlines()
     assert place.startswith(str(executables.parent))
-    assert failed == [f"{PACKAGE}.runtimes.openvino_runtime openvino"]
+    assert set(failed) == {"openvino", "ray"}
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -173,6 +174,6 @@ def test_without_opencv_a_command_says_how_to_install_it(
     assert (told.returncode, told.stdout) == (1, "")
     (line,) = told.stderr.splitlines()
     assert "No module named 'cv2'" in line
-    assert f"Install it with {executables}/python" in line
-    assert "-m pip install opencv-python-headless" in line
+    python = shlex.quote(str(executables / "python"))
+    assert f"Install it with {python} -m pip install opencv-python-headless" in line
     assert run(home, executables / "convert", "--help").returncode == 0

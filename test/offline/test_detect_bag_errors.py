@@ -128,7 +128,7 @@ def a_good_one(folder: Path) -> Path:
         pytest.param(without_its_end, [], "`mcap recover` may repair it", id="without its end"),
         pytest.param(with_damaged_pages, [], "the recording cannot be read", id="damaged pages"),
         pytest.param(without_metadata, [], "the recording cannot be read", id="without metadata"),
-        pytest.param(not_a_recording, [], "magic is invalid", id="not a recording"),
+        pytest.param(not_a_recording, [], "does not begin like an MCAP file", id="not a recording"),
         pytest.param(a_good_one, ["--output", "bag"], "exists and is not replaced", id="output exists"),
         pytest.param(a_good_one, ["--output", "no/x"], "folder not found; create it", id="no folder"),
         pytest.param(a_good_one, ["--set", "classes=[circel]"], "Did you mean 'circle'?", id="class"),
@@ -144,7 +144,7 @@ def a_good_one(folder: Path) -> Path:
         pytest.param(
             a_good_one,
             ["--set", "classes=[a"],
-            "'classes=[a': its value is no YAML that ROS reads: while parsing",
+            "'classes=[a': its value is no YAML that ROS reads: line 1: expected",
             id="no YAML",
         ),
         pytest.param(a_good_one, ["--set", "weights=no.pt"], "there is no such file", id="no weights"),
