@@ -18,6 +18,7 @@ pytestmark = pytest.mark.long
 
 PROGRAM = SUPPORT / "watched_processes.py"
 ALONE = ["unshare", "--map-root-user", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
+FONTS = r"cache/matplotlib/fontlist-v\d+\.json"
 COMPILED = r"cache/yolov5_lifecycle/compiled/[0-9a-f]{64}"
 LOG = r"log/[^/]+\.log"
 
@@ -55,7 +56,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, list[s
         pytest.param("nodes", [], [COMPILED, LOG, LOG], id="detector and camera"),
         pytest.param("detect_bag", [], [COMPILED], id="detect_bag"),
         pytest.param("openvino", [], [COMPILED], id="detect_bag in OpenVINO"),
-        pytest.param("evaluate", [], [COMPILED], id="evaluate"),
+        pytest.param("evaluate", [], [FONTS, COMPILED], id="evaluate"),
         pytest.param("convert", [], [], id="convert"),
         pytest.param("fetch_weights", ["look-up of weights.test"], [], id="fetch_weights"),
     ],
