@@ -18,7 +18,7 @@ pytestmark = pytest.mark.long
 
 PROGRAM = SUPPORT / "watched_processes.py"
 ALONE = ["unshare", "--map-root-user", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
-FONTS = r"cache/matplotlib/fontlist-v\d+\.json"
+FONTS = r"cache/matplotlib/fontlist-v[\d.]+json"
 COMPILED = r"cache/yolov5_lifecycle/compiled/[0-9a-f]{64}"
 LOG = r"log/[^/]+\.log"
 
