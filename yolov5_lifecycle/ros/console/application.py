@@ -12,13 +12,13 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.responses import RedirectResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from yolov5_lifecycle.ros.console.gate import METRICS, address_of
-from yolov5_lifecycle.ros.console.sessions import SESSION_S, Sessions, TooManyTriesError
+from yolov5_lifecycle.ros.console.sessions import SESSION_S, Sessions
 
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
 _PAGE, _LOGIN = "index.html", "login.html"
@@ -53,7 +53,6 @@ class WebApplication:
 
     def __init__(
         self,
-        *,
         page: Serve,
         image: Serve,
         sessions: Sessions | None,
@@ -92,19 +91,17 @@ class WebApplication:
             raise
 
     def _file(self, request: Request) -> Response:
-        name = request.path_params["name"]
-        return self._files.get(name) or PlainTextResponse("page not found\n", status_code=404)
+        if file := self._files.get(request.path_params["name"]):
+            return file
+        raise HTTPException(404, "page not found")
 
     async def _login(self, request: Request) -> Response:
         assert self._sessions is not None
         try:
             token = await asyncio.wait_for(_token(request), _FORM_S)
-            is_right = self._sessions.knows_token(token, address_of(request.scope))
         except asyncio.TimeoutError:
-            return PlainTextResponse("the form did not arrive in time\n", status_code=408)
-        except TooManyTriesError:
-            text = "too many wrong tokens: wait a minute\n"
-            return PlainTextResponse(text, status_code=429, headers={"Retry-After": "60"})
+            raise HTTPException(408, "the form did not arrive in time") from None
+        is_right = self._sessions.knows_token(token, address_of(request.scope))
         response = _to("/" if is_right else "/login?wrong")
         if is_right:
             response.set_cookie(

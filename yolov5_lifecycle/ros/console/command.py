@@ -18,14 +18,14 @@ from yolov5_lifecycle.process.standard_streams import complain, flush_output, wr
 from yolov5_lifecycle.process.termination import TERMINATION_SIGNALS
 from yolov5_lifecycle.ros.console.application import WebApplication
 from yolov5_lifecycle.ros.console.detectors import Detectors
-from yolov5_lifecycle.ros.console.gate import Addresses, Gate
+from yolov5_lifecycle.ros.console.gate import Gate
 from yolov5_lifecycle.ros.console.images import Viewers
 from yolov5_lifecycle.ros.console.metrics import figures
 from yolov5_lifecycle.ros.console.options import ConsoleOptions, parsed
 from yolov5_lifecycle.ros.console.pages import Pages
 from yolov5_lifecycle.ros.console.ros_thread import RosThread
-from yolov5_lifecycle.ros.console.sessions import Sessions, TokenFileError, kept_token, usual_path
-from yolov5_lifecycle.ros.console.web_server import ListenError, WebServer, listening_socket
+from yolov5_lifecycle.ros.console.sessions import Sessions, kept_token, usual_path
+from yolov5_lifecycle.ros.console.web_server import WebServer, listening_socket
 from yolov5_lifecycle.ros.printable_logger import PrintableNode
 from yolov5_lifecycle.ros.services import wrap_services
 from yolov5_lifecycle.ros.start_arguments import initialize, refuse, start_arguments
@@ -59,7 +59,7 @@ def _run(arguments: list[str]) -> int:
     wrap_services(node, {})
     try:
         asyncio.run(_serve(node, options, listening_socket(options), _sessions(options)))
-    except (ListenError, TokenFileError, FileNotFoundError) as error:
+    except OSError as error:
         complain(_NAME, error)
         return EXIT_UNABLE
     rclpy.try_shutdown()
@@ -76,17 +76,9 @@ async def _serve(
         ros, options.nodes, on_change=pages.changed, on_gone=pages.gone, on_omitted=pages.omitted
     )
     viewers = Viewers(ros, detectors.find)
-    application = WebApplication(
-        page=pages.serve,
-        image=viewers.serve,
-        sessions=sessions,
-        figures=figures(lambda: detectors.known, lambda: viewers.count) if options.has_metrics else None,
-        logger=node.get_logger(),
-    )
-    addresses = Addresses(
-        scheme=options.scheme, public_urls=options.public_urls, is_loopback=options.is_loopback
-    )
-    server = WebServer(Gate(application, addresses, sessions, port=sock.getsockname()[1]), options)
+    metrics = figures(lambda: detectors.known, lambda: viewers.count) if options.has_metrics else None
+    application = WebApplication(pages.serve, viewers.serve, sessions, metrics, node.get_logger())
+    server = WebServer(Gate(application, options, sessions, port=sock.getsockname()[1]), options)
     _end_on_signals(server)
     _announce(options, sock)
     ros.start()
@@ -111,7 +103,7 @@ def _end_on_signals(server: WebServer) -> None:
 
 
 def _sessions(options: ConsoleOptions) -> Sessions | None:
-    """Those of the token, if `options` need one; a new one is printed. Raises TokenFileError."""
+    """Those of the token, if `options` need one; a new one is printed. Raises OSError."""
     if not options.needs_token:
         return None
     path = options.token_file or usual_path(os.environ)

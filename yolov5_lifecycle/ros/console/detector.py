@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from lifecycle_msgs.msg import Transition, TransitionEvent
@@ -22,13 +22,8 @@ from std_srvs.srv import Trigger
 from vision_msgs.msg import LabelInfo
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.console.parameter_view import (
-    ParameterView,
-    ValueRefusedError,
-    parameter_message,
-    shown_values,
-)
-from yolov5_lifecycle.ros.console.ros_thread import Mailbox, NotReachedError, RosThread
+from yolov5_lifecycle.ros.console.parameter_view import ParameterView, parameter_message, shown_values
+from yolov5_lifecycle.ros.console.ros_thread import Mailbox, RosThread
 from yolov5_lifecycle.ros.console.views import (
     LogView,
     StatusView,
@@ -37,7 +32,7 @@ from yolov5_lifecycle.ros.console.views import (
     class_names_of,
 )
 from yolov5_lifecycle.ros.services import MAX_ITEMS
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, NODE_STATUS, camera_names_rule
+from yolov5_lifecycle.settings.camera_names import NODE_STATUS, usable_names
 
 SILENCE_S = 5.0
 """A detector that sends no diagnostics (usually one per second) for longer than this is gone."""
@@ -156,11 +151,9 @@ class Detector:
         return self._heard_s is not None and self._clock() - self._heard_s > SILENCE_S
 
     @property
-    def camera_names(self) -> list[str]:
+    def camera_names(self) -> tuple[str, ...]:
         """Names in the parameter `cameras`, without impossible ones."""
-        names = self._values.get("cameras")
-        given = [str(name) for name in names[:MAX_CAMERAS]] if isinstance(names, list) else []
-        return [name for name in given if not camera_names_rule([name], ())]
+        return usable_names(self._values.get("cameras"), ())
 
     @property
     def cameras(self) -> list[tuple[str, StatusView | None]]:
@@ -180,7 +173,7 @@ class Detector:
             "state": LOST if is_lost else self.state,
             "last_state": self.state,
             "transitions": [{"label": label} for label in transitions],
-            "busy": self._busy[0] if self._busy and not is_lost else "",
+            "busy": "" if is_lost else next(filter(None, self._busy), ""),
             "parameters": self._parameters,
             "cameras": [camera_as_json(*camera, is_lost=is_lost) for camera in self.cameras],
             "diagnostics": [status.as_json(is_lost=is_lost) for status in self.statuses],
@@ -192,55 +185,49 @@ class Detector:
         """Set parameters, all or none; returns the reason for a refusal, "" on success."""
         try:
             messages = [parameter_message(name, value, self._views) for name, value in values.items()]
-        except ValueRefusedError as error:
+        except ValueError as error:
             return str(error)
         is_slow = any(name in self._views and self._views[name].change in _SLOW_CHANGES for name in values)
         what = f"set {', '.join(in_one_line(name, 100) for name in values)} ..."
-        self._begin(what if is_slow and self.state == "active" else "")
+        request = SetParametersAtomically.Request(parameters=messages)
         try:
-            request = SetParametersAtomically.Request(parameters=messages)
-            result = (await self._call("set_parameters_atomically", request, _ACT_S)).result
-        except NotReachedError as error:
+            with self._busy_with(what if is_slow and self.state == "active" else ""):
+                result = (await self._call("set_parameters_atomically", request, _ACT_S)).result
+        except ConnectionError as error:
             return str(error)
-        finally:
-            self.ask_soon()
-            self._end_of(what)
         return "" if result.successful else in_one_line(result.reason, _MAX_WORDS) or _NO_REASON
 
     async def change_state(self, label: str) -> str:
         """Request a transition; returns the reason for a refusal, "" on success."""
         count = self.log.count
-        what = f"{in_one_line(label, 100)} ..."
-        self._begin(what)
+        what = in_one_line(label, 100)
         try:
-            await self._ask_state()
-            if label not in self._transitions:
-                possible = ", ".join(self._transitions) or "none"
-                return f"{what[:-4]} is not possible while {self.state}; possible now: {possible}"
-            request = ChangeState.Request(transition=Transition(label=label))
-            if (await self._call("change_state", request, _ACT_S)).success:
+            with self._busy_with(f"{what} ..."):
                 await self._ask_state()
-                return ""
-            return await self._reason(count) or f"the node refused to {label}; its log says why"
-        except NotReachedError as error:
+                if label not in self._transitions:
+                    possible = ", ".join(self._transitions) or "none"
+                    return f"{what} is not possible while {self.state}; possible now: {possible}"
+                request = ChangeState.Request(transition=Transition(label=label))
+                if (await self._call("change_state", request, _ACT_S)).success:
+                    await self._ask_state()
+                    return ""
+                return await self._reason(count) or f"the node refused to {label}; its log says why"
+        except ConnectionError as error:
             # The process ends soon after this transition, possibly before it has sent the response.
             return "" if label == "shutdown" else str(error)
-        finally:
-            self.ask_soon()
-            self._end_of(what)
 
     async def collect(self) -> tuple[bool, str]:
         """Have the next image of each camera kept: whether the node agrees, and its answer in words."""
         try:
             answer = await self._call("collect", Trigger.Request())
-        except NotReachedError as error:
+        except ConnectionError as error:
             return False, str(error)
         return bool(answer.success), in_one_line(answer.message, _MAX_WORDS) or _NO_REASON
 
     async def _call(self, service: str, request: Any, timeout_s: float = _ASK_S) -> Any:
-        """The response of the node; raises NotReachedError."""
+        """The response of the node; raises ConnectionError."""
         if self._end.done():
-            raise NotReachedError(f"{self.name} is lost")
+            raise ConnectionError(f"{self.name} is lost")
         return await self._ros.call(self._clients[service], request, timeout_s=timeout_s, end=self._end)
 
     def _take_labels(self, message: LabelInfo) -> None:
@@ -264,7 +251,7 @@ class Detector:
             try:
                 await self._ask_state()
                 await self._ask_parameters()
-            except NotReachedError:
+            except ConnectionError:
                 await asyncio.sleep(_RETRY_S)
                 continue
             self._on_change(self)
@@ -288,7 +275,7 @@ class Detector:
             descriptors = descriptors | {str(one.name): one for one in answer.descriptors}
         values = (await self._call("get_parameters", GetParameters.Request(names=names))).values
         if len(values) != len(names) or not descriptors.keys() >= set(names):
-            raise NotReachedError(f"{self.name} has changed its parameters meanwhile")
+            raise ConnectionError(f"{self.name} has changed its parameters meanwhile")
         self._descriptors = {name: descriptors[name] for name in names}
         views = map(ParameterView.of, self._descriptors.values())
         self._views = {view.name: view for view in views if view is not None}
@@ -308,12 +295,14 @@ class Detector:
             await asyncio.sleep(0.05)
         return self.status.values.get("last problem", "") if self.status is not None else ""
 
-    def _begin(self, what: str) -> None:
-        if what:
-            self._busy.append(what)
-            self._on_change(self)
-
-    def _end_of(self, what: str) -> None:
-        if what in self._busy:
+    @contextmanager
+    def _busy_with(self, what: str) -> Iterator[None]:
+        """Show `what` during a request that changes the node, and ask the node afterwards."""
+        self._busy.append(what)
+        self._on_change(self)
+        try:
+            yield
+        finally:
             self._busy.remove(what)
             self._on_change(self)
+            self.ask_soon()

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import ipaddress
 import socket
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from contextlib import suppress
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.exceptions import HTTPException
+from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from starlette.websockets import WebSocket
 
 from yolov5_lifecycle.ros.console.budget import Budget, Budgets
-from yolov5_lifecycle.ros.console.sessions import Sessions, TooManyTriesError
+from yolov5_lifecycle.ros.console.options import ConsoleOptions
+from yolov5_lifecycle.ros.console.sessions import Sessions
 
 METRICS = "/metrics"
 _REQUESTS_PER_S = 100.0
@@ -40,10 +42,10 @@ class Gate:
     """
 
     def __init__(
-        self, application: ASGIApp, addresses: Addresses, sessions: Sessions | None, *, port: int
+        self, application: ASGIApp, options: ConsoleOptions, sessions: Sessions | None, *, port: int
     ) -> None:
         self._application = application
-        self._addresses = addresses
+        self._addresses = Addresses(options)
         self._sessions = sessions
         self._port = port
         self._requests = Budgets(lambda: Budget(_REQUESTS_PER_S, _REQUESTS))
@@ -51,65 +53,62 @@ class Gate:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
             return
-        refusal = self._refusal(scope)
+        application = self._application
+        try:
+            self._check(scope, Headers(scope=scope))
+        except HTTPException as refusal:
+            application = PlainTextResponse(f"{refusal.detail}\n", refusal.status_code, refusal.headers)
         if scope["type"] == "http" and scope["state"].get("is_secure"):
             send = _over_tls_only(send)
-        if refusal is None:
-            await self._application(scope, receive, send)
-        elif scope["type"] == "websocket":
-            await WebSocket(scope, receive, send).send_denial_response(refusal)
-        else:
-            await refusal(scope, receive, send)
+        await application(scope, receive, send)
 
-    def _refusal(self, scope: Scope) -> Response | None:
-        headers = Headers(scope=scope)
+    def _check(self, scope: Scope, headers: Headers) -> None:
+        """Complete the state of the request; raises HTTPException for one that is refused."""
         if not self._requests.of(address_of(scope)).spend():
-            return _text(429, "too many requests: wait a second", {"Retry-After": "1"})
+            raise HTTPException(429, "too many requests: wait a second", {"Retry-After": "1"})
         if _header_bytes(scope) > MAX_HEADER_BYTES:
-            return _text(431, f"address and headers of a request may have at most {MAX_HEADER_BYTES} bytes")
+            raise HTTPException(
+                431, f"address and headers of a request may have at most {MAX_HEADER_BYTES} bytes"
+            )
         if "content-length" in headers and "transfer-encoding" in headers:
             # A proxy and h11 may disagree where such a request ends (request smuggling, RFC 9112, 6.1).
             text = "expected Content-Length or Transfer-Encoding, found both"
-            return _text(400, text, {"Connection": "close"})
-        hosts = headers.getlist("host")
-        server = scope.get("server") or ("", 0)
-        scheme = self._addresses.scheme_of(hosts[0], tuple(server)) if len(hosts) == 1 else ""
+            raise HTTPException(400, text, {"Connection": "close"})
+        host, *others = headers.getlist("host") or [""]
+        scheme = "" if others else self._addresses.scheme_of(host, tuple(scope.get("server") or ("", 0)))
         if not scheme:
-            return _text(
+            raise HTTPException(
                 403,
                 "unknown host name or address: open the address that the console printed, or start it with "
                 "--public-url",
             )
         scope["state"]["is_secure"] = scheme == "https"
         scope["state"]["cookie"] = cookie_name(self._port, is_secure=scheme == "https")
-        if problem := self._origin_problem(scope, headers, hosts[0], scheme):
-            return _text(403, problem)
-        return self._session_refusal(scope, headers)
+        self._check_origin(scope, headers.getlist("origin"), host, scheme)
+        self._check_session(scope, headers)
 
-    def _origin_problem(self, scope: Scope, headers: Headers, host: str, scheme: str) -> str:
-        origins = headers.getlist("origin")
-        needs_origin = scope["type"] == "websocket" or scope["method"] not in _SAFE
-        if not origins:
-            return "no Origin header: only this console's own page may do that" if needs_origin else ""
-        if len(origins) > 1 or not self._addresses.is_own_origin(origins[0], host, scheme):
-            return "the Origin is another page: only this console's own page may do that"
-        return ""
+    def _check_origin(self, scope: Scope, origins: list[str], host: str, scheme: str) -> None:
+        if not origins and (scope["type"] == "websocket" or scope["method"] not in _SAFE):
+            raise HTTPException(403, "no Origin header: only this console's own page may do that")
+        if origins and (len(origins) > 1 or not self._addresses.is_own_origin(origins[0], host, scheme)):
+            raise HTTPException(403, "the Origin is another page: only this console's own page may do that")
 
-    def _session_refusal(self, scope: Scope, headers: Headers) -> Response | None:
+    def _check_session(self, scope: Scope, headers: Headers) -> None:
+        scope["state"]["session_left_s"] = None
+        if self._sessions is None:
+            return
+        # A program on a neighbouring host name may have set a cookie of the same name.
+        ids = values_of(scope["state"]["cookie"], headers.getlist("cookie"))
+        left_s = scope["state"]["session_left_s"] = max(map(self._sessions.left_s, ids), default=0.0)
         path = str(scope["path"])
-        left_s = None
-        if self._sessions is not None:
-            # A program on a neighbouring host name may have set a cookie of the same name.
-            ids = values_of(scope["state"]["cookie"], headers.getlist("cookie"))
-            left_s = max(map(self._sessions.left_s, ids), default=0.0)
-        scope["state"]["session_left_s"] = left_s
-        if self._sessions is None or path.startswith(_OPEN_TO_ALL) or left_s:
-            return None
+        if path.startswith(_OPEN_TO_ALL) or left_s:
+            return
         if path == METRICS:
-            return _bearer_refusal(self._sessions, scope, headers)
-        if path == "/" and scope["type"] == "http":
-            return RedirectResponse("/login", status_code=303)
-        return _text(401, "log in first, on /login")
+            _check_bearer(self._sessions, scope, headers)
+        elif path == "/" and scope["type"] == "http":
+            raise HTTPException(303, "log in first, on /login", {"Location": "/login"})
+        else:
+            raise HTTPException(401, "log in first, on /login")
 
 
 def address_of(scope: Scope) -> str:
@@ -118,15 +117,12 @@ def address_of(scope: Scope) -> str:
     return str(client[0]) if client else ""
 
 
-def _bearer_refusal(sessions: Sessions, scope: Scope, headers: Headers) -> Response | None:
+def _check_bearer(sessions: Sessions, scope: Scope, headers: Headers) -> None:
     kind, _, token = headers.get("authorization", "").partition(" ")
     is_given = kind.lower() == "bearer" and bool(token)
-    try:
-        if is_given and sessions.knows_token(token.strip(), address_of(scope)):
-            return None
-    except TooManyTriesError:
-        return _text(429, "too many wrong tokens: wait a minute", {"Retry-After": "60"})
-    return _text(401, "expected the header Authorization: Bearer TOKEN", {"WWW-Authenticate": "Bearer"})
+    if not is_given or not sessions.knows_token(token.strip(), address_of(scope)):
+        text = "expected the header Authorization: Bearer TOKEN"
+        raise HTTPException(401, text, {"WWW-Authenticate": "Bearer"})
 
 
 def _header_bytes(scope: Scope) -> int:
@@ -143,10 +139,6 @@ def _over_tls_only(send: Send) -> Send:
         await send(message)
 
     return send_with_header
-
-
-def _text(status: int, text: str, headers: dict[str, str] | None = None) -> Response:
-    return PlainTextResponse(text + "\n", status_code=status, headers=headers)
 
 
 def cookie_name(port: int, *, is_secure: bool) -> str:
@@ -168,17 +160,14 @@ def values_of(name: str, headers: Iterable[str]) -> list[str]:
 
 
 class Addresses:
-    """The addresses of one console: where it listens, the name of this machine, and `public_urls`.
+    """The addresses of one console: where it listens, the name of this machine, and its public URLs."""
 
-    `scheme`: http or https, as the console itself serves it.
-    """
-
-    def __init__(self, *, scheme: str, public_urls: Sequence[str] = (), is_loopback: bool) -> None:
-        self._scheme = scheme
-        parts = [urlsplit(url) for url in public_urls]
+    def __init__(self, options: ConsoleOptions) -> None:
+        self._scheme = options.scheme
+        parts = [urlsplit(url) for url in options.public_urls]
         self._public = {(part.scheme, _authority(part.scheme, part.netloc)) for part in parts}
         name = socket.gethostname().lower()
-        self._names = {"localhost"} if is_loopback else {"localhost", name, f"{name}.local"}
+        self._names = {"localhost"} if options.is_loopback else {"localhost", name, f"{name}.local"}
 
     def scheme_of(self, host: str, server: tuple[str, int]) -> str:
         """Scheme of the page under the Host header `host`, "" for a foreign one.
@@ -204,17 +193,11 @@ def _authority(scheme: str, netloc: str) -> tuple[str, int]:
 
 def _split(netloc: str, default_port: int) -> tuple[str, int]:
     """Name or address in lower case without brackets, and port; ("", 0) for what is neither."""
-    text = netloc.lower()
-    if text.startswith("["):
-        name, closing, rest = text[1:].partition("]")
-        colon, port = rest[:1], rest[1:]
-        if not closing or colon not in ("", ":"):
-            return "", 0
-    else:
-        name, colon, port = text.partition(":")
-    if not colon:
-        return name, default_port
-    return (name, int(port)) if port.isascii() and port.isdigit() and len(port) <= 5 else ("", 0)
+    with suppress(ValueError):
+        parts = urlsplit(f"//{netloc}")
+        if parts.netloc == netloc and "@" not in netloc:
+            return parts.hostname or "", default_port if parts.port is None else parts.port
+    return "", 0
 
 
 def _same_address(given: str, own: str) -> bool:

@@ -44,10 +44,6 @@ class Pages:
         self._timer: asyncio.TimerHandle | None = None
         self._omitted: list[str] = []
 
-    @property
-    def count(self) -> int:
-        return len(self._open)
-
     def changed(self, detector: Detector) -> None:
         """Send the detector to all pages soon."""
         self._changed.add(detector.name)

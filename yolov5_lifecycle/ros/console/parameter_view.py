@@ -44,10 +44,6 @@ _MAX_LENGTH = 1 << 20
 """Characters and entries of lists of all values of a detector that are shown."""
 
 
-class ValueRefusedError(ValueError):
-    """A value from the page that does not fit the type of the parameter; the message is for the user."""
-
-
 class ParameterView:
     """A declared parameter of a detector, from its descriptor; `constraints` are its additional ones."""
 
@@ -91,9 +87,7 @@ class ParameterView:
 
 def _range(descriptor: ParameterDescriptor) -> dict[str, float] | None:
     for found in (*descriptor.floating_point_range, *descriptor.integer_range):
-        first, last, step = found.from_value, found.to_value, found.step
-        is_usable = all(map(math.isfinite, (first, last, step))) and first <= last
-        return {"from": first, "to": last, "step": step} if is_usable else None
+        return {"from": found.from_value, "to": found.to_value, "step": found.step}
     return None
 
 
@@ -126,14 +120,17 @@ def plain_value(value: ParameterValue) -> object:
 
 
 def parameter_message(name: str, value: object, views: Mapping[str, ParameterView]) -> ParameterMessage:
-    """The parameter `name` with `value` of JSON; null deletes it. Raises ValueRefusedError."""
+    """The parameter `name` with `value` of JSON; null deletes it.
+
+    Raises ValueError for the user if the value does not fit the type of the parameter.
+    """
     if not _is_text(name):
-        raise ValueRefusedError(f"{in_one_line(name, 100)}: expected the name of a parameter")
+        raise ValueError(f"{in_one_line(name, 100)}: expected the name of a parameter")
     view = views.get(name)
     type_name = view.type if view is not None else _type_of(value)
     if value is not None and not _is_of(value, type_name):
         shown = in_one_line(json.dumps(value), 100)
-        raise ValueRefusedError(f"{in_one_line(name, 100)}: expected {_EXPECTED[type_name]}, found {shown}")
+        raise ValueError(f"{in_one_line(name, 100)}: expected {_EXPECTED[type_name]}, found {shown}")
     return ParameterMessage(name=name, value=_message(value, type_name))
 
 

@@ -21,10 +21,6 @@ _END_S = 1.0
 """Max wait for the callback in progress at the end."""
 
 
-class NotReachedError(Exception):
-    """A service did not answer in time, does not exist, or its node is lost."""
-
-
 class RosThread:
     """Spins `node` in its own thread, the only one that uses ROS.
 
@@ -76,12 +72,15 @@ class RosThread:
         return asyncio.wrap_future(answer, loop=self._loop)
 
     async def call(self, client: Any, request: Any, *, timeout_s: float, end: asyncio.Future[None]) -> Any:
-        """The response of the service of `client`; raises NotReachedError, at the latest at `end`."""
+        """The response of the service of `client`.
+
+        Raises ConnectionError if it does not exist or answers neither within `timeout_s` nor before `end`.
+        """
         answer: Future[Any] = Future()
 
         def send() -> Any:
             if not client.service_is_ready():
-                raise NotReachedError(f"service {client.srv_name} not found")
+                raise ConnectionError(f"service {client.srv_name} not found")
             future = client.call_async(request)
             future.add_done_callback(lambda done: answer.set_result(done.result()))
             return future
@@ -93,8 +92,8 @@ class RosThread:
             if answered.done():
                 return answered.result()
             if end.done():
-                raise NotReachedError(f"{client.srv_name} was lost before it answered")
-            raise NotReachedError(f"{client.srv_name} did not answer within {timeout_s:g} s")
+                raise ConnectionError(f"{client.srv_name} was lost before it answered")
+            raise ConnectionError(f"{client.srv_name} did not answer within {timeout_s:g} s")
         finally:
             self.run(client.remove_pending_request, pending)
 

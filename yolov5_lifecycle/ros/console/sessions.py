@@ -6,7 +6,6 @@ import hashlib
 import hmac
 import os
 import secrets
-import stat
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
@@ -14,6 +13,9 @@ from contextlib import suppress
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 
+from starlette.exceptions import HTTPException
+
+from yolov5_lifecycle.input_file import read_regular_file
 from yolov5_lifecycle.ros.console.budget import Budget, Budgets
 
 SESSION_S = 12 * 3600.0
@@ -23,10 +25,6 @@ MIN_TOKEN_LENGTH = 32
 _MAX_FILE_BYTES = 4096
 _TRIES_PER_S = 5 / 60
 _TRIES = 5
-
-
-class TooManyTriesError(Exception):
-    """The token was wrong too often; wait a minute."""
 
 
 class Sessions:
@@ -39,14 +37,14 @@ class Sessions:
         self._failures_of = Budgets(lambda: Budget(_TRIES_PER_S, _TRIES, clock=clock))
 
     def knows_token(self, given: str, address: str) -> bool:
-        """Whether `given` is the token; raises TooManyTriesError after too many wrong ones from `address`.
+        """Whether `given` is the token; raises HTTPException after too many wrong ones from `address`.
 
         The right token counts always: behind a proxy, strangers have the same address as the owner.
         """
         if hmac.compare_digest(_hash(given), self._token_hash):
             return True
         if not self._failures_of.of(address).spend():
-            raise TooManyTriesError
+            raise HTTPException(429, "too many wrong tokens: wait a minute", {"Retry-After": "60"})
         return False
 
     def begin(self) -> str:
@@ -68,20 +66,16 @@ def _hash(text: str) -> bytes:
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).digest()
 
 
-class TokenFileError(Exception):
-    """The token cannot be stored or must not be used; the message has the cause and a remedy."""
-
-
 def usual_path(environment: Mapping[str, str]) -> Path:
     """`yolov5_console/token` in $XDG_STATE_HOME, or in ~/.ros without that variable.
 
-    Raises TokenFileError for a user without a home folder.
+    Raises OSError for a user without a home folder.
     """
     state = Path(environment.get("XDG_STATE_HOME", ""))
     try:
         return (state if state.is_absolute() else Path.home() / ".ros") / "yolov5_console" / "token"
     except RuntimeError:
-        raise TokenFileError(
+        raise OSError(
             "the token cannot be stored: this user has no home folder. Set HOME, or choose a file with "
             "--token-file."
         ) from None
@@ -90,50 +84,38 @@ def usual_path(environment: Mapping[str, str]) -> Path:
 def kept_token(path: Path) -> tuple[str, bool]:
     """The token in the file at `path`, created with a new token if missing; and whether it is new.
 
-    Raises TokenFileError if others may read the file, or if it has no token of at least MIN_TOKEN_LENGTH.
+    Raises OSError, whose message has the cause and a remedy, if it cannot be stored, if others may read the
+    file, or if it has no token of at least MIN_TOKEN_LENGTH.
     """
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with suppress(FileNotFoundError):
-            return _read(path), False
-        try:
-            return _made(path), True
-        except FileExistsError:  # another console has just made it
-            return _read(path), False
+        is_new = not path.exists() and _is_made(path)
+        token = read_regular_file(path, _MAX_FILE_BYTES).decode("ascii", "replace").strip()
+        status = path.stat()
+    except ValueError:
+        raise OSError(
+            f"{path} is not a regular file: remove it, or choose another with --token-file."
+        ) from None
     except OSError as error:
-        raise TokenFileError(
+        raise OSError(
             f"the token cannot be stored in {path}: {error.strerror}. Choose another file with --token-file."
         ) from error
-
-
-def _made(path: Path) -> str:
-    """A new token in a new file, which has its content from the first moment; raises FileExistsError."""
-    token = secrets.token_urlsafe(_SECRET_BYTES)
-    with NamedTemporaryFile("w", dir=path.parent, prefix=".", suffix=".part") as file:
-        os.fchmod(file.fileno(), 0o600)  # regardless of the umask
-        file.write(token + "\n")
-        file.flush()
-        os.fsync(file.fileno())
-        os.link(file.name, path)
-    return token
-
-
-def _read(path: Path) -> str:
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    with os.fdopen(descriptor, "rb") as file:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise TokenFileError(
-                f"{path} is not a regular file: remove it, or choose another with --token-file."
-            )
-        if status.st_uid != os.geteuid() or status.st_mode & 0o077:
-            raise TokenFileError(
-                f"others may have read the token in {path}: remove the file to get a new token."
-            )
-        token = file.read(_MAX_FILE_BYTES).decode("ascii", "replace").strip()
+    if status.st_uid != os.geteuid() or status.st_mode & 0o077:
+        raise OSError(f"others may have read the token in {path}: remove the file to get a new token.")
     if len(token) < MIN_TOKEN_LENGTH or not token.isprintable() or " " in token:
-        raise TokenFileError(
+        raise OSError(
             f"{path}: expected one token of at least {MIN_TOKEN_LENGTH} letters and digits, found "
             f"{len(token)} characters: remove the file to get a new token."
         )
-    return token
+    return token, is_new
+
+
+def _is_made(path: Path) -> bool:
+    """Store a new token, in a file that is whole from the first moment; False if another console did."""
+    with NamedTemporaryFile("w", dir=path.parent, prefix=".", suffix=".part") as file:
+        file.write(secrets.token_urlsafe(_SECRET_BYTES) + "\n")
+        file.flush()
+        with suppress(FileExistsError):
+            os.link(file.name, path)
+            return True
+    return False

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import socket
-import ssl
 from collections.abc import Iterator
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -53,12 +52,11 @@ _BACKLOG = 64
 _UNREADABLE = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
-class ListenError(Exception):
-    """The server cannot start; the message has the cause and a remedy."""
-
-
 class WebServer(uvicorn.Server):
-    """Serves `application` until `should_exit` is set; leaves signals alone. Raises ListenError."""
+    """Serves `application` until `should_exit` is set; leaves signals alone.
+
+    Raises OSError with the remedy if the certificate of `options` cannot be used.
+    """
 
     def __init__(self, application: ASGIApp, options: ConsoleOptions) -> None:
         config = uvicorn.Config(
@@ -87,8 +85,8 @@ class WebServer(uvicorn.Server):
         websockets.http11.MAX_LINE_LENGTH = MAX_HEADER_BYTES
         try:
             config.load()
-        except (OSError, ssl.SSLError) as error:
-            raise ListenError(
+        except OSError as error:
+            raise OSError(
                 f"--cert {options.certificate} and --key {options.key} cannot be used: {error}. Expected a "
                 "certificate chain and its private key, both PEM, the key without a password."
             ) from error
@@ -182,7 +180,7 @@ class BoundedListener(socket.socket):
 
 
 def listening_socket(options: ConsoleOptions) -> BoundedListener:
-    """Listens on the address of `options`. Raises ListenError."""
+    """Listens on the address of `options`. Raises OSError, whose message has the cause and a remedy."""
     try:
         family, _, _, _, address = socket.getaddrinfo(
             options.host, options.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -192,11 +190,11 @@ def listening_socket(options: ConsoleOptions) -> BoundedListener:
             socket.create_server(address[:2], family=family, backlog=_BACKLOG, dualstack_ipv6=is_dual)
         )
     except (socket.gaierror, UnicodeError):  # the latter for what no name in the DNS can contain
-        raise ListenError(
+        raise OSError(
             f"--host {options.host}: expected an address or name of this machine, such as 0.0.0.0 for all"
         ) from None
     except OSError as error:
-        raise ListenError(_listen_problem(options, error)) from error
+        raise OSError(_listen_problem(options, error)) from error
 
 
 def _listen_problem(options: ConsoleOptions, error: OSError) -> str:
