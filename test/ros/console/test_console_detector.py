@@ -13,6 +13,7 @@ from support.lone_node import lone_node
 from support.preparations import Preparations
 from support.served_node import PATIENCE_S, ServedNode
 
+from yolov5_lifecycle.ros.console import detector
 from yolov5_lifecycle.ros.console.detector import SILENCE_S, Detector
 from yolov5_lifecycle.ros.console.ros_thread import RosThread
 from yolov5_lifecycle.ros.console.views import StatusView
@@ -80,7 +81,9 @@ def play(served: ServedNode, act: Callable[[KnownDetector], Awaitable[None]]) ->
         asyncio.run(played(node))
 
 
-def test_a_value_that_changes_while_parameters_are_queried_is_shown(served: ServedNode) -> None:
+def test_a_value_that_changes_while_parameters_are_queried_is_shown(
+    served: ServedNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def act(known: KnownDetector) -> None:
         known.detector.gate.clear()
         await asyncio.wait_for(known.detector.is_answered.wait(), PATIENCE_S)
@@ -88,17 +91,10 @@ def test_a_value_that_changes_while_parameters_are_queried_is_shown(served: Serv
         known.detector.ask_soon()
         known.detector.gate.set()
         await known.wait_for(lambda: known.value("max_rate") == 7.0)
+        await known.set("max_rate", 8.0)  # its event is lost
+        await known.wait_for(lambda: known.value("max_rate") == 8.0)
 
-    play(served, act)
-
-
-@pytest.mark.long
-def test_a_change_whose_event_was_lost_is_shown_after_a_while(served: ServedNode) -> None:
-    async def act(known: KnownDetector) -> None:
-        await known.wait_for(lambda: known.value("max_rate") == 0.0)
-        await known.set("max_rate", 7.0)
-        await known.wait_for(lambda: known.value("max_rate") == 7.0)
-
+    monkeypatch.setattr(detector, "_REFRESH_S", 0.1)
     play(served, act)
 
 
@@ -128,6 +124,9 @@ def test_a_request_whose_detector_ends_is_answered_at_once(served: ServedNode, p
         reason = await asyncio.wait_for(change, PATIENCE_S)
         assert reason == f"{NODE}/change_state was lost before it answered"
         assert known.detector.as_json()["busy"] == ""
+        assert await known.detector.set({"max_rate": 3.0}) == f"{NODE} is lost"
+        assert await known.detector.change_state("shutdown") == ""
+        assert await known.detector.collect() == (False, f"{NODE} is lost")
 
     served.bring_to("inactive")
     prepare.gate.clear()
@@ -135,14 +134,3 @@ def test_a_request_whose_detector_ends_is_answered_at_once(served: ServedNode, p
         play(served, act)
     finally:
         prepare.gate.set()
-
-
-def test_a_detector_that_has_ended_is_asked_nothing(served: ServedNode) -> None:
-    async def act(known: KnownDetector) -> None:
-        await known.detector.close()
-        assert await known.detector.set({"max_rate": 3.0}) == f"{NODE} is lost"
-        assert await known.detector.change_state("configure") == f"{NODE} is lost"
-        assert await known.detector.change_state("shutdown") == ""
-        assert await known.detector.collect() == (False, f"{NODE} is lost")
-
-    play(served, act)

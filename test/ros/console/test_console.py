@@ -1,0 +1,505 @@
+"""What the installed console tells a page about detectors, does to them, and believes of others."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from lifecycle_msgs.msg import State, TransitionEvent
+from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from rcl_interfaces.msg import Log, ParameterEvent
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+from support.console_process import ConsoleClient, Page, address, console_process
+from support.detector_process import NODE
+from support.lone_node import lone_node
+from support.preparations import Preparations
+from support.served_node import PATIENCE_S, ServedNode, image
+from support.worker import worker_domain
+from vision_msgs.msg import LabelInfo, VisionClass
+from websockets.exceptions import ConnectionClosed
+
+from yolov5_lifecycle.ros.child_process import isolated
+from yolov5_lifecycle.ros.console.detectors import MAX_DETECTORS
+from yolov5_lifecycle.settings.settings import SETTINGS
+
+
+@dataclass
+class ConsoleBesideNode:
+    """A detector in this process with models of the test's, and an installed console of the same domain."""
+
+    served: ServedNode
+    prepare: Preparations
+    domain: int
+    client: ConsoleClient
+
+
+@contextmanager
+def console_beside_node(*words: str, parameters: tuple[str, ...] = ()) -> Iterator[ConsoleBesideNode]:
+    prepare = Preparations()
+    with worker_domain() as domain, pytest.MonkeyPatch.context() as environment:
+        for name, value in isolated({}, domain).items():
+            environment.setenv(name, value)
+        with ServedNode(prepare, parameters=parameters) as served, console_process(domain, *words) as process:
+            yield ConsoleBesideNode(served, prepare, domain, ConsoleClient(address(process)))
+            process.check_running()
+            assert "Traceback" not in process.output
+        assert served.escaped == []
+
+
+@pytest.fixture(scope="module")
+def console() -> Iterator[ConsoleBesideNode]:
+    with console_beside_node("--metrics") as beside:
+        yield beside
+
+
+@pytest.fixture
+def page(console: ConsoleBesideNode) -> Iterator[Page]:
+    """A page that shows the detector, unconfigured, with its parameters as at the start."""
+    console.prepare.refusal = ""
+    for state, step in (("active", "deactivate"), ("inactive", "cleanup")):
+        assert console.served.state() != state or console.served.transition(step)
+    with console.client.page() as page:
+        page.wait_for(lambda: NODE in page.nodes, "the detector")
+        page.wait_for_state("unconfigured")
+        yield page
+
+
+def wait_for_value(page: Page, name: str, value: object) -> None:
+    page.wait_for(lambda: page.parameter(name)["value"] == value, f"{name} {value}")
+
+
+def activate(page: Page, node: str = NODE) -> None:
+    for label in ("configure", "activate"):
+        assert page.ask(type="transition", node=node, label=label) == ""
+    page.wait_for_state("active", node)
+
+
+def test_a_page_is_welcomed_and_told_of_each_detector_and_no_other_node(
+    console: ConsoleBesideNode, page: Page
+) -> None:
+    with console.client.page() as late:
+        assert late.welcome == {"type": "welcome", "view_only": False, "nodes": [NODE]}
+    node = page.nodes[NODE]
+    assert node["transitions"] == [{"label": "configure"}, {"label": "shutdown"}]
+    assert [one["name"] for one in node["parameters"]] == [setting.name for setting in SETTINGS]
+    assert [camera["name"] for camera in node["cameras"]] == [""]
+    assert node["diagnostics"][0]["name"] == "detection"
+    assert node["diagnostics"][0]["values"]["state"] == "unconfigured"
+    assert "next step" in node["log"][0]["text"]  # it was logged before the console knew the detector
+    assert node["busy"] == ""
+
+
+def test_metrics_have_the_figures_of_the_diagnostics(console: ConsoleBesideNode, page: Page) -> None:
+    text = console.client.request("GET", "/metrics").body
+    assert f'yolov5_state{{node="{NODE}",state="unconfigured"}} 1.0' in text
+    assert f'yolov5_frames_total{{camera="",node="{NODE}",outcome="detected"}} 0.0' in text
+    assert "yolov5_resident_memory_megabytes{" in text
+
+
+def test_transitions_are_followed_and_change_what_is_possible(console: ConsoleBesideNode, page: Page) -> None:
+    refusal = page.transition("activate")
+    assert refusal == "activate is not possible while unconfigured; possible now: configure, shutdown"
+    assert "not possible" in page.transition("\ud800")
+    assert console.served.transition("configure")  # of somebody else
+    page.wait_for_state("inactive")
+    assert page.transition("activate") == ""
+    assert {"label": "deactivate"} in page.wait_for_state("active")["transitions"]
+    page.wait_for(lambda: page.nodes[NODE]["class_names"] == ["cat", "dog"], "the names of the classes")
+
+
+def test_a_refused_transition_has_the_words_of_the_node(console: ConsoleBesideNode, page: Page) -> None:
+    assert page.transition("configure") == ""
+    console.prepare.refusal = "the model is on holiday"
+    assert "the model is on holiday" in page.transition("activate")
+    page.wait_for_state("inactive")
+    page.wait_for(lambda: "on holiday" in str(page.nodes[NODE]["log"]), "the line of the log")
+
+
+def test_a_change_reaches_the_node_and_all_pages(console: ConsoleBesideNode, page: Page) -> None:
+    values = {"confidence_threshold": 0.75, "classes": ["cat"], "regions": ["0,0.5 1,0.5 1,1 0,1"]}
+    with console.client.page() as other:
+        other.wait_for(lambda: NODE in other.nodes, "the detector")
+        assert page.set(**values) == ""
+        assert console.served.get("confidence_threshold") == 0.75
+        for one in (page, other):
+            for name, value in values.items():
+                wait_for_value(one, name, value)
+    assert page.set(confidence_threshold=0.25, classes=[], regions=[]) == ""
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        pytest.param({"confidence_threshold": 7}, "7.0 is not a number from 0 to 1", id="range"),
+        pytest.param({"confidence_treshold": 0.5}, "Did you mean 'confidence_threshold'?", id="name"),
+        pytest.param({"autostart": True}, "read-only", id="read-only"),
+        pytest.param({"iou_threshold": 0.9, "max_rate": -1.0}, "max_rate", id="one of two"),
+        pytest.param({"lazy": "yes"}, "lazy: expected true or false", id="type"),
+    ],
+)
+def test_a_refused_change_has_the_words_of_the_node(
+    page: Page, values: dict[str, object], words: str
+) -> None:
+    before = page.parameter("iou_threshold")["value"]
+    assert words in page.set(**values)
+    assert page.parameter("iou_threshold")["value"] == before
+
+
+def test_the_last_of_many_changes_is_what_stays(console: ConsoleBesideNode, page: Page) -> None:
+    for batch in ([0.3, 0.31, 0.32, 0.33, 0.34, 0.35, 0.36], [0.4, 0.41, 0.42, 0.43, 0.44, 0.45, 0.25]):
+        numbers = [page.begin(type="set", values={"confidence_threshold": value}) for value in batch]
+        page.wait_for(partial(page.answers.keys().__ge__, set(numbers)), "all answers")
+        assert console.served.get("confidence_threshold") == batch[-1]
+
+
+def test_while_a_reload_is_prepared_all_pages_see_that_the_node_is_busy(
+    console: ConsoleBesideNode, page: Page
+) -> None:
+    activate(page)
+    console.prepare.gate.clear()
+    try:
+        number = page.begin(type="set", values={"image_size": 320})
+        with console.client.page() as other:
+            for one in (page, other):
+                one.wait_for(partial(is_busy_with, one, "set image_size ..."), "a busy node")
+    finally:
+        console.prepare.gate.set()
+    page.wait_for(lambda: number in page.answers, "the answer")
+    assert page.answers[number]["ok"]
+    page.wait_for(lambda: is_busy_with(page, ""), "a node that is not busy")
+    assert page.set(image_size=640) == ""
+
+
+def is_busy_with(page: Page, what: str) -> bool:
+    return NODE in page.nodes and page.nodes[NODE]["busy"] == what
+
+
+def test_cameras_are_set_and_their_overrides_come_and_go(console: ConsoleBesideNode, page: Page) -> None:
+    def names(kind: str) -> list[str]:
+        return [one["name"] for one in page.nodes[NODE][kind]]
+
+    assert page.set(cameras=["front", "rear"]) == ""
+    page.wait_for(lambda: names("cameras") == ["front", "rear"], "the cameras")
+    assert page.set(**{"front.max_rate": 5}) == ""
+    page.wait_for(lambda: "front.max_rate" in names("parameters"), "the override")
+    assert page.parameter("front.max_rate")["value"] == 5.0
+    assert page.set(**{"front.max_rate": None}) == ""
+    page.wait_for(lambda: "front.max_rate" not in names("parameters"), "no override")
+    assert page.set(cameras=[]) == ""
+
+
+def test_the_balance_grows_while_images_come(console: ConsoleBesideNode, page: Page) -> None:
+    assert page.set(lazy=False) == ""
+    activate(page)
+    console.served.detect()
+    page.wait_for(lambda: page.nodes[NODE]["cameras"][0]["balance"].get("detected", 0) > 0, "the balance")
+    balance = dict(page.nodes[NODE]["cameras"][0]["balance"])
+    assert balance.pop("received") == sum(balance.values())
+    assert page.set(lazy=True) == ""
+
+
+@pytest.mark.long
+def test_a_page_asks_for_an_image_and_is_told_the_answer_of_the_node(tmp_path: Path) -> None:
+    with (
+        console_beside_node(parameters=(f"collect_dir:={tmp_path}",)) as beside,
+        beside.client.page() as page,
+    ):
+        page.wait_for_state("unconfigured")
+        assert page.ask(type="collect") == "no camera collects: activate the node, and set collect to true"
+        assert page.set(collect=True) == ""
+        activate(page)
+        number = page.begin(type="collect")
+        page.wait_for(lambda: number in page.answers, "the answer")
+        expected = {"ok": True, "reason": "", "result": "the next image is kept"}
+        assert expected.items() <= page.answers[number].items()
+
+
+@pytest.mark.long
+def test_a_detector_that_ends_or_is_restarted_is_gone_and_comes_back(page: Page) -> None:
+    name = "/second"
+    words = ["--ros-args", "-r", "__node:=second"]
+    with ServedNode(Preparations(), arguments=words):
+        page.wait_for(lambda: name in page.nodes, "the second detector")
+        with ServedNode(Preparations(), arguments=words):  # before the first is missed
+            page.wait_for(lambda: name in page.gone and name in page.nodes, "its new process")
+    page.wait_for(lambda: name not in page.nodes, "the end of both")
+    lost = page.lost[name]
+    assert (lost["state"], lost["last_state"], lost["transitions"]) == ("lost", "unconfigured", [])
+    assert page.ask(type="transition", node=name, label="configure") == f"there is no detector {name}"
+    with ServedNode(Preparations(), arguments=[*words, "-p", "max_rate:=3.0"]):
+        page.wait_for(lambda: name in page.nodes, "the new detector")
+        lines = [line for line in page.nodes[name]["log"] if "next step" in line["text"]]
+        assert len(lines) == 3  # of all processes
+        assert page.parameter("max_rate", name)["value"] == 3.0
+        assert page.ask(type="transition", node=name, label="configure") == ""
+
+
+class JpegPublisher:
+    """Publishes compressed images as a detector does, numbered by their stamps in seconds."""
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._publisher = node.create_publisher(CompressedImage, topic, QoSProfile(depth=1))
+        self.close = partial(node.destroy_publisher, self._publisher)
+        self._count = 0
+
+    @property
+    def subscribers(self) -> int:
+        return int(self._publisher.get_subscription_count())
+
+    def publish(self, size: int = 100) -> None:
+        """The next image, of so many bytes."""
+        self._count += 1
+        header = Header()
+        header.stamp.sec = self._count
+        self._publisher.publish(CompressedImage(header=header, format="jpeg", data=bytes(size)))
+
+
+@pytest.fixture
+def images(console: ConsoleBesideNode, page: Page) -> Iterator[JpegPublisher]:
+    """The annotated images of the detector, which is unconfigured and so publishes none itself."""
+    publisher = JpegPublisher(console.served.client, f"{NODE}/image/compressed")
+    assert publisher.subscribers == 0
+    yield publisher
+    # Nobody looks any more; else the next test takes a leaving subscriber for its own.
+    wait_for_subscribers(console, publisher, 0)
+    publisher.close()
+
+
+def wait_for_subscribers(console: ConsoleBesideNode, images: JpegPublisher, count: int) -> None:
+    console.served.wait_for(lambda: images.subscribers == count, f"{count} subscribers")
+
+
+def test_all_viewers_share_a_subscription_and_begin_with_the_newest_image(
+    console: ConsoleBesideNode, images: JpegPublisher
+) -> None:
+    with console.client.viewer() as first:
+        wait_for_subscribers(console, images, 1)
+        images.publish(1234)
+        assert first.receive() == (1.0, bytes(1234))
+        with console.client.viewer() as second:
+            assert second.receive() == (1.0, bytes(1234))
+        assert images.subscribers == 1
+
+
+def test_a_stalled_viewer_delays_nobody_and_gets_only_the_newest_image_after_its_last(
+    console: ConsoleBesideNode, images: JpegPublisher
+) -> None:
+    large = 200_000  # bytes that the buffers of a connection do not swallow many times
+    with console.client.viewer() as stalled, console.client.viewer() as quick:
+        wait_for_subscribers(console, images, 1)
+        images.publish(large)
+        assert quick.receive()[0] == 1.0
+        for number in range(2, 60):
+            quick.take()
+            images.publish(large)
+            assert quick.receive()[0] == number
+        assert stalled.receive()[0] == 1.0
+        stalled.take()
+        assert stalled.receive()[0] == 59.0
+        with pytest.raises(TimeoutError):
+            stalled.receive(0.1)
+
+
+@pytest.mark.long
+def test_of_many_nodes_each_camera_has_its_own_images_and_those_that_are_asked_for_are_shown(
+    console: ConsoleBesideNode, page: Page
+) -> None:
+    name = "/robot/eyes"
+    words = ["--ros-args", "-r", "__node:=eyes", "-r", "__ns:=/robot", "-p", "cameras:=[front, rear]"]
+    with (
+        ServedNode(Preparations(), arguments=words) as served,
+        console_process(console.domain, "--node", name) as process,
+        ConsoleClient(address(process)).page() as chosen,
+    ):
+        for one in (page, chosen):
+            one.wait_for(partial(one.nodes.__contains__, name), "the second detector")
+        assert [*chosen.nodes] == [name]
+        front, rear = (
+            JpegPublisher(served.client, f"{name}/{camera}/image/compressed") for camera in ("front", "rear")
+        )
+        with console.client.viewer(name, "front") as ahead, console.client.viewer(name, "rear") as behind:
+            served.wait_for(lambda: front.subscribers == rear.subscribers == 1, "the subscriptions")
+            rear.publish(7)
+            front.publish(5)
+            assert (ahead.receive(), behind.receive()) == ((1.0, bytes(5)), (1.0, bytes(7)))
+        assert page.ask(type="transition", node=name, label="configure") == ""
+        page.wait_for_state("inactive", name)
+        assert page.nodes[NODE]["state"] == "unconfigured"
+    page.wait_for(lambda: name in page.gone, "the end of the second detector")
+
+
+@pytest.mark.parametrize(
+    ("node", "camera", "code"),
+    [
+        pytest.param("/nobody", "", 4404, id="node"),
+        pytest.param(NODE, "front", 4404, id="camera"),
+        pytest.param("/robot/../yolov5", "", 4404, id="path"),
+        pytest.param(NODE, "", 1008, id="another word than taken"),
+    ],
+)
+def test_a_viewer_that_asks_for_something_else_is_closed(
+    console: ConsoleBesideNode, page: Page, node: str, camera: str, code: int
+) -> None:
+    with console.client.viewer(node, camera) as viewer:
+        with suppress(ConnectionClosed):
+            viewer.connection.send("more")
+        with pytest.raises(ConnectionClosed) as closed:
+            viewer.receive()
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code == code
+
+
+@pytest.mark.long
+def test_the_detector_stays_lazy_until_somebody_looks(console: ConsoleBesideNode, page: Page) -> None:
+    name, topic = "/lazy", "/lazy/image_raw"
+    words = ["--ros-args", "-r", "__node:=lazy"]
+    with ServedNode(Preparations(), arguments=words) as served:
+        page.wait_for(lambda: name in page.nodes, "the lazy detector")
+        activate(page, name)
+        camera = served.client.create_publisher(Image, topic, 1)
+        assert served.client.count_subscribers(topic) == 0
+        with console.client.viewer(name) as viewer:
+            served.wait_for(lambda: camera.get_subscription_count() == 1, "the detector to receive images")
+            camera.publish(image())
+            _, jpeg = viewer.receive()
+            assert jpeg.startswith(b"\xff\xd8")
+        served.wait_for(lambda: served.client.count_subscribers(topic) == 0, "the detector to receive none")
+    page.wait_for(lambda: name in page.gone, "the end of the lazy detector")
+
+
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Every subscription of the console accepts it."""
+LARGE = "x" * 20_000_000
+MANY = 30_000
+
+
+def event(name: str, value: object, node: str = NODE) -> ParameterEvent:
+    """The event that the parameter `name` of `node` has changed to `value`."""
+    return ParameterEvent(node=node, changed_parameters=[Parameter(name, value=value).to_parameter_msg()])
+
+
+def diagnostics(**fields: object) -> DiagnosticArray:
+    status = {"name": "yolov5: detection", "hardware_id": NODE} | fields
+    return DiagnosticArray(status=[DiagnosticStatus(**status)])
+
+
+FALSE_MESSAGES = {
+    "false-event": ("/parameter_events", event("max_rate", 9.0)),
+    "false-cameras": ("/parameter_events", event("cameras", ["front", "../../evil"])),
+    "long-event": ("/parameter_events", event("classes", [LARGE] * 3)),
+    "long-line": ("/rosout", Log(name="yolov5", msg=LARGE, level=Log.ERROR)),
+    "long-logger": ("/rosout", Log(name=LARGE, msg="a")),
+    "long-status": ("/diagnostics", diagnostics(message=LARGE)),
+    "many-values": ("/diagnostics", diagnostics(values=[KeyValue(key="a", value="b")] * MANY)),
+    "many-classes": (f"{NODE}/label_info", LabelInfo(class_map=[VisionClass(class_name="a")] * MANY)),
+    "transition": (f"{NODE}/transition_event", TransitionEvent(goal_state=State(label=LARGE))),
+}
+FLOODS = {
+    "events": ("/parameter_events", event("max_rate", 9.0)),
+    "log": ("/rosout", Log(name="yolov5", msg="a\nb" * 1000)),
+    "diagnostics": (
+        "/diagnostics",
+        diagnostics(hardware_id="/x", values=[KeyValue(key="a", value="b")] * 1000),
+    ),
+}
+
+
+@pytest.fixture
+def spoofer(console: ConsoleBesideNode) -> Iterator[Node]:
+    """A node that sends under the names of others."""
+    with lone_node("spoofer") as node:
+        yield node
+
+
+def check_served(console: ConsoleBesideNode, page: Page, value: float) -> None:
+    """Changes from the page and of somebody else are still shown."""
+    assert page.set(confidence_threshold=value) == ""
+    assert console.served.set(iou_threshold=value) == (True, "")
+    for name in ("confidence_threshold", "iou_threshold"):
+        wait_for_value(page, name, value)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("topic", "message"), FALSE_MESSAGES.values(), ids=FALSE_MESSAGES)
+def test_a_false_message_of_any_size_is_read_within_bounds_and_changes_nothing(
+    console: ConsoleBesideNode, page: Page, spoofer: Node, topic: str, message: Any
+) -> None:
+    publisher = spoofer.create_publisher(type(message), topic, LATCHED)
+    page.wait_for(lambda: publisher.get_subscription_count() > 0, "the console's subscription")
+    publisher.publish(message)
+    assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE_S))
+    for value in (0.7, 0.71):
+        check_served(console, page, value)
+    assert page.parameter("max_rate")["value"] == 0.0
+    assert [camera["name"] for camera in page.nodes[NODE]["cameras"]] == [""]
+    assert page.gone == []
+    assert len(json.dumps(page.nodes[NODE])) < 1_000_000
+
+
+@pytest.mark.parametrize(("topic", "message"), FLOODS.values(), ids=FLOODS)
+def test_beside_a_thousand_messages_a_second_pages_are_served(
+    console: ConsoleBesideNode, page: Page, spoofer: Node, topic: str, message: Any
+) -> None:
+    publisher = spoofer.create_publisher(type(message), topic, LATCHED)
+    is_over = threading.Event()
+
+    def send() -> None:
+        while not is_over.wait(0.001):
+            publisher.publish(message)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        for value in (0.81, 0.82):
+            check_served(console, page, value)
+            with console.client.page() as other:
+                other.wait_for(partial(other.nodes.__contains__, NODE), "the detector")
+    finally:
+        is_over.set()
+        thread.join()
+    assert page.gone == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("like_detectors", [False, True], ids=["other services", "those of detectors"])
+def test_many_managed_nodes_hide_a_detector_only_if_they_look_like_one(
+    console: ConsoleBesideNode, page: Page, *, like_detectors: bool
+) -> None:
+    services = {
+        "get_state": GetState,
+        "change_state": ChangeState,
+        "get_available_transitions": GetAvailableTransitions,
+    } | ({"collect": Trigger} if like_detectors else {})
+    with ExitStack() as stack:
+        context = stack.enter_context(lone_node("crowd")).context
+        for number in range(MAX_DETECTORS + 8):
+            node = rclpy.create_node(f"a{number:02}", context=context)
+            stack.callback(node.destroy_node)
+            for service, kind in services.items():
+                node.create_service(kind, f"/a{number:02}/{service}", lambda _, answer: answer)
+            node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        process = stack.enter_context(console_process(console.domain))
+        other = stack.enter_context(ConsoleClient(address(process)).page())
+        if like_detectors:
+            other.wait_for(lambda: other.omitted.get("count", 0) >= 8, "the number of those left out")
+            assert other.omitted["names"][0].startswith("/a")
+        else:
+            other.wait_for(lambda: NODE in other.nodes, "the detector behind the others")
+            assert [*other.nodes] == [NODE]
+        check_served(console, page, 0.91)
+        assert page.gone == other.gone == []
