@@ -76,7 +76,7 @@ def points(page: ConsolePage) -> int:
 
 def photograph(browser: Chrome, path: Path, size_wh: tuple[int, int], *, is_phone: bool) -> None:
     """Write the visible part of the page to `path`."""
-    set_screen(browser, size_wh, is_phone=is_phone, scale=1)
+    set_screen(browser, size_wh, is_phone=is_phone)
     browser.execute_script(
         "for (const part of [document.documentElement, ...document.querySelectorAll('.parameters')]) "
         "part.scrollTop = 0; document.activeElement.blur()"

@@ -9,7 +9,7 @@ import re
 import struct
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlencode, urlsplit
@@ -71,10 +71,10 @@ class ConsoleClient:
     ) -> Reply:
         """Send a request; `headers` are added to those of the browser, "" removes one."""
         own = {"Host": urlsplit(self.url).netloc, "Cookie": self.cookie} | dict(headers or {})
-        connection = http.client.HTTPConnection(
-            urlsplit(self.url).hostname or "", urlsplit(self.url).port, timeout=PATIENCE_S
-        )
-        try:
+        place = urlsplit(self.url)
+        with closing(
+            http.client.HTTPConnection(place.hostname or "", place.port, timeout=PATIENCE_S)
+        ) as connection:
             connection.putrequest(method, path, skip_host=True)
             for name, value in own.items():
                 if value:
@@ -85,8 +85,6 @@ class ConsoleClient:
             response = connection.getresponse()
             found = {name.lower(): value for name, value in response.getheaders()}
             return Reply(response.status, found, response.read().decode())
-        finally:
-            connection.close()
 
     def logged_in(self, token: str) -> ConsoleClient:
         """The same browser with a session."""
@@ -133,18 +131,17 @@ class Page:
         self.lost: dict[str, dict[str, Any]] = {}
         self.omitted: dict[str, Any] = {}
         self.answers: dict[object, dict[str, Any]] = {}
-        self.updates = 0
         self._ids = itertools.count(1)
         self.welcome = self._receive(PATIENCE_S)
 
     def wait_for(self, condition: Callable[[], object], what: str) -> None:
         """Receive until `condition()`."""
         deadline_s = time.monotonic() + PATIENCE_S
-        try:
-            while not condition():
-                self._receive(max(deadline_s - time.monotonic(), 0.0))
-        except TimeoutError:
-            raise AssertionError(f"timed out waiting for {what}") from None
+        while not condition():
+            left_s = deadline_s - time.monotonic()
+            assert left_s > 0, f"timed out waiting for {what}"
+            with suppress(TimeoutError):
+                self._receive(left_s)
 
     def wait_for_state(self, state: str, node: str = NODE) -> dict[str, Any]:
         """Wait until the node is shown in that state; its last value."""
@@ -179,7 +176,6 @@ class Page:
         message: dict[str, Any] = json.loads(self.connection.recv(timeout_s))
         if message["type"] == "node":
             self.nodes[message["node"]["name"]] = message["node"]
-            self.updates += 1
         elif message["type"] == "gone":
             self.nodes.pop(message["name"], None)
             self.gone.append(message["name"])

@@ -12,7 +12,7 @@ from threading import Barrier
 import pytest
 from starlette.exceptions import HTTPException
 
-from yolov5_lifecycle.ros.console.budget import Budget, Budgets
+from yolov5_lifecycle.ros.console.budget import Budget
 from yolov5_lifecycle.ros.console.gate import Addresses, cookie_name, values_of
 from yolov5_lifecycle.ros.console.options import parsed
 from yolov5_lifecycle.ros.console.sessions import (
@@ -234,19 +234,3 @@ def test_a_budget_refills() -> None:
     assert [budget.spend() for _ in range(2)] == [True, False]
     clock.now_s = 100.0
     assert [budget.spend() for _ in range(4)] == [True, True, True, False]
-
-
-def test_budgets_of_addresses_are_forgotten_the_oldest_first() -> None:
-    made: list[Budget] = []
-
-    def make() -> Budget:
-        made.append(Budget(1.0, 1))
-        return made[-1]
-
-    budgets = Budgets(make)
-    first = budgets.of("first")
-    assert budgets.of("first") is first
-    for number in range(1000):
-        budgets.of(str(number))
-    assert budgets.of("999") is made[-1]
-    assert budgets.of("first") is not first

@@ -21,14 +21,14 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from support.console_process import ConsoleClient, Page, address, console_process
 from support.detector_process import NODE
 from support.lone_node import lone_node
 from support.preparations import Preparations
-from support.served_node import PATIENCE_S, ServedNode, image
+from support.served_node import PATIENCE_S, ServedNode
 from support.worker import worker_domain
 from vision_msgs.msg import LabelInfo, VisionClass
 from websockets.exceptions import ConnectionClosed
@@ -362,24 +362,6 @@ def test_a_viewer_that_asks_for_something_else_is_closed(
             viewer.receive()
     assert closed.value.rcvd is not None
     assert closed.value.rcvd.code == code
-
-
-@pytest.mark.long
-def test_the_detector_stays_lazy_until_somebody_looks(console: ConsoleBesideNode, page: Page) -> None:
-    name, topic = "/lazy", "/lazy/image_raw"
-    words = ["--ros-args", "-r", "__node:=lazy"]
-    with ServedNode(Preparations(), arguments=words) as served:
-        page.wait_for(lambda: name in page.nodes, "the lazy detector")
-        activate(page, name)
-        camera = served.client.create_publisher(Image, topic, 1)
-        assert served.client.count_subscribers(topic) == 0
-        with console.client.viewer(name) as viewer:
-            served.wait_for(lambda: camera.get_subscription_count() == 1, "the detector to receive images")
-            camera.publish(image())
-            _, jpeg = viewer.receive()
-            assert jpeg.startswith(b"\xff\xd8")
-        served.wait_for(lambda: served.client.count_subscribers(topic) == 0, "the detector to receive none")
-    page.wait_for(lambda: name in page.gone, "the end of the lazy detector")
 
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -118,11 +118,6 @@ def test_a_signal_ends_it_with_code_0_while_pages_are_open(number: signal.Signal
         assert "Traceback" not in process.output
 
 
-def test_version_and_help_need_no_ros() -> None:
-    assert run("--version").stdout.startswith("console ")
-    assert "--view-only" in run("--help").stdout
-
-
 @pytest.mark.long
 def test_a_detector_that_hangs_or_is_killed_is_gone_until_it_goes_on() -> None:
     with (

@@ -1,4 +1,4 @@
-"""The page on a phone, by keyboard alone, for a screen reader, and in light and dark, in a browser."""
+"""The page on a phone, by touch, by keyboard alone, for a screen reader, in light and dark, in a browser."""
 
 from __future__ import annotations
 
@@ -9,27 +9,34 @@ import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from support.browser import DESKTOP, PHONE, axe_source, set_colour_scheme, set_screen
+from support.browser import (
+    DESKTOP,
+    PHONE,
+    Finger,
+    Point,
+    axe_source,
+    middle,
+    set_colour_scheme,
+    set_screen,
+    turn_wheel,
+)
 from support.console_page import PATIENCE_S, ConsolePage
-from support.console_robot import ConsoleRobot
+from support.page_fixtures import ConsoleRobot, opened
 
 pytestmark = pytest.mark.long
 
 MAX_STOPS = 400
 """More presses of Tab than the page has stops."""
 SERIOUS = ("serious", "critical")
-
-
-@pytest.fixture
-def phone(browser: Chrome, robot: ConsoleRobot) -> Iterator[ConsolePage]:
-    """The page with everything opened that can be, on a phone."""
-    set_screen(browser, PHONE, is_phone=True)
-    page = ConsolePage(browser, robot.url)
-    page.open()
-    page.wait_for_image()
-    open_everything(page)
-    yield page
-    set_screen(browser, DESKTOP, is_phone=False)
+SLIDER = 'input[type="range"]'
+WIDGETS = {
+    "iou_threshold": SLIDER,
+    "image_size": SLIDER,
+    "max_detections": 'input[type="text"]',
+    "agnostic_nms": ".switch",
+    "tracker": "select",
+    "classes": '[data-name="star"]',
+}
 
 
 def open_everything(page: ConsolePage) -> None:
@@ -38,40 +45,33 @@ def open_everything(page: ConsolePage) -> None:
         summary.click()
 
 
-def test_nothing_is_wider_than_a_phone(phone: ConsolePage) -> None:
+def test_nothing_is_wider_than_a_phone_or_too_small_to_be_touched(phone: ConsolePage) -> None:
+    phone.wait_for_image()
+    open_everything(phone)
     phone.enter("weights", "/nowhere/" + 20 * "a_very_long_name" + ".pt")
     assert phone.refusal("weights")
-    width, too_wide = phone.driver.execute_script(
+    width, too_wide, too_small = phone.driver.execute_script(
         """
-        const isWide = (part) => part.getBoundingClientRect().right > innerWidth + 1;
-        const isSeen = (part) => part.checkVisibility() && !part.closest(".scroll");
-        const parts = Array.from(document.querySelectorAll("main *, header *")).filter(isSeen);
-        return [document.documentElement.scrollWidth, parts.filter(isWide).map((part) => part.outerHTML)];
+        const all = Array.from(document.querySelectorAll("main *, header *"));
+        const seen = all.filter((part) => part.checkVisibility());
+        const right = (part) => part.getBoundingClientRect().right;
+        const isWide = (part) => right(part) > innerWidth + 1 && !part.closest(".scroll");
+        const isSmall = (part) => Math.min(part.offsetWidth, part.offsetHeight) < 24;
+        const touched = seen.filter((part) => part.matches("main :is(button, select, input, summary)"));
+        const found = [seen.filter(isWide), touched.filter(isSmall)];
+        const texts = found.map((parts) => parts.map((part) => part.outerHTML));
+        return [document.documentElement.scrollWidth, ...texts];
         """
     )
-    assert too_wide == []
+    assert too_wide == too_small == []
     assert width <= PHONE[0]
-
-
-def test_what_is_touched_on_a_phone_is_large_enough(phone: ConsolePage) -> None:
-    small = phone.driver.execute_script(
-        """
-        const css = "main button, main select, main input, main summary";
-        const seen = Array.from(document.querySelectorAll(css)).filter((part) => part.checkVisibility());
-        const size = (part) => Math.min(part.offsetWidth, part.offsetHeight);
-        return seen.filter((part) => size(part) < 24).map((part) => part.outerHTML);
-        """
-    )
-    assert small == []
 
 
 def test_every_stop_of_the_keyboard_is_visible_and_has_a_name(page: ConsolePage) -> None:
     open_everything(page)
     stops = list(walked(page))
     assert len(stops) > 40
-    assert [stop for stop in stops if not stop["outline"]] == []
-    assert [stop for stop in stops if not stop["name"]] == []
-    assert [stop for stop in stops if stop["covered"]] == []
+    assert [stop for stop in stops if not stop["outline"] or not stop["name"] or stop["covered"]] == []
 
 
 def walked(page: ConsolePage) -> Iterator[dict[str, Any]]:
@@ -101,55 +101,39 @@ def walked(page: ConsolePage) -> Iterator[dict[str, Any]]:
 
 
 def test_the_keyboard_alone_steers(robot: ConsoleRobot, page: ConsolePage) -> None:
-    def to(css: str) -> None:
+    def press(css: str, *keys: str) -> None:
         for _ in range(MAX_STOPS):
             if page.driver.execute_script("return document.activeElement.matches(arguments[0])", css):
+                ActionChains(page.driver).send_keys(*keys).perform()
                 return
             ActionChains(page.driver).send_keys(Keys.TAB).perform()
         pytest.fail(f"Tab does not lead to {css}")
 
-    def press(*keys: str) -> None:
-        ActionChains(page.driver).send_keys(*keys).perform()
-
     node = robot.detector.node
-    to('[data-parameter="confidence_threshold"] input[type="range"]')
-    press(Keys.ARROW_RIGHT)
+    press('[data-parameter="confidence_threshold"] input[type="range"]', Keys.ARROW_RIGHT)
     page.wait_for(lambda: node.parameter("confidence_threshold") == 0.26, "the slider")
-    to('[data-parameter="classes"] [data-name="star"]')
-    press(Keys.SPACE)
+    press('[data-parameter="classes"] [data-name="star"]', Keys.SPACE)
     page.wait_for(lambda: node.parameter("classes") == ["star"], "the chip")
-    to('[data-parameter="agnostic_nms"] input')
-    press(Keys.SPACE)
+    press('[data-parameter="agnostic_nms"] input', Keys.SPACE)
     page.wait_for(lambda: node.parameter("agnostic_nms") is True, "the switch")
-    to('[data-group="reload"] > summary')
-    press(Keys.ENTER)
-    to('[data-parameter="precision"] select')
-    press(Keys.ARROW_DOWN)
-    press(Keys.ENTER)
+    press('[data-group="reload"] > summary', Keys.ENTER)
+    press('[data-parameter="precision"] select', Keys.ARROW_DOWN, Keys.ENTER)
     page.wait_for(lambda: node.parameter("precision") == "fp32", "the choice")
-    to('[data-transition="deactivate"]')
-    press(Keys.ENTER)
+    press('[data-transition="deactivate"]', Keys.ENTER)
     page.wait_for_state("inactive")
 
 
-def test_a_change_keeps_the_keyboard_where_it_is(page: ConsolePage) -> None:
-    page.widget("classes", '[data-name="star"]').click()
-    page.wait_for(lambda: page.chosen("classes") == ["star"], "the chip")
-    page.wait_for(lambda: not page.is_busy("classes"), "the answer")
-    focused = page.driver.switch_to.active_element
-    assert focused.get_attribute("data-name") == "star"
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size_wh", [pytest.param(DESKTOP, id="desktop"), pytest.param(PHONE, id="phone")])
+@pytest.mark.parametrize(
+    ("scheme", "size_wh"),
+    [pytest.param("light", DESKTOP, id="light-desktop"), pytest.param("dark", PHONE, id="dark-phone")],
+)
 def test_axe_finds_nothing_serious(
     browser: Chrome, robot: ConsoleRobot, scheme: str, size_wh: tuple[int, int]
 ) -> None:
     axe = axe_source()
     set_screen(browser, size_wh, is_phone=size_wh == PHONE)
     set_colour_scheme(browser, scheme)
-    page = ConsolePage(browser, robot.url)
-    page.open()
+    page = opened(browser, robot.url)
     page.wait_for_image()
     assert findings(browser, axe) == []
     open_everything(page)
@@ -160,9 +144,9 @@ def test_axe_finds_nothing_serious(
     assert findings(browser, axe) == []
     robot.detector.bring_to("inactive")
     page.wait_for_state("inactive")
-    assert findings(browser, axe) == []
     browser.execute_script("document.querySelector('.node').classList.add('old')")
     assert findings(browser, axe) == []
+    set_screen(browser, DESKTOP, is_phone=False)
 
 
 def findings(browser: Chrome, axe: str) -> list[str]:
@@ -184,8 +168,129 @@ def test_the_page_loads_nothing_from_elsewhere_and_breaks_no_rule_of_its_policy(
     page.wait_for_image()
     entries = "performance.getEntriesByType('resource').map((entry) => entry.name)"
     origin, addresses = page.driver.execute_script(f"return [location.origin, {entries}]")
-    assert len(addresses) > 20
+    assert len(addresses) > 15
     assert [address for address in addresses if not address.startswith(f"{origin}/page/")] == []
     log = page.driver.get_log("browser")  # type: ignore[no-untyped-call]
     assert [entry for entry in log if entry["level"] == "SEVERE"] == []
     assert page.driver.find_elements(By.CSS_SELECTOR, "script:not([src]), style, [style], [onclick]") == []
+
+
+class Touched:
+    """The page on a phone; every request of it is kept."""
+
+    def __init__(self, page: ConsolePage, robot: ConsoleRobot) -> None:
+        self.page = page
+        self.node = robot.detector.node
+        self.finger = Finger(page.driver)
+        page.driver.execute_script(
+            """
+            window.sent = [];
+            const send = WebSocket.prototype.send;
+            WebSocket.prototype.send = function (data) {
+              if (typeof data === "string" && data.startsWith("{")) window.sent.push(data);
+              return send.call(this, data);
+            };
+            """
+        )
+
+    @property
+    def sent(self) -> list[str]:
+        """What the page has requested."""
+        wait_for_frames(self.page)
+        return list(self.page.driver.execute_script("return window.sent"))
+
+    def place(self, name: str, css: str = SLIDER) -> Point:
+        """The middle of a widget, scrolled to."""
+        return middle(self.page.widget(name, css))
+
+    def wait_for_value(self, name: str, is_right: Any) -> None:
+        self.page.wait_for(lambda: is_right(self.node.parameter(name)), f"the value of {name}")
+
+
+@pytest.fixture
+def touched(phone: ConsolePage, robot: ConsoleRobot) -> Touched:
+    return Touched(phone, robot)
+
+
+def wait_for_frames(page: ConsolePage) -> None:
+    """Wait until everything that the browser was given has been handled."""
+    frames = "requestAnimationFrame(() => requestAnimationFrame(() => arguments[0]()))"
+    page.driver.execute_async_script(frames)
+
+
+def shown(page: ConsolePage) -> list[str]:
+    """What every widget shows."""
+    script = """
+        const parts = arguments[0].querySelectorAll("input:not([type=search]), select, .chip");
+        return Array.from(parts, (part) => `${part.value} ${part.checked} ${part.ariaPressed}`);
+        """
+    return list(page.driver.execute_script(script, page.find(".parameters")))
+
+
+def scrolled(page: ConsolePage) -> float:
+    parts = "document.querySelector('.parameters').scrollTop + document.scrollingElement.scrollTop"
+    return float(page.driver.execute_script(f"return {parts}"))
+
+
+def test_swipes_pinches_and_taps_change_nothing(touched: Touched) -> None:
+    page, finger = touched.page, touched.finger
+    before = shown(page)
+    for name, css in WIDGETS.items():
+        start = touched.place(name, css)
+        begin = scrolled(page)
+        finger.swipe(start, (15, -240))
+        page.wait_for(lambda: scrolled(page) != begin, "the page to scroll")  # noqa: B023 - called at once
+    x, y = touched.place("iou_threshold")
+    finger.drag([(x, y), (x, y - 40), (x + 80, y - 40)])
+    finger.lift()
+    x, y = touched.place("iou_threshold")
+    finger.tap((x + 40, y))
+    finger.touch((x, y), (x + 30, y))
+    for step in range(1, 8):
+        finger.move((x - 8 * step, y), (x + 30 + 8 * step, y))
+    finger.lift()
+    assert touched.sent == []
+    assert shown(page) == before
+
+
+def test_a_horizontal_drag_moves_the_slider_and_so_does_the_keyboard_after_it(touched: Touched) -> None:
+    touched.finger.swipe(touched.place("iou_threshold"), (50, 3))
+    touched.wait_for_value("iou_threshold", lambda value: value > 0.55)
+    assert float(touched.page.widget("iou_threshold", SLIDER).get_attribute("value") or 0) > 0.55
+    touched.finger.swipe(touched.place("confidence_threshold"), (0, -200))
+    touched.page.widget("confidence_threshold", SLIDER).send_keys(Keys.ARROW_RIGHT)
+    touched.wait_for_value("confidence_threshold", lambda value: value == 0.26)
+
+
+def test_a_slider_that_reloads_is_set_once_where_the_finger_is_lifted(touched: Touched) -> None:
+    x, y = touched.place("image_size")
+    touched.finger.drag([(x, y), (x - 40, y)])
+    assert touched.sent == []
+    touched.finger.lift()
+    touched.wait_for_value("image_size", lambda value: value != 320)
+    assert len(touched.sent) == 1
+
+
+@pytest.mark.parametrize("way", ["cancel", "pinch"])
+def test_a_drag_that_is_cut_off_is_taken_back(touched: Touched, way: str) -> None:
+    finger = touched.finger
+    x, y = touched.place("iou_threshold")
+    finger.drag([(x, y), (x + 50, y)])
+    touched.wait_for_value("iou_threshold", lambda value: value > 0.55)
+    if way == "pinch":
+        finger.touch((x + 50, y), (x - 30, y + 90))
+        finger.move((x + 70, y), (x - 60, y + 120))
+    finger.lift(is_cancelled=way == "cancel")
+    touched.wait_for_value("iou_threshold", lambda value: value == 0.45)
+    assert not touched.page.find(".undo").is_displayed()
+
+
+def test_the_wheel_over_a_widget_changes_nothing(page: ConsolePage) -> None:
+    before = shown(page)
+    for name, css in WIDGETS.items():
+        part = page.widget(name, css)
+        page.driver.execute_script("arguments[0].focus()", part)
+        turn_wheel(page.driver, middle(part), 240)
+        wait_for_frames(page)
+    assert shown(page) == before
+    assert not page.find(".undo").is_displayed()

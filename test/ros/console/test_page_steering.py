@@ -1,26 +1,32 @@
-"""What a person changes on the page, in a browser, with the installed processes."""
+"""What a person changes on the page and takes back, in a browser, with the installed processes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from selenium.webdriver import Chrome
+from rcl_interfaces.srv import ListParameters
+from selenium.webdriver import ActionChains, Chrome
+from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
+from support.browser import Finger, middle
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
-from support.console_robot import ConsoleRobot
-from support.detector_process import NODE, PARAMETERS, detector_process
+from support.detector_process import NODE, PARAMETERS
+from support.page_fixtures import ConsoleRobot, console_robot, opened
 from support.sighting import Sighting
 
+from yolov5_lifecycle.collecting.collected_files import read_frame_list
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 pytestmark = pytest.mark.long
 
 SLIDER = 'input[type="range"]'
+TEXT = 'input[type="text"]'
+HOSTILE = "<img src=x onerror=document.title='caught'><b>"
 
 
 def wait_for_detections(robot: ConsoleRobot, of: set[str]) -> None:
@@ -34,6 +40,10 @@ def wait_for_detections(robot: ConsoleRobot, of: set[str]) -> None:
     robot.detector.observer.wait_for(is_so, f"detections of {of}")
 
 
+def wait_for_value(robot: ConsoleRobot, page: ConsolePage, name: str, value: object) -> None:
+    page.wait_for(lambda: robot.detector.node.parameter(name) == value, f"{name} to be {value}")
+
+
 @pytest.mark.end_to_end
 def test_a_slider_changes_the_next_detections(robot: ConsoleRobot, page: ConsolePage) -> None:
     page.wait_for_image()
@@ -45,102 +55,40 @@ def test_a_slider_changes_the_next_detections(robot: ConsoleRobot, page: Console
     assert robot.detector.node.parameter("confidence_threshold") == 0.25
 
 
-def test_chips_choose_classes(robot: ConsoleRobot, page: ConsolePage) -> None:
-    page.wait_for_image()
-    page.widget("classes", '[data-name="star"]').click()
-    wait_for_detections(robot, {"star"})
-    page.widget("classes", '[data-name="circle"]').click()
-    wait_for_detections(robot, {"circle", "star"})
-    assert page.chosen("classes") == ["circle", "star"]
-
-
-def test_chips_that_are_pressed_while_a_change_is_sent_are_not_lost(
+def test_chips_choose_classes_and_none_is_lost_while_a_change_is_sent(
     robot: ConsoleRobot, page: ConsolePage
 ) -> None:
     names = ["star", "circle", "square"]
     chips = [page.widget("classes", f'[data-name="{name}"]') for name in names]
     page.driver.execute_script("for (const chip of arguments[0]) chip.click()", chips)
-    page.wait_for(lambda: robot.detector.node.parameter("classes") == names, "all three classes")
+    wait_for_value(robot, page, "classes", names)
     assert set(page.chosen("classes")) == set(names)
+    chips[1].click()
+    wait_for_detections(robot, {"star", "square"})
 
 
-def test_a_camera_gets_its_own_value_of_a_parameter(browser: Chrome) -> None:
-    with (
-        detector_process("--params-file", "config/two_cameras.yaml") as detector,
-        console_process(detector.domain) as console,
-    ):
-        detector.bring_to("active")
-        page = ConsolePage(browser, address(console))
-        page.open()
-        override(page, "rear", "confidence_threshold")
-        page.wait_for(lambda: page.find('[data-parameter="rear.confidence_threshold"]'), "the new parameter")
-        assert detector.node.parameter("rear.confidence_threshold") == 0.25
-        page.enter("rear.confidence_threshold", "0.75")
-        page.wait_for(lambda: detector.node.parameter("rear.confidence_threshold") == 0.75, "the new value")
-        assert detector.node.parameter("confidence_threshold") == 0.25
-        offered = {option.get_attribute("value") for option in names(page).options}
-        per_camera = {setting.name for setting in SETTINGS if setting.per_camera}
-        assert offered == per_camera - {"max_rate", "confidence_threshold"}
-
-
-def override(page: ConsolePage, camera: str, name: str) -> None:
-    """Choose the camera and the parameter, and press the button."""
-    page.wait_for(lambda: page.find(".override").is_displayed(), "the form")
-    Select(page.find('.override [data-choice="camera"]')).select_by_value(camera)
-    names(page).select_by_value(name)
-    page.find(".override button").click()
-
-
-def names(page: ConsolePage) -> Select:
-    """The parameters that the chosen camera can override."""
-    return Select(page.find('.override [data-choice="parameter"]'))
-
-
-def test_a_wrong_class_shows_the_nodes_refusal_and_the_old_value(page: ConsolePage) -> None:
-    field = page.widget("classes", 'input[type="text"]')
-    field.send_keys("circel", Keys.ENTER)
-    assert "Did you mean 'circle'?" in page.refusal("classes")
+def test_a_refused_value_shows_the_nodes_words_as_text_and_the_old_value(page: ConsolePage) -> None:
+    page.widget("classes", TEXT).send_keys(HOSTILE, Keys.ENTER)
+    assert HOSTILE in page.refusal("classes")
     page.wait_for(lambda: page.chosen("classes") == [], "the old value")
-
-
-def test_what_comes_from_elsewhere_is_text(page: ConsolePage) -> None:
-    hostile = "<img src=x onerror=document.title='caught'><b>"
-    page.widget("classes", 'input[type="text"]').send_keys(hostile, Keys.ENTER)
-    assert hostile in page.refusal("classes")
-    page.enter("weights", hostile)
-    assert hostile in page.refusal("weights")
-    page.wait_for_text(".log .lines", hostile)
     assert page.find_all("img, b") == []
     assert page.driver.title == f"{NODE} - Detector console"
-
-
-def test_a_number_outside_of_its_range_is_refused_in_the_nodes_words(page: ConsolePage) -> None:
-    page.enter("iou_threshold", "7")
-    assert page.refusal("iou_threshold") == (
-        "iou_threshold: 7.0 is not a number from 0 to 1. The default is 0.45."
-    )
-    field = page.widget("iou_threshold", 'input[type="text"]')
-    page.wait_for(lambda: field.get_attribute("value") == "0.45", "the old value")
-
-
-def test_what_is_no_number_is_not_sent(page: ConsolePage) -> None:
     page.enter("iou_threshold", "half")
     assert page.refusal("iou_threshold") == "'half' is not a number"
+    page.enter("iou_threshold", "7")
+    page.wait_for_text('[data-parameter="iou_threshold"] .refusal', "7.0 is not a number from 0 to 1.")
+    field = page.widget("iou_threshold", TEXT)
+    page.wait_for(lambda: field.get_attribute("value") == "0.45", "the old value")
+    assert not page.find(".undo").is_displayed()
 
 
-def test_a_detector_is_deactivated_and_activated(robot: ConsoleRobot, page: ConsolePage) -> None:
+def test_a_detector_is_deactivated_and_a_refused_transition_shows_the_nodes_reason(
+    robot: ConsoleRobot, page: ConsolePage
+) -> None:
     page.press("deactivate")
     page.wait_for_state("inactive")
     assert robot.detector.node.state() == "inactive"
     page.wait_for_text(".reason", "activate the node to detect")
-    page.press("activate")
-    page.wait_for_state("active")
-    page.wait_for_image()
-
-
-def test_a_refused_transition_shows_the_nodes_reason(page: ConsolePage) -> None:
-    page.press("deactivate")
-    page.wait_for_state("inactive")
     page.enter("weights", "/nowhere/model.pt")
     page.wait_for(lambda: not page.is_busy("weights"), "the answer")
     page.press("activate")
@@ -156,21 +104,10 @@ def test_shutdown_asks_first(robot: ConsoleRobot, page: ConsolePage) -> None:
     assert robot.detector.node.state() == "active"
 
 
-def test_a_reload_shows_that_it_is_prepared_and_then_the_new_value(
+def test_a_reload_shows_that_it_is_prepared_and_a_refused_one_brings_the_old_value_back(
     robot: ConsoleRobot, page: ConsolePage
 ) -> None:
-    record_busy(page, "image_size")
-    page.enter("image_size", "256")
-    page.wait_for(lambda: busy_texts(page), "the spinner")
-    page.wait_for(lambda: not page.is_busy("image_size"), "the new model")
-    assert "loading the new model" in " ".join(busy_texts(page))
-    assert robot.detector.node.parameter("image_size") == 256
-    assert page.state == "active"
-    page.wait_for_image()
-
-
-def record_busy(page: ConsolePage, name: str) -> None:
-    """Keep every text of the parameter's spinner: some are shorter than a look at them."""
+    # Every text of the spinner is kept: some are shorter than a look at them.
     page.driver.execute_script(
         """
         const spinner = arguments[0].querySelector(".spinner");
@@ -178,49 +115,18 @@ def record_busy(page: ConsolePage, name: str) -> None:
         new MutationObserver(() => window.busyTexts.push(spinner.textContent))
           .observe(spinner, { childList: true, characterData: true, subtree: true });
         """,
-        page.parameter(name),
+        page.parameter("image_size"),
     )
-
-
-def busy_texts(page: ConsolePage) -> list[str]:
-    return list(page.driver.execute_script("return window.busyTexts.filter(Boolean)"))
-
-
-def test_a_refused_reload_brings_the_old_value_back(page: ConsolePage) -> None:
+    page.enter("image_size", "256")
+    wait_for_value(robot, page, "image_size", 256)
+    page.wait_for(lambda: not page.is_busy("image_size"), "the new model")
+    assert "loading the new model" in " ".join(page.driver.execute_script("return window.busyTexts"))
     before = page.widget("weights", "input").get_attribute("value")
     page.enter("weights", "/nowhere/model.pt")
     assert "/nowhere/model.pt" in page.refusal("weights")
     page.wait_for(lambda: page.widget("weights", "input").get_attribute("value") == before, "the old value")
     assert page.state == "active"
-
-
-@pytest.fixture
-def second(page: ConsolePage, robot: ConsoleRobot) -> Iterator[ConsolePage]:
-    """Another tab of the same browser."""
-    driver = page.driver
-    first = driver.current_window_handle
-    driver.switch_to.new_window("tab")
-    other = ConsolePage(driver, robot.url)
-    other.open()
-    yield other
-    driver.close()
-    driver.switch_to.window(first)
-
-
-def test_two_tabs_agree(page: ConsolePage, second: ConsolePage) -> None:
-    driver = page.driver
-    tab = driver.current_window_handle
-    second.widget("agnostic_nms", "input").click()
-    second.enter("max_rate", "7.5")
-    second.press("deactivate")
-    second.wait_for_state("inactive")
-    (first,) = set(driver.window_handles) - {tab}
-    driver.switch_to.window(first)
-    page.wait_for_state("inactive")
-    page.wait_for(lambda: page.widget("agnostic_nms", "input").is_selected(), "the switch")
-    field = page.widget("max_rate", 'input[type="text"]')
-    page.wait_for(lambda: field.get_attribute("value") == "7.5", "the number")
-    driver.switch_to.window(tab)
+    page.wait_for_image()
 
 
 def test_the_yaml_is_what_differs_and_a_file_of_parameters(
@@ -228,7 +134,7 @@ def test_the_yaml_is_what_differs_and_a_file_of_parameters(
 ) -> None:
     page.widget("classes", '[data-name="star"]').click()
     page.enter("max_rate", "7")
-    page.wait_for(lambda: robot.detector.node.parameter("max_rate") == 7.0, "the rate")
+    wait_for_value(robot, page, "max_rate", 7.0)
     page.wait_for(lambda: page.chosen("classes") == ["star"], "the chip")
 
     def copied() -> str:
@@ -236,16 +142,14 @@ def test_the_yaml_is_what_differs_and_a_file_of_parameters(
         text = page.find(".yaml textarea").get_attribute("value") or ""
         return text if "max_rate" in text else ""  # the page learns of it after the node has it
 
-    text = page.wait_for(copied, "the rate in the text")
+    (tmp_path / "copied.yaml").write_text(page.wait_for(copied, "the rate in the text"))
     expected = {**PARAMETERS, "classes": ["star"], "max_rate": 7.0}
-    (tmp_path / "copied.yaml").write_text(text)
     assert read_parameter_file(tmp_path / "copied.yaml") == {"/**": expected}
 
 
 def test_a_console_for_viewing_has_no_controls(browser: Chrome, robot: ConsoleRobot) -> None:
     with console_process(robot.detector.domain, "--view-only") as console:
-        page = ConsolePage(browser, address(console))
-        page.open()
+        page = opened(browser, address(console))
         page.wait_for_image()
         assert page.find_all("[data-transition], .collect") == []
         assert page.find_all(".parameter input, .parameter select, .parameter button:not([hidden])") == []
@@ -253,10 +157,161 @@ def test_a_console_for_viewing_has_no_controls(browser: Chrome, robot: ConsoleRo
 
 
 def test_a_parameter_is_found_by_its_meaning(page: ConsolePage) -> None:
+    def visible() -> list[str]:
+        parts = [part for part in page.find_all("[data-parameter]") if part.is_displayed()]
+        return [part.get_attribute("data-parameter") or "" for part in parts]
+
     page.find('input[type="search"]').send_keys("sha-256")
-    page.wait_for(lambda: visible_parameters(page) == ["weights_sha256"], "one parameter")
+    page.wait_for(lambda: visible() == ["weights_sha256"], "one parameter")
 
 
-def visible_parameters(page: ConsolePage) -> list[str]:
-    parts = [part for part in page.find_all("[data-parameter]") if part.is_displayed()]
-    return [part.get_attribute("data-parameter") or "" for part in parts]
+def test_an_image_that_is_asked_for_is_kept_and_the_page_says_so(browser: Chrome, tmp_path: Path) -> None:
+    with console_robot(collect_dir=tmp_path, collect=False, collect_min_free_mb=0) as robot:
+        page = opened(browser, robot.url)
+        page.wait_for_image()
+        button = page.find(".collect button")
+        assert button.text == "Keep this image"
+        button.send_keys(Keys.ENTER)
+        page.wait_for_text(
+            ".collect .refusal", "no camera collects: activate the node, and set collect to true"
+        )
+        assert robot.detector.node.set_parameters(collect=True) == ""
+        button.click()
+        page.wait_for_text(".collect .result", "the next image is kept")
+        assert page.text(".collect .refusal") == ""
+        page.wait_for(
+            lambda: any("requested" in frame.reasons for frame in read_frame_list(tmp_path).frames),
+            "the image",
+        )
+
+
+def undo(page: ConsolePage, report: str) -> None:
+    """Press the button, and wait for what the page then says."""
+    page.wait_for(lambda: page.find(".undo button").is_displayed(), "the button")
+    page.find(".undo button").click()
+    page.wait_for_text(".undo .change", report)
+
+
+def test_changes_of_every_widget_are_undone_one_after_the_other(
+    robot: ConsoleRobot, page: ConsolePage
+) -> None:
+    class_threshold = page.widget("class_thresholds", TEXT)
+    changes: dict[str, tuple[Callable[[], object], object]] = {
+        "confidence_threshold": (
+            lambda: page.widget("confidence_threshold", SLIDER).send_keys(Keys.END),
+            1.0,
+        ),
+        "max_rate": (lambda: page.enter("max_rate", "7.5"), 7.5),
+        "agnostic_nms": (lambda: page.widget("agnostic_nms", "input").click(), True),
+        "classes": (lambda: page.widget("classes", '[data-name="star"]').click(), ["star"]),
+        "class_thresholds": (lambda: class_threshold.send_keys("star:0.5", Keys.ENTER), ["star:0.5"]),
+        "precision": (
+            lambda: Select(page.widget("precision", "select")).select_by_value("fp32"),
+            "fp32",
+        ),
+    }
+    before = {name: robot.detector.node.parameter(name) for name in changes}
+    for name, (change, after) in changes.items():
+        change()
+        wait_for_value(robot, page, name, after)
+        page.wait_for_text(".undo .change", f"{name} changed from")
+    page.reset("max_rate")
+    page.wait_for_text(".undo .change", "max_rate changed from 7.5 to 0.")
+    assert page.text(".undo button") == "Undo (7)"
+    undo(page, "max_rate is 7.5 again.")
+    for name in reversed(changes):
+        undo(page, f"{name} is")
+        wait_for_value(robot, page, name, before[name])
+    assert page.widget("max_rate", TEXT).get_attribute("value") == "0"
+
+
+def test_a_drag_is_one_change(robot: ConsoleRobot, page: ConsolePage) -> None:
+    slider = page.widget("iou_threshold", SLIDER)
+    drag = ActionChains(page.driver).click_and_hold(slider).move_by_offset(20, 0)
+    drag.pause(0.3).move_by_offset(20, 0).pause(0.3).move_by_offset(-10, 0).release().perform()
+    page.wait_for_text(".undo .change", "iou_threshold changed from 0.45")
+    page.wait_for(lambda: not page.is_busy("iou_threshold"), "the answer")
+    assert page.text(".undo button") == "Undo"
+    undo(page, "iou_threshold is 0.45 again.")
+    wait_for_value(robot, page, "iou_threshold", 0.45)
+
+
+def test_a_refused_undo_shows_the_reason_and_stays(robot: ConsoleRobot, page: ConsolePage) -> None:
+    page.widget("classes", '[data-name="star"]').click()
+    page.wait_for_text(".undo .change", "classes changed from empty to star")
+    page.widget("classes", '[data-name="circle"]').click()
+    page.wait_for_text(".undo .change", "classes changed from star to star, circle")
+    page.driver.execute_script(
+        """
+        const send = WebSocket.prototype.send;
+        WebSocket.prototype.send = function (data) {
+          send.call(this, data.replace('["star"]', '["circel"]'));
+        };
+        """
+    )
+    undo(page, "classes changed from star to star, circle.")
+    page.wait_for_text(".undo .refusal", "Did you mean 'circle'?")
+    assert robot.detector.node.parameter("classes") == ["star", "circle"]
+
+
+def test_the_keyboard_undoes_a_change_but_typing_stays_the_fields(
+    robot: ConsoleRobot, page: ConsolePage
+) -> None:
+    page.widget("confidence_threshold", SLIDER).send_keys(Keys.END)
+    page.wait_for_text(".undo .change", "confidence_threshold changed from 0.25 to 1.")
+    field = page.widget("max_rate", TEXT)
+    field.send_keys("9", Keys.CONTROL + "z")
+    assert field.get_attribute("value") == "0"
+    assert robot.detector.node.parameter("confidence_threshold") == 1.0
+    field.send_keys(Keys.ESCAPE)
+    page.driver.find_element(By.CSS_SELECTOR, "main").send_keys(Keys.CONTROL + "z")
+    wait_for_value(robot, page, "confidence_threshold", 0.25)
+
+
+def test_undo_has_a_name_and_keeps_the_keyboard_and_goes_after_a_touch(phone: ConsolePage) -> None:
+    phone.widget("classes", '[data-name="star"]').click()
+    phone.wait_for_text(".undo .change", "classes changed")
+    button = phone.find(".undo button")
+    assert button.accessible_name == "Undo: set classes to empty"
+    assert phone.find(".undo .change").aria_role == "status"
+    button.send_keys(Keys.ENTER)
+    phone.wait_for_text(".undo .change", "classes is empty again.")
+    assert phone.driver.switch_to.active_element == button
+    assert button.get_attribute("aria-disabled") == "true"
+    phone.widget("classes", '[data-name="star"]').click()
+    phone.wait_for_text(".undo .change", "classes changed")
+    Finger(phone.driver).tap(middle(button))
+    phone.wait_for_text(".undo .change", "classes is empty again.")
+    assert not button.is_displayed()
+    phone.wait_for(lambda: not phone.find(".undo").is_displayed(), "the end of the report")
+
+
+def test_a_camera_has_its_own_image_reason_and_value_of_a_parameter(browser: Chrome) -> None:
+    camera = ("--ros-args", "-r", f"image_raw:={NODE}/front/image_raw")
+    with console_robot("--params-file", "config/two_cameras.yaml", camera=camera) as robot:
+        page = opened(browser, robot.url)
+        page.wait_for_image("front")
+        page.wait_for_text(
+            '[data-camera="rear"] .message', f"no publisher of images on {NODE}/rear/image_raw"
+        )
+        assert page.stamp_s("rear") == 0
+        page.wait_for_text(".reason", "rear: no publisher")
+        page.wait_for(lambda: page.find(".override").is_displayed(), "the form")
+        Select(page.find('.override [data-choice="camera"]')).select_by_value("rear")
+        names = Select(page.find('.override [data-choice="parameter"]'))
+        offered = {option.get_attribute("value") for option in names.options}
+        assert offered == {setting.name for setting in SETTINGS if setting.per_camera} - {"max_rate"}
+        names.select_by_value("confidence_threshold")
+        page.find(".override button").click()
+        name = "rear.confidence_threshold"
+        page.wait_for_text(".undo .change", f"{name} changed from not set to 0.25")
+        page.enter(name, "0.75")
+        wait_for_value(robot, page, name, 0.75)
+        assert robot.detector.node.parameter("confidence_threshold") == 0.25
+        undo(page, f"{name} is 0.25 again.")
+        undo(page, f"{name} is not set again.")
+        observer = robot.detector.observer
+        client = observer.create_client(ListParameters, f"{NODE}/list_parameters")
+        listed = observer.call(client, ListParameters.Request()).result.names
+        assert "rear.max_rate" in listed
+        assert name not in listed

@@ -1,12 +1,12 @@
-"""Limits on how often something may happen."""
+"""A limit on how often something may happen."""
 
 from __future__ import annotations
 
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 
-_MAX_KEYS = 1_000
+MAX_ADDRESSES = 1_000
+"""Those used recently, each of which has a budget."""
 
 
 class Budget:
@@ -28,18 +28,3 @@ class Budget:
             return False
         self._left -= 1
         return True
-
-
-class Budgets:
-    """A budget for each address or name; only a thousand recently used ones are kept."""
-
-    def __init__(self, make: Callable[[], Budget]) -> None:
-        self._make = make
-        self._budgets: OrderedDict[str, Budget] = OrderedDict()
-
-    def of(self, key: str) -> Budget:
-        budget = self._budgets.pop(key, None) or self._make()
-        self._budgets[key] = budget
-        if len(self._budgets) > _MAX_KEYS:
-            self._budgets.popitem(last=False)
-        return budget

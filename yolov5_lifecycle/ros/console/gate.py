@@ -6,6 +6,7 @@ import ipaddress
 import socket
 from collections.abc import Iterable
 from contextlib import suppress
+from functools import lru_cache
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -13,7 +14,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from yolov5_lifecycle.ros.console.budget import Budget, Budgets
+from yolov5_lifecycle.ros.console.budget import MAX_ADDRESSES, Budget
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
 from yolov5_lifecycle.ros.console.sessions import Sessions
 
@@ -48,7 +49,7 @@ class Gate:
         self._addresses = Addresses(options)
         self._sessions = sessions
         self._port = port
-        self._requests = Budgets(lambda: Budget(_REQUESTS_PER_S, _REQUESTS))
+        self._requests_of = lru_cache(MAX_ADDRESSES)(lambda _: Budget(_REQUESTS_PER_S, _REQUESTS))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -64,7 +65,7 @@ class Gate:
 
     def _check(self, scope: Scope, headers: Headers) -> None:
         """Complete the state of the request; raises HTTPException for one that is refused."""
-        if not self._requests.of(address_of(scope)).spend():
+        if not self._requests_of(address_of(scope)).spend():
             raise HTTPException(429, "too many requests: wait a second", {"Retry-After": "1"})
         if _header_bytes(scope) > MAX_HEADER_BYTES:
             raise HTTPException(

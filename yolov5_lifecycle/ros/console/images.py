@@ -73,8 +73,6 @@ class _Feed:
     def __init__(self, ros: RosThread, topic: str) -> None:
         self.newest = b""
         """Stamp in seconds as a little-endian float64, then the JPEG; shared by all viewers."""
-        self.count = 0
-        """Images so far."""
         self.viewers: set[_Viewer] = set()
         self._ros = ros
         self._topic = topic
@@ -102,7 +100,6 @@ class _Feed:
     def _take(self, image: bytes) -> None:
         if self.viewers:
             self.newest = image
-            self.count += 1
             for viewer in self.viewers:
                 viewer.offer()
 
@@ -115,7 +112,7 @@ class _Viewer:
         self._feed = feed
         self._budget = Budget(_MESSAGES_PER_S, _MESSAGES)
         self._has_taken = True
-        self._sent = feed.count - bool(feed.newest)  # which is new to this one
+        self._sent = b""
         self._sending: asyncio.Task[None] | None = None
 
     async def serve(self) -> None:
@@ -142,10 +139,10 @@ class _Viewer:
 
     def offer(self) -> None:
         """Send the newest image, if the viewer has acknowledged the last one and a newer one has arrived."""
-        if self._has_taken and self._feed.count != self._sent and self._feed.newest:
+        if self._has_taken and self._feed.newest and self._feed.newest is not self._sent:
             self._has_taken = False
-            self._sent = self._feed.count
-            self._sending = asyncio.create_task(self._send(self._feed.newest))
+            self._sent = self._feed.newest
+            self._sending = asyncio.create_task(self._send(self._sent))
 
     async def _send(self, payload: bytes) -> None:
         with suppress(WebSocketDisconnect, RuntimeError):  # it is closed; `_receive` ends, too

@@ -10,13 +10,14 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 
 from starlette.exceptions import HTTPException
 
 from yolov5_lifecycle.input_file import read_regular_file
-from yolov5_lifecycle.ros.console.budget import Budget, Budgets
+from yolov5_lifecycle.ros.console.budget import MAX_ADDRESSES, Budget
 
 SESSION_S = 12 * 3600.0
 _MAX_SESSIONS = 200
@@ -34,7 +35,7 @@ class Sessions:
         self._token_hash = _hash(token)
         self._clock = clock
         self._ends_s: OrderedDict[bytes, float] = OrderedDict()
-        self._failures_of = Budgets(lambda: Budget(_TRIES_PER_S, _TRIES, clock=clock))
+        self._failures_of = lru_cache(MAX_ADDRESSES)(lambda _: Budget(_TRIES_PER_S, _TRIES, clock=clock))
 
     def knows_token(self, given: str, address: str) -> bool:
         """Whether `given` is the token; raises HTTPException after too many wrong ones from `address`.
@@ -43,7 +44,7 @@ class Sessions:
         """
         if hmac.compare_digest(_hash(given), self._token_hash):
             return True
-        if not self._failures_of.of(address).spend():
+        if not self._failures_of(address).spend():
             raise HTTPException(429, "too many wrong tokens: wait a minute", {"Retry-After": "60"})
         return False
 

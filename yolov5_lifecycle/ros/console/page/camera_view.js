@@ -1,12 +1,15 @@
-/** The cameras of a detector: live annotated image, rate, latency, and why there is no output. */
+/** The cameras of a detector: live annotated image, rate, latency, why there is no output, a button to keep images. */
 
-import { CollectButton } from "./collect_button.js";
 import { conditionOf, LOST } from "./condition.js";
-import { element, KeyedViews, setText } from "./element.js";
-import { tenth } from "./figures.js";
-import { ImageView } from "./image_view.js";
+import { socketAddress } from "./connection.js";
+import { element, KeyedViews, setText, tenth } from "./element.js";
 
 const SILENT_AFTER_S = 3;
+const STAMP_BYTES = 8;
+const FIRST_PAUSE_MS = 500;
+const MAX_PAUSE_MS = 5000;
+/** How long a success is reported. */
+const RESULT_MS = 10_000;
 
 export class CameraViews {
   #cameras;
@@ -137,4 +140,146 @@ function figuresOf({ state, rate_hz: rateHz, latency_ms: latencyMs, latency_p95_
   }
   const isDetecting = state === "active" && Number.isFinite(rateHz);
   return isDetecting ? `${tenth(rateHz)} Hz · ${tenth(latencyMs)} ms, p95 ${tenth(p95Ms)} ms` : "not detecting";
+}
+
+/** The newest annotated image of a camera, drawn as fast as this browser takes them. */
+class ImageView {
+  /** Images drawn since `takeCount` was called. */
+  #drawn = 0;
+  #socket = null;
+  #timer = 0;
+  #pauseMs = FIRST_PAUSE_MS;
+  #address;
+  #shown;
+
+  /** `shown()` is called after each image. */
+  constructor(canvas, node, camera, shown) {
+    this.canvas = canvas;
+    this.#address = socketAddress(`/image?${new URLSearchParams({ node, camera })}`);
+    this.#shown = shown;
+  }
+
+  get isReceiving() {
+    return this.#socket !== null || this.#timer !== 0;
+  }
+
+  start() {
+    if (!this.isReceiving) {
+      this.#connect();
+    }
+  }
+
+  stop() {
+    clearTimeout(this.#timer);
+    this.#timer = 0;
+    const socket = this.#socket;
+    this.#socket = null;
+    socket?.close();
+  }
+
+  /** How many images were drawn since the last call. */
+  takeCount() {
+    const count = this.#drawn;
+    this.#drawn = 0;
+    return count;
+  }
+
+  #connect() {
+    this.#timer = 0;
+    const socket = new WebSocket(this.#address);
+    socket.binaryType = "arraybuffer";
+    this.#socket = socket;
+    socket.addEventListener("message", (event) => this.#draw(socket, event.data));
+    socket.addEventListener("close", () => this.#lose(socket));
+  }
+
+  #lose(socket) {
+    if (socket === this.#socket) {
+      this.#socket = null;
+      this.#timer = setTimeout(() => this.#connect(), this.#pauseMs);
+      this.#pauseMs = Math.min(2 * this.#pauseMs, MAX_PAUSE_MS);
+    }
+  }
+
+  async #draw(socket, data) {
+    const stampS = new DataView(data).getFloat64(0, true);
+    const image = await decoded(data.slice(STAMP_BYTES));
+    if (socket !== this.#socket) {
+      return;
+    }
+    if (image !== null) {
+      this.#paint(image);
+      this.canvas.dataset.stampS = stampS;
+      this.#drawn += 1;
+      this.#pauseMs = FIRST_PAUSE_MS;
+      this.#shown();
+    }
+    if (socket.readyState === WebSocket.OPEN) {
+      socket.send("taken");
+    }
+  }
+
+  #paint(image) {
+    const { canvas } = this;
+    if (canvas.width !== image.width || canvas.height !== image.height) {
+      canvas.width = image.width;
+      canvas.height = image.height;
+    }
+    canvas.getContext("2d").drawImage(image, 0, 0);
+    image.close();
+  }
+}
+
+async function decoded(jpeg) {
+  try {
+    return await createImageBitmap(new Blob([jpeg], { type: "image/jpeg" }));
+  } catch {
+    return null;
+  }
+}
+
+/** A button with which a person has the next image of each camera kept, and what the detector answers. */
+class CollectButton {
+  #request;
+  #isPending = false;
+  #timer = 0;
+  #button = element("button", { type: "button", onclick: () => this.#collect() });
+  #result = element("span", { class: "result", role: "status" });
+  #refusal = element("p", { class: "refusal", role: "alert" });
+
+  constructor(request) {
+    this.#request = request;
+    this.element = element("div", { class: "collect", hidden: true }, this.#button, this.#result, this.#refusal);
+  }
+
+  /** Detectors of earlier versions have neither the parameter nor the service. */
+  update({ state, cameras, parameters }) {
+    this.element.hidden = state === LOST || !parameters.some(({ name }) => name === "collect_dir");
+    setText(this.#button, cameras.length > 1 ? "Keep these images" : "Keep this image");
+  }
+
+  async #collect() {
+    if (this.#isPending) {
+      return;
+    }
+    this.#setPending(true);
+    this.#show("", "");
+    const { ok, reason, result } = await this.#request({ type: "collect" });
+    this.#setPending(false);
+    this.#show(ok ? result || "done" : "", ok ? "" : reason);
+  }
+
+  #setPending(isPending) {
+    this.#isPending = isPending;
+    this.#button.setAttribute("aria-disabled", String(isPending));
+  }
+
+  #show(result, refusal) {
+    clearTimeout(this.#timer);
+    setText(this.#result, result);
+    setText(this.#refusal, refusal);
+    if (result !== "") {
+      this.#timer = setTimeout(() => setText(this.#result, ""), RESULT_MS);
+    }
+  }
 }

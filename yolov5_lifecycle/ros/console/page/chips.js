@@ -1,6 +1,6 @@
 /** A list of strings as chips: known names, selected or not, and a field for others. */
 
-import { element, KeyedViews, setText } from "./element.js";
+import { element, KeyedViews, plainField, setText } from "./element.js";
 
 /** With more names, there is a field that finds them. */
 const FEW = 12;
@@ -23,23 +23,18 @@ export class Chips {
     this.#options = options;
     const list = element("div", { class: "chips" });
     this.#chips = new KeyedViews(list, (chip) => this.#chip(chip.name));
-    this.#filter = element("input", {
+    this.#filter = plainField({
       type: "search",
       class: "find",
       "aria-label": "Find a class",
       placeholder: "find a class",
-      autocomplete: "off",
-      spellcheck: "false",
       hidden: true,
       oninput: () => this.#draw(),
     });
-    this.#field = element("input", {
-      type: "text",
-      autocomplete: "off",
-      autocapitalize: "off",
-      spellcheck: "false",
-      "aria-label": options.hasClassNames ? "Another class" : "Another entry",
-      placeholder: options.hasClassNames ? "another class" : "another entry",
+    const kind = options.hasClassNames ? "class" : "entry";
+    this.#field = plainField({
+      "aria-label": `Another ${kind}`,
+      placeholder: `another ${kind}`,
       onkeydown: (event) => event.key === "Enter" && this.#add(),
     });
     const add = element("button", { type: "button", class: "small", onclick: () => this.#add() }, "Add");

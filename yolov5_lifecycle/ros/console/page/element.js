@@ -26,6 +26,21 @@ function filled(made, attributes, children) {
   return made;
 }
 
+/** A part of the page with a heading; `kind` is its class. */
+export function panel(kind, label, title, ...children) {
+  return element("section", { class: `panel ${kind}`, "aria-label": label }, element("h2", {}, title), ...children);
+}
+
+/** A field for text that is no prose. */
+export function plainField(attributes) {
+  return element("input", { type: "text", autocomplete: "off", autocapitalize: "off", spellcheck: "false", ...attributes });
+}
+
+/** A number with one decimal; "-" without one. */
+export function tenth(value) {
+  return Number.isFinite(value) ? value.toFixed(1) : "-";
+}
+
 /** Change the text of `target` only if it differs: screen readers announce each change. */
 export function setText(target, text) {
   if (target.textContent !== text) {

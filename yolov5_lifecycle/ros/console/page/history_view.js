@@ -1,8 +1,7 @@
 /** Plots of rate and latency of every camera over the last minutes, a sample a second. */
 
 import { LOST } from "./condition.js";
-import { element, KeyedViews, setText, svgElement } from "./element.js";
-import { tenth } from "./figures.js";
+import { element, KeyedViews, panel, setText, svgElement, tenth } from "./element.js";
 
 const KEPT_S = 300;
 const MINUTE_S = 60;
@@ -15,12 +14,7 @@ export class HistoryView {
   constructor() {
     const rows = element("div", { class: "plots" });
     this.#cameras = new KeyedViews(rows, (camera) => new CameraHistory(camera.name));
-    this.element = element(
-      "section",
-      { class: "panel history", "aria-label": "History" },
-      element("h2", {}, "Last minutes"),
-      rows,
-    );
+    this.element = panel("history", "History", "Last minutes", rows);
   }
 
   update(node) {

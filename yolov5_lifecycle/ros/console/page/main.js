@@ -133,10 +133,7 @@ class Tab {
   }
 
   update(view) {
-    this.element.toggleAttribute("aria-current", view.isCurrent);
-    if (view.isCurrent) {
-      this.element.setAttribute("aria-current", "page");
-    }
+    this.element.ariaCurrent = view.isCurrent ? "page" : null;
     const { name, symbol, word } = view.condition;
     this.element.dataset.condition = name;
     setText(this.#symbol, symbol);

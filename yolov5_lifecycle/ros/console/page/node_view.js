@@ -1,15 +1,12 @@
 /** Everything of one detector. */
 
 import { CameraViews } from "./camera_view.js";
-import { DiagnosticsView } from "./diagnostics_view.js";
 import { asLost, conditionCalled, LOST, summaryOf } from "./condition.js";
+import { DiagnosticsView, FrameBalance, LogView } from "./diagnostics_view.js";
 import { element, setText } from "./element.js";
-import { FrameBalance } from "./frame_balance.js";
 import { HistoryView } from "./history_view.js";
-import { LogView } from "./log_view.js";
 import { ParameterList } from "./parameter_list.js";
-import { ReasonView } from "./reason_view.js";
-import { StateView } from "./state_view.js";
+import { ReasonView, StateView } from "./state_view.js";
 import { UndoBar } from "./undo_bar.js";
 
 export class NodeView {

@@ -1,9 +1,8 @@
-/** The parameters of a detector, grouped by what a change does. */
+/** The parameters of a detector, grouped by what a change does, with overrides of cameras and as YAML. */
 
-import { CameraOverride } from "./camera_override.js";
-import { element, KeyedViews, setText } from "./element.js";
+import { element, KeyedViews, setText, uniqueId } from "./element.js";
 import { ParameterRow } from "./parameter_row.js";
-import { YamlCopy } from "./yaml_copy.js";
+import { isOverride, isSame, isSet, yamlText } from "./parameter_values.js";
 
 const GROUPS = [
   ["live", "Live", "takes effect with the next frame"],
@@ -125,4 +124,125 @@ function groupOf(parameter) {
     return "read only";
   }
   return GROUPS.some(([change]) => change === parameter.change) ? parameter.change : "live";
+}
+
+/** A form that gives one camera its own value of a parameter. */
+class CameraOverride {
+  #isViewOnly;
+  #set;
+  #parameters = [];
+  #camera = element("select", { "aria-label": "Camera", "data-choice": "camera" });
+  #name = element("select", { "aria-label": "Parameter", "data-choice": "parameter" });
+  #refusal = element("p", { class: "refusal", role: "alert" });
+
+  /** `set({name, before, after})` returns a promise of `{ok, reason}`. */
+  constructor(set, isViewOnly) {
+    this.#set = set;
+    this.#isViewOnly = isViewOnly;
+    this.#camera.addEventListener("change", () => this.#showNames());
+    this.element = element(
+      "form",
+      { class: "override", hidden: true, "aria-label": "Override for one camera" },
+      element("span", { class: "hint" }, "Override a parameter for one camera"),
+      this.#camera,
+      this.#name,
+      element("button", { class: "small" }, "Override"),
+      this.#refusal,
+    );
+    this.element.addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.#add();
+    });
+  }
+
+  update(parameters) {
+    this.#parameters = parameters;
+    const cameras = this.#valueOf("cameras") ?? [];
+    this.element.hidden = this.#isViewOnly || cameras.length === 0;
+    fill(this.#camera, cameras);
+    this.#showNames();
+  }
+
+  /** Parameters of the node that the camera does not override yet. */
+  #showNames() {
+    const overridden = this.#parameters.filter(isSet).map(({ name }) => name);
+    const names = this.#parameters
+      .filter(({ name, per_camera: isPerCamera }) => isPerCamera && !isOverride(name))
+      .map(({ name }) => name);
+    fill(this.#name, names.filter((name) => !overridden.includes(`${this.#camera.value}.${name}`)));
+  }
+
+  /** Start with the value of the node; the new parameter can then be changed like any other. */
+  async #add() {
+    const name = this.#name.value;
+    const change = { name: `${this.#camera.value}.${name}`, before: null, after: this.#valueOf(name) };
+    const { ok, reason } = await this.#set(change);
+    setText(this.#refusal, ok ? "" : reason || "refused without a reason");
+  }
+
+  #valueOf(wanted) {
+    return this.#parameters.find(({ name }) => name === wanted)?.value;
+  }
+}
+
+/** Offer `names` in `select`, and keep the choice if it is still offered. */
+function fill(select, names) {
+  const offered = [...select.options].map(({ value }) => value);
+  if (!isSame(offered, names)) {
+    const chosen = select.value;
+    select.replaceChildren(...names.map((name) => element("option", { value: name, selected: name === chosen }, name)));
+  }
+}
+
+/** Button that copies the values that differ from their defaults, as YAML. */
+class YamlCopy {
+  #parameters = [];
+  #text = element("textarea", { readonly: true, rows: "8", "aria-label": "Parameters as YAML", spellcheck: "false" });
+  #said = element("p", { class: "hint", role: "status" });
+
+  constructor() {
+    const id = uniqueId("yaml");
+    this.element = element("div", { class: "yaml", id, hidden: true }, this.#said, this.#text);
+    const attributes = { class: "small copy", "aria-expanded": "false", "aria-controls": id };
+    const press = () => this.#press();
+    this.button = element("button", { type: "button", ...attributes, onclick: press }, "Copy as YAML");
+  }
+
+  update(parameters) {
+    this.#parameters = parameters;
+  }
+
+  #press() {
+    const isOpen = this.element.hidden;
+    this.element.hidden = !isOpen;
+    this.button.setAttribute("aria-expanded", String(isOpen));
+    setText(this.button, isOpen ? "Close YAML" : "Copy as YAML");
+    if (isOpen) {
+      this.#text.value = yamlText(this.#parameters);
+      this.#copy();
+    }
+  }
+
+  async #copy() {
+    const copied = (await copiedByClipboard(this.#text.value)) || this.#copiedBySelection();
+    const what = "Every value that differs from its default, for --params-file.";
+    setText(this.#said, copied ? `${what} Copied.` : `${what} This browser cannot copy it: select and copy the text.`);
+  }
+
+  /** Browsers offer the clipboard on loopback and with TLS only; this older way works everywhere. */
+  #copiedBySelection() {
+    this.#text.select();
+    const copied = document.execCommand("copy");
+    this.button.focus();
+    return copied;
+  }
+}
+
+async function copiedByClipboard(text) {
+  try {
+    await navigator.clipboard.writeText(text);
+    return true;
+  } catch {
+    return false;
+  }
 }

@@ -1,9 +1,8 @@
 /** One parameter: its widget, what a pending change waits for, and why a change was refused. */
 
 import { element, setText, uniqueId } from "./element.js";
-import { shownValue } from "./fixed_value.js";
+import { isChanged, isOverride, shownValue } from "./parameter_values.js";
 import { widgetFor, widgetKind } from "./parameter_widgets.js";
-import { isChanged, isOverride } from "./yaml_text.js";
 
 const SETTLED_MS = 2000;
 const BETWEEN_MS = 120;
@@ -122,7 +121,7 @@ export class ParameterRow {
     setText(this.#refusal, ok ? "" : reason || "refused without a reason");
     this.#accepted = ok ? { value, untilMs: performance.now() + SETTLED_MS } : null;
     if (!ok) {
-      this.#widget.forget();
+      this.#widget.forget?.();
     }
   }
 

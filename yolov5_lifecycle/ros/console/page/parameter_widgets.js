@@ -1,8 +1,8 @@
 /** The widget that shows and edits one value, chosen by the descriptor of the parameter. */
 
 import { Chips } from "./chips.js";
-import { element } from "./element.js";
-import { FixedValue, HiddenValue } from "./fixed_value.js";
+import { element, plainField, setText } from "./element.js";
+import { shownValue } from "./parameter_values.js";
 import { TouchDrag } from "./touch_drag.js";
 
 let lastGesture = 0;
@@ -13,7 +13,7 @@ export function widgetKind({ type, range, choices, is_shown: isShown }, isFixed)
 }
 
 /**
- * `{element, show(value), forget()}` for a parameter; `forget` drops what was typed.
+ * `{element, show(value), forget()}` for a parameter; `forget`, which not all have, drops what was typed.
  *
  * `options`: `changed(value, gesture)` is called with each value to set; changes of one gesture have the same
  * number. `refused(reason)` is called for invalid input.
@@ -45,6 +45,25 @@ function labelled({ labelId, meaningId }) {
   return { "aria-labelledby": labelId, "aria-describedby": meaningId };
 }
 
+class FixedValue {
+  element = element("output", { class: "fixed" });
+
+  show(value) {
+    setText(this.element, shownValue(value));
+  }
+}
+
+/** In place of a value that the page does not have: whatever it is, it is not empty. */
+class HiddenValue {
+  element = element(
+    "output",
+    { class: "fixed hidden-value" },
+    "not shown: too long for this page, or not of this type. It cannot be edited here; use ros2 param.",
+  );
+
+  show() {}
+}
+
 class Switch {
   #box;
 
@@ -57,8 +76,6 @@ class Switch {
   show(value) {
     this.#box.checked = value === true;
   }
-
-  forget() {}
 }
 
 class Choice {
@@ -75,8 +92,6 @@ class Choice {
       this.element.value = value;
     }
   }
-
-  forget() {}
 }
 
 /** A field with text that is set with Enter, or when it is left; Escape brings the old text back. */
@@ -87,12 +102,8 @@ class TextField {
 
   constructor(type, options, attributes = {}) {
     this.#type = type;
-    this.element = element("input", {
-      type: "text",
+    this.element = plainField({
       inputmode: type === "string" ? "text" : "decimal",
-      autocomplete: "off",
-      autocapitalize: "off",
-      spellcheck: "false",
       ...labelled(options),
       ...attributes,
       oninput: () => (this.#isEdited = true),

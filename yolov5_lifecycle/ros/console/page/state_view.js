@@ -1,6 +1,7 @@
-/** The lifecycle state, and the transitions that are possible now as buttons. */
+/** The lifecycle state with the possible transitions as buttons, and the summary of the diagnostics. */
 
-import { element, KeyedViews, setText } from "./element.js";
+import { summaryOf } from "./condition.js";
+import { element, KeyedViews, panel, setText } from "./element.js";
 
 const SYMBOLS = { unconfigured: "○", inactive: "◐", active: "●", finalized: "■", lost: "✕" };
 const CONFIRMED = { shutdown: "Ends the process of the detector. Only its supervisor or a person can start it again." };
@@ -18,10 +19,10 @@ export class StateView {
     this.#request = request;
     const buttons = element("div", { class: "buttons", role: "group", "aria-label": "Transitions" });
     this.#buttons = new KeyedViews(buttons, (transition) => this.#button(transition.label));
-    this.element = element(
-      "section",
-      { class: "panel head", "aria-label": "State" },
-      element("h2", {}, name),
+    this.element = panel(
+      "head",
+      "State",
+      name,
       this.#state,
       ...(isViewOnly ? [] : [buttons]),
       this.#busy,
@@ -86,5 +87,33 @@ export class StateView {
     this.#pending = "";
     this.#show("");
     setText(this.#refusal, ok ? "" : reason || `${label} was refused without a reason`);
+  }
+}
+
+/** The diagnostics' own summary: why there is no output, or that all is well. */
+export class ReasonView {
+  #symbol = element("span", { class: "symbol", "aria-hidden": "true" });
+  #level = element("span", { class: "level" });
+  #text = element("span", { class: "text" });
+  #problem = element("p", { class: "problem" });
+
+  constructor() {
+    const line = element("p", {}, this.#symbol, this.#level, this.#text);
+    this.element = element(
+      "section",
+      { class: "notice reason", role: "status", "aria-label": "Summary" },
+      line,
+      this.#problem,
+    );
+  }
+
+  update(node) {
+    const { name, symbol, word, text, problem } = summaryOf(node);
+    this.element.dataset.condition = name;
+    setText(this.#symbol, symbol);
+    setText(this.#level, word);
+    setText(this.#text, text);
+    this.#problem.hidden = problem === "";
+    setText(this.#problem, `Last problem: ${problem}`);
   }
 }

@@ -1,8 +1,7 @@
 /** The last change of this page, and a button that takes it back. */
 
 import { element, setText } from "./element.js";
-import { shownValue } from "./fixed_value.js";
-import { isSame } from "./yaml_text.js";
+import { isSame, shownValue } from "./parameter_values.js";
 
 /** Changes that can be undone. */
 const KEPT = 200;

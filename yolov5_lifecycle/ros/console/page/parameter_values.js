@@ -1,4 +1,4 @@
-/** Parameters as a file for --params-file. */
+/** Values of parameters: what differs, as text for people, and as a file for --params-file. */
 
 const HEAD = "/**:\n  ros__parameters:\n";
 
@@ -20,6 +20,17 @@ export function isOverride(name) {
 /** Whether two values of parameters are equal. */
 export function isSame(a, b) {
   return JSON.stringify(a) === JSON.stringify(b);
+}
+
+/** A value as text. */
+export function shownValue(value) {
+  if (value === null) {
+    return "not set";
+  }
+  if (Array.isArray(value)) {
+    return value.length > 0 ? value.join(", ") : "empty";
+  }
+  return value === "" ? "empty" : String(value);
 }
 
 /** The text of a file with every parameter that differs from its default. */

@@ -1,0 +1,303 @@
+"""The page of twelve detectors with 80 classes, and what it makes of any message, on a phone in a browser."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+from urllib.parse import quote
+
+import pytest
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from support.browser import PHONE, set_screen
+from support.console_page import ConsolePage
+from support.console_process import address, console_process
+from support.many_detectors import ACTIVE, CLASS_NAMES, NAMES, REFUSED, UNCONFIGURED, many_detectors
+
+pytestmark = pytest.mark.long
+
+LONG = [f"/a_robot_with_a_long_name/a_detector_with_a_long_name_{number}" for number in range(8)]
+MAX_BAR_PX = MAX_NOTICE_PX = 100
+CHIP = '[data-name="class 70"]'
+HELD = """
+    window.opened = [];
+    window.texts = [];
+    window.WebSocket = class extends WebSocket {
+      constructor(address) {
+        super(address);
+        if (address.includes("/image")) {
+          window.opened.push(new URL(address).searchParams.get("node"));
+        }
+      }
+      addEventListener(type, listener) {
+        if (type !== "message" || !this.url.endsWith("/ws")) {
+          super.addEventListener(type, listener);
+          return;
+        }
+        const held = [];
+        let isReplaced = false;
+        window.deliver = (message) => {
+          isReplaced = true;
+          listener({ data: JSON.stringify(message) });
+        };
+        super.addEventListener(type, (event) => {
+          const message = JSON.parse(event.data);
+          window.texts.push(event.data);
+          if (isReplaced) {
+            return;
+          }
+          if (message.type === "node" && message.node.name !== LAST) {
+            held.push(event);
+          } else {
+            listener(event);
+            held.splice(0).forEach(listener);
+          }
+        });
+      }
+    };
+    """.replace("LAST", repr(NAMES[-1]))
+"""The page gets the last detector before the others; `deliver` gives it a message in place of all
+further ones of the console, `opened` has the nodes whose images it has opened, `texts` what it was sent."""
+HOSTILE = "\"'><img src=x onerror=hit=1><script>hit=1</script><a href=javascript:hit=1>"
+TAINT = """
+    const hostile = arguments[0], fixed = ["type", "change"];
+    const tainted = (found) => typeof found === "string" ? `${hostile}.${found}`
+      : Array.isArray(found) ? found.map(tainted)
+      : found && typeof found === "object" ? Object.fromEntries(Object.entries(found).map(taintedEntry))
+      : found;
+    const taintedEntry = ([key, found]) => fixed.includes(key) ? [key, found]
+      : key === "values" ? [key, Object.fromEntries(Object.entries(found).map((pair) => pair.map(tainted)))]
+      : [key, tainted(found)];
+    window.WebSocket = class extends WebSocket {
+      addEventListener(type, heard) {
+        super.addEventListener(type, type !== "message" || !this.url.endsWith("/ws") ? heard : ({ data }) => {
+          heard({ data: JSON.stringify(tainted(JSON.parse(data))) });
+          heard({ data: JSON.stringify({ type: "omitted", count: 1, names: [hostile] }) });
+        });
+      }
+    };
+    """
+"""Makes every text that the console sends a page hostile, except those that choose what is shown."""
+PLACES = (
+    "title", "nav a", "main h2", ".state", "[data-transition]", ".camera h3", ".camera .message",
+    ".reason .text", ".parameter .name", ".parameter > .hint", ".chip", "option",
+    ".diagnostics .subject", ".diagnostics p", ".diagnostics dt", ".diagnostics dd", ".log .text",
+    "#omitted", "#missing",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def console_url(_isolated: None) -> Iterator[str]:
+    """Where the page of all detectors is."""
+    with many_detectors() as (process, domain), console_process(domain) as console:
+        yield address(console)
+        process.check_running()
+
+
+@contextmanager
+def injected(driver: Chrome, source: str) -> Iterator[None]:
+    """Run `source` in each new page before its own scripts."""
+    added = driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": source})
+    yield
+    driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
+
+
+@pytest.fixture
+def screen(browser: Chrome) -> Iterator[Chrome]:
+    set_screen(browser, PHONE, is_phone=True)
+    with injected(browser, HELD):
+        yield browser
+
+
+def opened_page(screen: Chrome, console_url: str, name: str = "") -> ConsolePage:
+    """The page at the address of the detector `name`, with the tabs of all."""
+    page = ConsolePage(screen, console_url, node=name or NAMES[0])
+    screen.get("about:blank")
+    screen.get(f"{console_url}#{quote(name, safe='')}")
+    page.wait_for(lambda: len(screen.find_elements(By.CSS_SELECTOR, "nav a")) == len(NAMES), "all tabs")
+    return page
+
+
+def deliver(screen: Chrome, **message: Any) -> None:
+    screen.execute_script("window.deliver(arguments[0])", message)
+
+
+def node_sent(screen: Chrome, name: str) -> dict[str, Any]:
+    """The detector as the console has sent it."""
+    script = """
+        const sent = window.texts.map((text) => JSON.parse(text)).filter(({ type }) => type === "node");
+        return sent.map(({ node }) => node).filter(({ name }) => name === arguments[0]).at(-1);
+        """
+    return dict(screen.execute_script(script, name))
+
+
+def test_the_bar_of_twelve_detectors_is_one_row_with_the_shown_one_in_view(
+    screen: Chrome, console_url: str
+) -> None:
+    opened_page(screen, console_url, NAMES[-1]).wait_for_state("unconfigured")
+    bar, width = screen.execute_script(
+        "return [document.querySelector('.bar').offsetHeight, document.documentElement.scrollWidth]"
+    )
+    assert bar <= MAX_BAR_PX
+    assert width <= PHONE[0]
+    tab = screen.find_element(By.CSS_SELECTOR, "nav a[aria-current]")
+    assert NAMES[-1] in tab.text  # the tabs of the others have come before it
+    box = screen.execute_script("return arguments[0].getBoundingClientRect()", tab)
+    assert 0 <= box["left"] < box["right"] <= PHONE[0]
+
+
+def test_every_tab_tells_how_its_detector_is(screen: Chrome, console_url: str) -> None:
+    page = opened_page(screen, console_url, ACTIVE)
+    tabs = dict(zip(NAMES, screen.find_elements(By.CSS_SELECTOR, "nav a"), strict=True))
+
+    def text(name: str) -> str:
+        return tabs[name].get_attribute("textContent") or ""
+
+    page.wait_for(lambda: text(REFUSED) == f"✕{REFUSED} error", "the error")
+    without_camera = {f"i{ACTIVE} note", f"!{ACTIVE} warning"}  # it is warned of after a while
+    page.wait_for(lambda: text(ACTIVE) in without_camera, "the active one, which has no camera")
+    assert text(UNCONFIGURED) == f"○{UNCONFIGURED} unconfigured"
+    colour = "return getComputedStyle(arguments[0].querySelector('.word')).color"
+    colours = [screen.execute_script(colour, tabs[name]) for name in (REFUSED, ACTIVE, UNCONFIGURED)]
+    assert len(set(colours)) == 3
+
+
+def test_only_the_image_of_the_detector_in_the_address_is_opened(screen: Chrome, console_url: str) -> None:
+    missing = (By.ID, "missing")
+    for name in ("", NAMES[0], NAMES[5]):
+        page = opened_page(screen, console_url, name)
+        page.wait_for(page.find(".state").is_displayed, "the detector")
+        assert screen.execute_script("return window.opened") == [name or NAMES[0]]
+        assert not screen.find_element(*missing).is_displayed()
+    page = opened_page(screen, console_url, "/nowhere")
+    page.wait_for(lambda: "/nowhere" in screen.find_element(*missing).text, "the message")
+    assert screen.execute_script("return window.opened") == []
+    screen.find_element(By.PARTIAL_LINK_TEXT, NAMES[0]).click()
+    page.wait_for(lambda: screen.execute_script("return window.opened") == [NAMES[0]], "the chosen one")
+    assert not screen.find_element(*missing).is_displayed()
+
+
+def test_a_class_of_eighty_is_found_and_selected_ones_come_first_once_the_keyboard_has_left(
+    screen: Chrome, console_url: str
+) -> None:
+    page = opened_page(screen, console_url, ACTIVE)
+
+    def chips() -> list[str]:
+        script = "return Array.from(arguments[0].querySelectorAll('.chip'), (chip) => chip.dataset.name)"
+        return list(screen.execute_script(script, page.parameter("classes")))
+
+    page.wait_for(lambda: len(chips()) == len(CLASS_NAMES), "all classes")
+    field = page.widget("classes", ".find")
+    field.send_keys("SS 7")
+    assert chips() == ["class 7", *(f"class 7{digit}" for digit in range(10))]
+    page.wait_for_text('[data-parameter="classes"] .widget .hint', "11 of 80 found")
+    field.send_keys(Keys.CONTROL, "a")
+    field.send_keys(Keys.DELETE)
+    page.widget("classes", CHIP).click()
+    page.wait_for(lambda: page.chosen("classes") == ["class 70"], "the chip")
+    page.wait_for(lambda: not page.is_busy("classes"), "the answer")
+    assert screen.switch_to.active_element.get_attribute("data-name") == chips()[70] == "class 70"
+    screen.execute_script("document.activeElement.blur()")
+    page.wait_for(lambda: chips()[:2] == ["class 70", "class 0"], "the order")
+    page.find(".undo button").click()
+    page.wait_for(lambda: page.chosen("classes") == [], "no class")
+
+
+@pytest.mark.parametrize("size_wh", [PHONE, (1400, 1000)], ids=["phone", "desktop"])
+def test_the_classes_have_no_scroll_area_of_their_own(
+    screen: Chrome, console_url: str, size_wh: tuple[int, int]
+) -> None:
+    set_screen(screen, size_wh, is_phone=size_wh == PHONE)
+    page = opened_page(screen, console_url, ACTIVE)
+    page.wait_for(lambda: page.widget("classes", CHIP), "all classes")
+    areas = screen.execute_script(
+        """
+        const found = [];
+        for (let part = arguments[0]; part; part = part.parentElement) {
+          if (part.scrollHeight > part.clientHeight + 1 && getComputedStyle(part).overflowY !== "visible") {
+            found.push(part.className);
+          }
+        }
+        return found;
+        """,
+        page.widget("classes", CHIP),
+    )
+    assert areas == ([] if size_wh == PHONE else ["panel parameters"])
+
+
+def test_foreign_text_is_text_wherever_it_is_shown(screen: Chrome, console_url: str) -> None:
+    source = f"((...arguments) => {{{TAINT}}})({json.dumps(HOSTILE)})"
+    screen.get("about:blank")
+    with injected(screen, source):
+        screen.get(f"{console_url}#{quote(HOSTILE, safe='')}")
+    page = ConsolePage(screen, console_url)
+    script = "return Array.from(document.querySelectorAll(arguments[0]), (part) => part.textContent).join()"
+
+    def is_shown(css: str) -> bool:
+        return HOSTILE in screen.execute_script(script, css)
+
+    for css in PLACES:
+        page.wait_for(partial(is_shown, css), f"the text in {css}")
+    foreign = "img, iframe, script:not([src]), [onerror], [href^=javascript]"
+    assert screen.find_elements(By.CSS_SELECTOR, foreign) == []
+    assert screen.execute_script("return window.hit") is None
+
+
+def test_a_detector_that_is_gone_is_shown_as_the_console_tells_it(screen: Chrome, console_url: str) -> None:
+    page = opened_page(screen, console_url, ACTIVE)
+    page.wait_for_state("active")
+    node = node_sent(screen, ACTIVE)
+    gone = {**node, "state": "lost", "last_state": "active", "transitions": [], "class_names": ["late"]}
+    gone["log"] = [{"stamp_s": 1, "level": "error", "text": "first\n  second\nthird"}]
+    deliver(screen, type="gone", name=ACTIVE, node=gone)
+    assert page.state == "lost"
+    assert "Its last state was active." in page.text(".notice.error")
+    assert page.find_all('[data-condition="ok"]') == page.find_all("[data-transition]") == []
+    assert page.text(".log .text").split("\n") == ["first", "  second", "third"]
+    chips = page.parameter("classes").find_elements(By.CSS_SELECTOR, ".chip")
+    assert [chip.text for chip in chips] == ["late"]
+    deliver(screen, type="gone", name="/brief", node={**gone, "name": "/brief"})  # was never sent before
+    tab = screen.find_element(By.CSS_SELECTOR, f'nav a[href="#{quote("/brief", safe="")}"]')
+    assert tab.text.endswith("lost")
+
+
+def test_nodes_that_are_left_out_are_named_until_there_are_none(screen: Chrome, console_url: str) -> None:
+    opened_page(screen, console_url)
+    omitted = screen.find_element(By.ID, "omitted")
+    for count, names, expected in (
+        (1, ["/a"], "1 further node is left out.*: /a. "),
+        (40, LONG, f"40 further nodes are left out.*: {', '.join(LONG)} and 32 more. "),
+    ):
+        deliver(screen, type="omitted", count=count, names=names)
+        assert re.match(expected, omitted.text)
+        assert omitted.size["height"] <= MAX_NOTICE_PX
+        assert screen.execute_script("return document.documentElement.scrollWidth") <= PHONE[0]
+    deliver(screen, type="omitted", count=0, names=[])
+    assert not omitted.is_displayed()
+
+
+def test_a_value_that_is_not_shown_is_not_empty_and_cannot_be_edited(
+    screen: Chrome, console_url: str
+) -> None:
+    page = opened_page(screen, console_url, NAMES[3])
+    node = node_sent(screen, NAMES[3])
+    names = ["weights", "classes", "iou_threshold", "lazy", "device"]
+    hidden = {"value": None, "is_shown": False}
+    parameters = [one | hidden if one["name"] in names else one for one in node["parameters"]]
+    deliver(screen, type="node", node=node | {"parameters": parameters})
+    page.find("button.copy").click()
+    text = page.find("textarea").get_attribute("value") or ""
+    assert "    # weights: not shown by the console\n" in text
+    assert "    weights:" not in text
+    for name in names:
+        assert page.widget(name, ".widget").text.startswith("not shown: too long for this page")
+        controls = page.parameter(name).find_elements(By.CSS_SELECTOR, "input, select, button")
+        assert [control for control in controls if control.is_displayed()] == []
+    deliver(screen, type="node", node=node)
+    for name in names:
+        assert page.parameter(name).find_elements(By.CSS_SELECTOR, "input, select") != []
