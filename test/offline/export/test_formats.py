@@ -29,8 +29,7 @@ from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.export.formats import FORMATS
-from yolov5_lifecycle.offline.export.table import COLUMNS
+from yolov5_lifecycle.offline.export.formats import COLUMNS
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
@@ -104,10 +103,6 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
 each_source = pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
 
 
-def test_every_format_is_read_here() -> None:
-    assert READ.keys() == FORMATS.keys()
-
-
 @pytest.mark.long
 @each_source
 @pytest.mark.parametrize("suffix", READ)
@@ -160,7 +155,7 @@ def test_an_image_is_identified_in_every_format(
 
 def test_tracks_have_their_ids_in_tables_and_coco(tmp_path: Path) -> None:
     source = video(tmp_path / "drive.avi")
-    for suffix in (".jsonl", ".json", ".csv", ".parquet"):
+    for suffix in (".jsonl", ".json", ".parquet"):
         words = ["--output", str(tmp_path / f"found{suffix}"), "--track", *SET_MODEL]
         assert run([str(source), *words]) == 0
     lines = (tmp_path / "found.jsonl").read_text().splitlines()
@@ -168,8 +163,6 @@ def test_tracks_have_their_ids_in_tables_and_coco(tmp_path: Path) -> None:
     assert any(ids)
     content = json.loads((tmp_path / "found.json").read_text())
     assert [one["track_id"] for one in content["annotations"]] == ids
-    rows = csv.DictReader((tmp_path / "found.csv").read_text().splitlines())
-    assert [row["id"] for row in rows] == ids
     table = parquet.read_table(tmp_path / "found.parquet")
     assert [one or "" for one in table["id"].to_pylist()] == ids
 
@@ -207,19 +200,15 @@ def test_yolo_text_becomes_a_data_set_beside_its_images(tmp_path: Path) -> None:
     assert len(data.images) == COUNT + 1
 
 
-def test_an_output_without_suffix_has_lines(tmp_path: Path) -> None:
-    source, output = images(tmp_path / "shots"), tmp_path / "found"
-    assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
-    assert len(list(of_jsonl(output))) > COUNT
+@pytest.mark.parametrize(("name", "read"), [("found", of_jsonl), ("found.CSV", of_csv)])
+def test_the_default_are_lines_and_the_case_of_a_suffix_makes_no_difference(
+    name: str, read: Callable[[Path], Iterator[Row]], tmp_path: Path
+) -> None:
+    assert run([str(images(tmp_path / "shots")), "--output", str(tmp_path / name), *SET_MODEL]) == 0
+    assert len(list(read(tmp_path / name))) > COUNT
 
 
-def test_the_case_of_a_suffix_makes_no_difference(tmp_path: Path) -> None:
-    source, output = images(tmp_path / "shots"), tmp_path / "found.CSV"
-    assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
-    assert list(of_csv(output))
-
-
-@pytest.mark.parametrize("name", ["found.xlsx", "found.txt", "found.csv.gz"])
+@pytest.mark.parametrize("name", ["found.txt", "found.csv.gz"])
 def test_a_format_that_does_not_exist_is_refused_with_those_that_do(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -270,13 +259,15 @@ def interrupted() -> Prepare:
     return prepare
 
 
-@pytest.mark.long
-@each_source
-@pytest.mark.parametrize("suffix", ["", *READ])
-def test_an_interrupted_export_leaves_nothing(
-    suffix: str, source: Callable[[Path], Path], tmp_path: Path
-) -> None:
-    path = source(tmp_path)
+@pytest.mark.parametrize(
+    ("suffix", "source"),
+    [
+        *(("", "recording"), (".jsonl", "video"), (".json", "images")),
+        *((".csv", "recording"), (".parquet", "video"), (".yolo", "images")),
+    ],
+)
+def test_an_interrupted_export_leaves_nothing(suffix: str, source: str, tmp_path: Path) -> None:
+    path = SOURCES[source](tmp_path)
     words = [str(path), "--output", str(tmp_path / f"found{suffix}"), "--crops", *SET_MODEL]
     assert main(words, prepare=interrupted()) == 130
     assert list(tmp_path.iterdir()) == [path]
@@ -331,73 +322,9 @@ def test_images_of_one_stamp_are_told_apart(suffix: str, tmp_path: Path) -> None
     assert list(read(output)) == list(told)
 
 
-def test_a_label_is_that_of_the_crops_of_its_name(tmp_path: Path) -> None:
-    source, output = stamped_again(tmp_path / "drive"), tmp_path / "found.yolo"
-    assert run([str(source), "--output", str(output), "--crops", *SET_MODEL]) == 0
-    for stem in REPEATED:
-        crops = {
-            int(file.stem.rpartition("_")[2]): (
-                int(file.parent.name.partition("_")[0]),
-                cv2.imread(str(file)).shape[:2],
-            )
-            for file in (tmp_path / "found_crops").rglob(f"{stem}_[0-9].jpg")
-        }
-        lines = (output / "labels" / f"{stem}.txt").read_text().splitlines()
-        assert [crops[row][0] for row in range(len(lines))] == [int(line.split()[0]) for line in lines]
-        for row, line in enumerate(lines):
-            _, _, _, width, height = map(float, line.split())
-            np.testing.assert_allclose(crops[row][1], (height * HEIGHT, width * WIDTH), atol=2)
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".json"])
 def test_a_file_name_that_is_no_text_is_escaped(suffix: str, tmp_path: Path) -> None:
     source, output = images(tmp_path / "shots"), tmp_path / f"found{suffix}"
     (source / "0.png").rename(source / "\udcff.png")
     assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
     assert len({row.image for row in READ[suffix](output)}) == COUNT
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        pytest.param(
-            ["drive.avi", "--images", "--topic", "/x", "--output", "x.yolo", "--track"],
-            [
-                "--topic applies to recordings only",
-                "--images applies to recordings only",
-                ".yolo has no ids of tracks",
-            ],
-            id="video",
-        ),
-        pytest.param(
-            ["drive", "--annotated", "x.mp4", "--images", "--output", "x.csv"],
-            ["--annotated does not apply to recordings", "--images needs a recording as output"],
-            id="recording",
-        ),
-        pytest.param(
-            ["shots", "--track", "--crops"],
-            ["shots has still images; tracking needs", "--crops needs --output"],
-            id="images",
-        ),
-        pytest.param(
-            ["drive", "drive.avi", "--annotated", "x", "--crops"],
-            ["give --output, the folder for the results", "--annotated applies to a single video"],
-            id="many",
-        ),
-    ],
-)
-def test_all_arguments_that_contradict_are_told_at_once(
-    words: list[str],
-    told: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for source in SOURCES.values():
-        source(tmp_path)
-    with pytest.raises(SystemExit) as end:
-        main(words, prepare=never)
-    assert end.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert [text for text in told if text not in line] == []

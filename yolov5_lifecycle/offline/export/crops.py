@@ -13,8 +13,8 @@ import numpy as np
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.annotated_files import write_image
-from yolov5_lifecycle.offline.distinct_names import DistinctNames
-from yolov5_lifecycle.offline.export.detected_image import DetectedImage
+from yolov5_lifecycle.offline.export.detected_image import DetectedImage, Sink
+from yolov5_lifecycle.offline.image_files import DistinctNames
 
 MAX_CROPS = 1_000_000
 """Files of one source: more make a folder unusable."""
@@ -29,12 +29,11 @@ def _free_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-class Crops:
+class Crops(Sink):
     """Writes the new folder `path`: `<class id>_<class name>/<stem>_<row>.jpg` for each detection.
 
     A stem that an earlier image has is followed by the number of the image. Detections of one image are
-    numbered from 0, the highest score first. `free_bytes` says how much room the disk of a folder has. See
-    `Sink`.
+    numbered from 0, the highest score first. `free_bytes` says how much room the disk of a folder has.
     """
 
     def __init__(
@@ -56,12 +55,6 @@ class Crops:
             folder = self._path / f"{class_id}_{_safe(self._class_names[class_id])}"
             folder.mkdir(exist_ok=True)
             write_image(folder / f"{name}_{row}{_SUFFIX}", _crop(found, row))
-
-    def finish(self) -> None:
-        """Nothing is left: each file is complete."""
-
-    def close(self) -> None:
-        """Nothing is open."""
 
     def _check_room(self, found: DetectedImage) -> None:
         self._count += len(found.detections)
