@@ -96,6 +96,15 @@ def a_good_one(folder: Path) -> Path:
     return record(folder / "bag", [raw(number) for number in range(COUNT)], storage=MCAP)
 
 
+def many(folder: Path) -> Path:
+    """A folder of recordings, beside another one."""
+    (folder / "drives").mkdir()
+    record(folder / "other", [raw(0)], storage=MCAP)
+    for name in ("drives/a.mcap", "drives/b.mcap", "bag.mcap"):
+        (folder / name).touch()
+    return folder / "drives"
+
+
 def in_sqlite(folder: Path) -> Path:
     return record(folder / "bag", [raw(number) for number in range(COUNT)], storage=SQLITE)
 
@@ -133,6 +142,12 @@ def a_video(folder: Path) -> Path:
         pytest.param(a_good_one, ["--set", "conf=0.4"], "'confidence_threshold'?", id="setting"),
         pytest.param(a_good_one, ["-p", "iou_threshold:=2"], "from 0 to 1", id="value as for a node"),
         pytest.param(a_good_one, ["--set", "weights=no.pt"], "there is no such file", id="no weights"),
+        pytest.param(many, ["--output", "no/x"], "folder not found; create it", id="no folder for many"),
+        pytest.param(many, ["--output", "bag.mcap"], "bag.mcap is not a folder", id="file for many"),
+        pytest.param(many, ["--output", "other"], "other is a recording: choose", id="recording for many"),
+        pytest.param(many, ["--output", "x\udcff"], "folder of results must be UTF-8", id="no text"),
+        pytest.param(many, ["--ray", "127.0.0.1:1"], "no Ray cluster answers", id="no cluster"),
+        pytest.param(many, ["--set", "weights_sha256=" + "f" * 64], "its sha256 is", id="digest"),
         pytest.param(a_good_one, ["--params-file", "no.yaml"], "no.yaml", id="no parameter file"),
     ],
 )
@@ -186,6 +201,13 @@ def test_an_error_says_what_to_do_and_leaves_nothing_behind(
         pytest.param(
             ["drive", "--output", "x", "--node", "a b"], ["expected the full name of a node"], id="node"
         ),
+        pytest.param(
+            ["*.avi", "--output", "x", "--images", "--topic", "/x"],
+            ["--topic applies to recordings only, and these are videos; --images"],
+            id="many videos",
+        ),
+        pytest.param(["a", "--jobs", "0"], ["expected a number of processes from 1 to"], id="no jobs"),
+        pytest.param(["a", "--jobs", "many"], [", found 'many'"], id="no number of jobs"),
         pytest.param([], ["SOURCE"], id="nothing"),
     ],
 )
@@ -207,13 +229,20 @@ def test_all_arguments_that_are_wrong_are_told_at_once_in_one_line(
     assert [text for text in told if text not in line] == []
 
 
-def test_without_rosbags_the_command_says_how_to_install_it(
-    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("module", "words"), [("rosbags.rosbag2", []), ("ray", ["--ray", "auto"])], ids=["rosbags", "ray"]
+)
+def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(
+    module: str,
+    words: list[str],
+    drive: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    monkeypatch.setitem(sys.modules, module, None)
     monkeypatch.delitem(sys.modules, "yolov5_lifecycle.offline.detect_recording", raising=False)
-    assert main([str(drive), "--output", str(drive.parent / "found")]) == 1
-    assert f"{sys.executable} -m pip install rosbags\n" in capsys.readouterr().err
+    assert main([str(drive), "--output", str(drive.parent / "found"), *words, *SET_MODEL]) == 1
+    assert f"{sys.executable} -m pip install {module.partition('.')[0]}" in capsys.readouterr().err
 
 
 # Python would keep truncated bytecode of this package: https://github.com/python/cpython/issues/126606.

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -64,18 +63,6 @@ def test_the_command_reads_a_recording_and_writes_one(drive: Path, tmp_path: Pat
     assert f"images    {COUNT}: {COUNT} detected, 0 rejected, 0 failed\n" in ended.stderr
     with Reader(tmp_path / "found") as reader:
         assert reader.topics["/yolov5/detections"].msgcount == COUNT
-
-
-@pytest.mark.long
-def test_images_need_no_rosbags(tmp_path: Path) -> None:
-    program = (
-        "import sys; sys.modules['rosbags'] = None; "
-        "from yolov5_lifecycle.offline.detect_bag import main; sys.exit(main(sys.argv[1:]))"
-    )
-    command = [sys.executable, "-c", program, str(images(tmp_path / "shots")), *SET_MODEL]
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    assert len(run.stdout.splitlines()) == COUNT
 
 
 @pytest.mark.long
@@ -213,10 +200,3 @@ def test_what_counts_is_the_same_as_in_the_node_and_drawn(
     line_x = cv2.imread(str(drawn / "0.png"))[:, SIZE_HW[1] // 2].astype(int)
     source_x = cv2.imread(str(folder / "0.png"))[:, SIZE_HW[1] // 2].astype(int)
     assert (np.abs(line_x - source_x).max(axis=1) > 0).mean() > 0.9
-
-
-def test_a_wrong_region_is_refused_before_the_model_is_loaded(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run([str(images(tmp_path / "shots")), "--set", "regions=['0,0 1,1']"]) == 1
-    assert "regions: ['0,0 1,1'] must be polygons, but entry 1 has 2 points" in capsys.readouterr()[1]

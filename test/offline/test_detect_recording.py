@@ -22,16 +22,13 @@ from support.recorded_scene import (
     COUNT,
     IMAGE,
     SIZE_HW,
-    images,
     jpeg,
     raw,
     record,
     recorded_ns,
     shown,
     stamp_s,
-    video,
 )
-from support.scripted_runtime import ScriptedRuntime
 from support.segmented_offline import COUNT as OBJECTS
 from support.segmented_offline import SET_MODEL as SET_SEGMENTING
 from support.segmented_offline import segment, segmented
@@ -40,11 +37,10 @@ from vision_msgs.msg import Detection2DArray, LabelInfo
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
-from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detecting import OfflineDetector
+from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.offline.terminal import report
 from yolov5_lifecycle.ros.detector.session import label_info
@@ -193,31 +189,18 @@ def test_the_label_images_of_a_tracked_recording_number_its_detections(drive: Pa
 
 
 @pytest.mark.parametrize(
-    ("words", "computed"),
+    ("export", "are_needed"),
     [
-        pytest.param(["drive", "--output", "found", "--no-masks"], 0, id="recording without masks"),
-        pytest.param(["drive", "--output", "found", "--no-masks", "--images"], COUNT, id="drawn recording"),
-        pytest.param(["shots", "--no-masks", "--annotated", "drawn"], COUNT, id="drawn images"),
-        pytest.param(["drive.avi", "--track", "--no-masks"], 0, id="tracked without masks"),
+        pytest.param(Export(Path("x"), ""), True, id="recording"),
+        pytest.param(Export(Path("x"), "", masks=False), False, id="recording without masks"),
+        pytest.param(Export(Path("x"), "", masks=False, images=True), True, id="drawn recording"),
+        pytest.param(Export(None, ".jsonl", masks=False), False, id="lines without masks"),
+        pytest.param(Export(None, ".jsonl", masks=False, annotated=Path("y")), True, id="drawn images"),
+        pytest.param(Export(Path("x"), ".csv"), False, id="table"),
     ],
 )
-def test_masks_are_computed_only_if_they_are_written_or_drawn(
-    words: list[str], computed: int, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    images(tmp_path / "shots")
-    video(tmp_path / "drive.avi")
-    runtime = ScriptedRuntime(lambda: np.array([[60, 60, 40, 40, 1, 0.9, 3]], np.float32))
-    calls: list[None] = []
-
-    def prototypes() -> NDArray[np.float32]:
-        calls.append(None)
-        return np.ones((1, 60, 80), np.float32)
-
-    runtime.compute_prototypes = prototypes
-    detector = Detector(runtime, class_names=("cat",), image_size=320, stride=32, mask_coefficients=1)
-    assert main(words, prepare=lambda settings, _: PreparedModel(settings, detector, drive, "0" * 64)) == 0
-    assert len(calls) == computed
+def test_masks_are_computed_only_if_they_are_written_or_drawn(export: Export, are_needed: bool) -> None:
+    assert export.needs_masks == are_needed
 
 
 def detector() -> Detector:

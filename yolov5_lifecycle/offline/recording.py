@@ -71,7 +71,7 @@ _DIGITS = 15
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """A message of ROS 2 begins with a zero."""
 _Storage = McapFile | SqliteFile
-_FORMATS: Mapping[str, Callable[[Path], _Storage]] = {".mcap": McapFile, ".db3": SqliteFile}
+_FORMATS: Mapping[str, Callable[[Path, ExitStack], _Storage]] = {".mcap": McapFile, ".db3": SqliteFile}
 _MAX_LISTED = 50
 """Topics in an error."""
 Stamp = tuple[int, int]
@@ -309,9 +309,7 @@ def _open_storage(path: Path, stack: ExitStack) -> _Storage:
         raise StorageError(f"it is a bag of ROS 1. Convert it: {command}")
     if (new := _FORMATS.get(path.suffix)) is None:
         raise StorageError(f"{path.name}: expected a name that ends in {' or '.join(_FORMATS)}")
-    storage = new(path)
-    stack.callback(storage.close)
-    return storage
+    return new(path, stack)
 
 
 def _unpacked(packed: Path, folder: Path) -> Path:

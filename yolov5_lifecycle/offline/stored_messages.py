@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from struct import Struct
@@ -74,22 +74,15 @@ class StoredTopic:
 
 
 class McapFile:
-    """An open file; owns it until `close`. Raises StorageError and OSError, also while messages are read."""
+    """An open file, until `stack` closes it. Raises StorageError and OSError, also later."""
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("rb")
-        try:
-            self._size = path.stat().st_size
-            self._data_start, self._data_end = self._bounds()
-            self._channels: dict[int, StoredTopic] = {}
-            self._schemas: dict[int, str] = {}
-            self._counts = self._summary_counts() or self._counted()
-        except BaseException:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        self._file.close()
+    def __init__(self, path: Path, stack: ExitStack) -> None:
+        self._file = stack.enter_context(path.open("rb"))
+        self._size = path.stat().st_size
+        self._data_start, self._data_end = self._bounds()
+        self._channels: dict[int, StoredTopic] = {}
+        self._schemas: dict[int, str] = {}
+        self._counts = self._summary_counts() or self._counted()
 
     @property
     def topics(self) -> list[StoredTopic]:
@@ -295,19 +288,16 @@ def _statistics(contents: _Contents) -> tuple[int, int, int, Counter[int]]:
 
 
 class SqliteFile:
-    """An open file; owns its connection until `close`. Raises StorageError and APSW's errors, also later."""
+    """An open file, until `stack` closes it. Raises StorageError and APSW's errors, also later."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stack: ExitStack) -> None:
         flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
         # As a URI, in which the characters # ? % of a path mean themselves: https://sqlite.org/uri.html
         self._database = apsw.Connection(f"{path.absolute().as_uri()}?immutable=1", flags=flags)
-        try:
-            _restrict(self._database)
-            counts = dict(self._database.execute(_COUNTS))
-            rows = self._database.execute(_TOPICS).fetchall()
-        except BaseException:
-            self.close()
-            raise
+        stack.callback(self._database.close)
+        _restrict(self._database)
+        counts = dict(self._database.execute(_COUNTS))
+        rows = self._database.execute(_TOPICS).fetchall()
         if len(rows) > MAX_TOPICS:
             raise StorageError(f"more than {MAX_TOPICS} topics")
         self.topics = [
@@ -315,9 +305,6 @@ class SqliteFile:
             for number, name, type_name, encoding in rows
             if isinstance(name, str) and isinstance(type_name, str)
         ]
-
-    def close(self) -> None:
-        self._database.close()
 
     def messages(self, name: str, type_name: str) -> Iterator[tuple[int, bytes | None]]:
         """Time of recording in nanoseconds and content, None if larger than MAX_MESSAGE_BYTES."""

@@ -44,11 +44,13 @@ class RayHead:
 
     def processes(self, title: str) -> list[int]:
         """The processes of the cluster whose title begins with `title`."""
-        return [
-            process
-            for process in (int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdecimal())
-            if _title(process).startswith(title) and _session(process) == self.session
-        ]
+        found = []
+        for file in Path("/proc").glob("[0-9]*/cmdline"):
+            with suppress(OSError):  # it has ended
+                process = int(file.parent.name)
+                if file.read_bytes().startswith(title.encode()) and os.getsid(process) == self.session:
+                    found.append(process)
+        return found
 
 
 @pytest.fixture(scope="module")
@@ -86,20 +88,6 @@ def _address(head: subprocess.Popen[bytes], folder: Path) -> str:
         assert time.monotonic() < deadline_s, (folder / "log").read_text()
         time.sleep(0.1)
     return file.read_text().strip()
-
-
-def _title(process: int) -> str:
-    try:
-        return Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-    except OSError:  # it has ended
-        return ""
-
-
-def _session(process: int) -> int:
-    try:
-        return os.getsid(process)
-    except ProcessLookupError:
-        return 0
 
 
 def started(head: RayHead, drives: Path, output: Path) -> subprocess.Popen[str]:

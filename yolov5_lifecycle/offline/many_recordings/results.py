@@ -17,14 +17,12 @@ from yolov5_lifecycle.atomic_file import OutputError, atomic_write
 from yolov5_lifecycle.checkpoints.locate import weights_digest
 from yolov5_lifecycle.detection.prepared_model import weights_path
 from yolov5_lifecycle.folder_listing import FolderTree
-from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.recordings import METADATA, SourceRecording, is_storage
 from yolov5_lifecycle.quantization.calibration_file import calibration_digest
 from yolov5_lifecycle.settings.settings import Settings, validated
 
 RECORD_NAME = "detect_bag.json"
-_MAX_RECORD_BYTES = 16 << 20
 _BLOCK_BYTES = 1 << 20
 _PLACE_OF_WEIGHTS = {"model_size", "weights", "weights_dir", "weights_dirs", "weights_sha256"}
 """Settings that say where the model is, not which one it is."""
@@ -140,8 +138,8 @@ class Record(BaseModel):
 def read_record(folder: Path) -> Record | None:
     """The record of the result in `folder`; None if there is none that is valid and of that name."""
     try:
-        record = Record.model_validate_json(read_regular_file(folder / RECORD_NAME, _MAX_RECORD_BYTES))
-    except (OSError, RegularFileError, ValidationError):
+        record = Record.model_validate_json((folder / RECORD_NAME).read_bytes())
+    except (OSError, ValidationError):
         return None
     return record if record.result.recording == folder.name else None
 

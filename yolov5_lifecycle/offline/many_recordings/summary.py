@@ -15,7 +15,6 @@ from yolov5_lifecycle.offline.many_recordings.results import COUNTED, Plan, Reco
 from yolov5_lifecycle.offline.terminal import ProgressLine, objects_line, order_line
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.process.standard_streams import complain
-from yolov5_lifecycle.unfinished import open_itself
 
 JSON_NAME, PARQUET_NAME = "summary.json", "summary.parquet"
 CLASS_COLUMN = "detections/"
@@ -123,20 +122,14 @@ def check_summary(folder: Path) -> None:
 
     The table is written after the JSON file: without that it belongs to another program.
     """
-    if _is_summary(folder / JSON_NAME):
-        return
-    for file in (folder / JSON_NAME, folder / PARQUET_NAME):
+    json_file, table = folder / JSON_NAME, folder / PARQUET_NAME
+    if json_file.is_file():
+        with json_file.open("rb") as opened:
+            if opened.read(len(_BEGIN)) == _BEGIN:
+                return
+    for file in (json_file, table):
         if os.path.lexists(file):
             raise OutputError(f"{file} is not a summary of detect_bag: move it, or choose another --output.")
-
-
-def _is_summary(path: Path) -> bool:
-    """Whether the file at `path` begins like the JSON of `write_summary`."""
-    try:
-        with open(path, "rb", opener=open_itself) as file:
-            return file.read(len(_BEGIN)) == _BEGIN
-    except OSError:
-        return False
 
 
 def write_summary(plan: Plan, batch: BatchProgress, order: Sequence[str]) -> list[str]:
