@@ -54,13 +54,6 @@ def test_detection_ends_after_too_many_failed_inferences(
     assert list(drive.parent.iterdir()) == [drive]
 
 
-def test_an_interrupt_leaves_nothing_half_written(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [str(drive), "--output", str(drive.parent / "found")]
-    assert main(words, prepare=prepare_raising(KeyboardInterrupt())) == 130
-    assert capsys.readouterr().err == "detect_bag: interrupted; unfinished output was removed\n"
-    assert list(drive.parent.iterdir()) == [drive]
-
-
 def no_images(folder: Path) -> Path:
     return record(folder / "bag", [text()], storage=MCAP, topics=["/chatter"])
 
@@ -230,7 +223,9 @@ def test_all_arguments_that_are_wrong_are_told_at_once_in_one_line(
 
 
 @pytest.mark.parametrize(
-    ("module", "words"), [("rosbags.rosbag2", []), ("ray", ["--ray", "auto"])], ids=["rosbags", "ray"]
+    ("module", "words"),
+    [("rosbags.rosbag2", []), ("ray", ["--ray", "auto"]), ("pyarrow", ["--output", "found.parquet"])],
+    ids=["rosbags", "ray", "pyarrow"],
 )
 def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(
     module: str,

@@ -5,11 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -19,18 +18,15 @@ from pyarrow import parquet
 from pycocotools import mask
 from pycocotools.coco import COCO
 from rosbags.rosbag2 import StoragePlugin
-from support.detected_offline import SET_MODEL, prepare_once, run
-from support.many_recordings import messages
+from support.detected_offline import SET_MODEL, run
 from support.recorded_scene import COUNT, SIZE_HW, images, raw, record, stamp_s, video
 from support.segmented_offline import SET_MODEL as SET_SEGMENTING
 from support.segmented_offline import segment
 
-from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
-from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.export.formats import COLUMNS
-from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 HEIGHT, WIDTH = SIZE_HW
@@ -165,13 +161,9 @@ def test_pycocotools_reads_the_file_and_its_masks(tmp_path: Path, capsys: pytest
     assert [one["segmentation"] for one in annotations] == masks
     assert [one["area"] for one in annotations] == [mask.area(coco.annToRLE(one)) for one in annotations]
     assert min(one["id"] for one in annotations) == 1
-
-
-@pytest.mark.parametrize("suffix", [".json", ".jsonl"])
-def test_without_masks_none_is_in_the_file(suffix: str, tmp_path: Path) -> None:
-    source, output = images(tmp_path / "shots"), tmp_path / f"found{suffix}"
-    assert segment([str(source), "--output", str(output), "--no-masks", *SET_SEGMENTING]) == 0
-    assert "counts" not in output.read_text()
+    words = ["--output", str(tmp_path / "without.json"), "--no-masks", *SET_SEGMENTING]
+    assert segment([str(source), *words]) == 0
+    assert "counts" not in (tmp_path / "without.json").read_text()
 
 
 def test_yolo_text_becomes_a_data_set_beside_its_images(tmp_path: Path) -> None:
@@ -193,57 +185,6 @@ def test_the_default_are_lines_and_the_case_of_a_suffix_makes_no_difference(
     assert len(list(read(tmp_path / name))) > COUNT
 
 
-@pytest.mark.parametrize("name", ["found.txt", "found.csv.gz"])
-def test_a_format_that_does_not_exist_is_refused_with_those_that_do(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    source = images(tmp_path / "shots")
-    assert main([str(source), "--output", str(tmp_path / name)], prepare=never) == 1
-    told = capsys.readouterr().err
-    assert f"{name}: expected a name that ends in .jsonl (JSON lines), .json (COCO), .csv (CSV), " in told
-    assert list(tmp_path.iterdir()) == [source]
-
-
-def never(settings: Settings, sizes: object) -> PreparedModel:
-    raise AssertionError("the model is not needed to refuse this")
-
-
-def test_parquet_names_the_package_that_it_lacks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    source = images(tmp_path / "shots")
-    words = [str(source), "--output", str(tmp_path / "found.parquet")]
-    assert main(words, prepare=never) == 1
-    told = capsys.readouterr().err
-    assert ".parquet needs the package pyarrow: " in told
-    assert "-m pip install pyarrow" in told
-    assert list(tmp_path.iterdir()) == [source]
-
-
-def interrupted() -> Prepare:
-    """The embedded model, which is interrupted at the second image."""
-    calls: list[object] = []
-
-    def prepare(settings: Settings, sizes: Any) -> PreparedModel:
-        prepared = prepare_once(settings, sizes)
-
-        class Interrupted:
-            def __getattr__(self, name: str) -> Any:
-                return getattr(prepared.detector, name)
-
-            def detect(self, image: Any, selection: Any) -> Any:
-                calls.append(image)
-                if len(calls) == 2:
-                    raise KeyboardInterrupt
-                return prepared.detector.detect(image, selection)
-
-        detector: Any = Interrupted()
-        return replace(prepared, detector=detector)
-
-    return prepare
-
-
 @pytest.mark.parametrize(
     ("suffix", "source"),
     [
@@ -251,10 +192,17 @@ def interrupted() -> Prepare:
         *((".csv", "recording"), (".parquet", "video"), (".yolo", "images")),
     ],
 )
-def test_an_interrupted_export_leaves_nothing(suffix: str, source: str, tmp_path: Path) -> None:
+def test_an_interrupted_export_leaves_nothing(
+    suffix: str,
+    source: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     path = SOURCES[source](tmp_path)
-    words = [str(path), "--output", str(tmp_path / f"found{suffix}"), "--crops", *SET_MODEL]
-    assert main(words, prepare=interrupted()) == 130
+    monkeypatch.setattr(Terminal, "progress", Mock(side_effect=[None, KeyboardInterrupt]))
+    assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), "--crops", *SET_MODEL]) == 130
+    assert capsys.readouterr().err == "detect_bag: interrupted; unfinished output was removed\n"
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -263,59 +211,25 @@ def test_two_images_of_one_name_are_refused_in_yolo_text(
 ) -> None:
     source = images(tmp_path / "shots")
     shutil.copy(source / "1.png", source / "1.bmp")
-    assert main([str(source), "--output", str(tmp_path / "found.yolo")], prepare=never) == 1
+    assert run([str(source), "--output", str(tmp_path / "found.yolo"), *SET_MODEL]) == 1
     assert "1: 2 images have this name, but YOLO text has one file for each" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [source]
 
 
-FOUND = "/yolov5/detections"
-REPEATED = ["0_000000000", "0_000000000_frame_000001", "0_000000000_frame_000003", "1700000002_000000009"]
-"""Of images that are stamped 0, 0, 1700000002, 0."""
-
-
-def stamped_again(path: Path) -> Path:
+def test_images_of_one_stamp_are_told_apart(tmp_path: Path) -> None:
     taken = [raw(number) for number in (0, 1, 2, 0)]
     for number in (0, 1, 3):
         taken[number].header.stamp.sec = taken[number].header.stamp.nanosec = 0
-    return record(path, taken, storage=StoragePlugin.MCAP)
-
-
-@pytest.mark.parametrize(
-    ("suffix", "read", "told"),
-    [
-        pytest.param(
-            "", lambda path: [topic for topic, *_ in messages(path)][1:], [FOUND] * 4, id="recording"
-        ),
-        pytest.param(
-            ".csv",
-            lambda path: list(
-                dict.fromkeys(row["frame"] for row in csv.DictReader(path.read_text().splitlines()))
-            ),
-            ["0", "1", "2", "3"],
-            id=".csv",
-        ),
-        pytest.param(
-            ".json",
-            lambda path: sorted(one["file_name"] for one in json.loads(path.read_text())["images"]),
-            REPEATED,
-            id=".json",
-        ),
-        pytest.param(
-            ".yolo",
-            lambda path: sorted(file.stem for file in (path / "labels").iterdir()),
-            REPEATED,
-            id=".yolo",
-        ),
-    ],
-)
-def test_images_of_one_stamp_are_told_apart(
-    suffix: str, read: Callable[[Path], list[str]], told: list[str], tmp_path: Path
-) -> None:
-    source, output = stamped_again(tmp_path / "drive"), tmp_path / f"found{suffix}"
-    assert run([str(source), "--output", str(output), "--crops", *SET_MODEL]) == 0
-    crops = {file.name.rpartition("_")[0] for file in (tmp_path / "found_crops").rglob("*.jpg")}
-    assert sorted(crops) == REPEATED
-    assert read(output) == told
+    source = record(tmp_path / "drive", taken, storage=StoragePlugin.MCAP)
+    for suffix in (".json", ".yolo"):
+        words = ["--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]
+        assert run([str(source), *words, *(["--crops"] if suffix == ".yolo" else [])]) == 0
+    told = ["0_000000000", "0_000000000_frame_000001", "0_000000000_frame_000003", "1700000002_000000009"]
+    assert {file.name.rpartition("_")[0] for file in tmp_path.rglob("*.jpg")} == set(told)
+    assert sorted(file.stem for file in (tmp_path / "found.yolo" / "labels").iterdir()) == told
+    content = json.loads((tmp_path / "found.json").read_text())
+    assert sorted(one["file_name"] for one in content["images"]) == told
+    assert [one["frame"] for one in content["images"]] == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".json"])
