@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,24 +25,17 @@ _MAX_STEM_BYTES = 200
 _SUFFIX = ".jpg"
 
 
-def _free_bytes(folder: Path) -> int:
-    return shutil.disk_usage(folder).free
-
-
 class Crops(Sink):
     """Writes the new folder `path`: `<class id>_<class name>/<stem>_<row>.jpg` for each detection.
 
     A stem that an earlier image has is followed by the number of the image. Detections of one image are
-    numbered from 0, the highest score first. `free_bytes` says how much room the disk of a folder has.
+    numbered from 0, the highest score first.
     """
 
-    def __init__(
-        self, path: Path, class_names: Sequence[str], *, free_bytes: Callable[[Path], int] = _free_bytes
-    ) -> None:
+    def __init__(self, path: Path, class_names: Sequence[str]) -> None:
         path.mkdir()
         self._path = path
         self._class_names = class_names
-        self._free_bytes = free_bytes
         self._names = DistinctNames()
         self._images = self._count = 0
 
@@ -63,7 +56,7 @@ class Crops(Sink):
                 f"--crops: more than {MAX_CROPS:,} detections: raise confidence_threshold, select classes, "
                 "or divide the source."
             )
-        if len(found.detections) and self._free_bytes(self._path) < MIN_FREE_BYTES:
+        if len(found.detections) and shutil.disk_usage(self._path).free < MIN_FREE_BYTES:
             raise OSError(
                 errno.ENOSPC,
                 f"less than {MIN_FREE_BYTES >> 20} MiB are free, which --crops leaves",
